@@ -1,0 +1,283 @@
+"""YAML documents checked against models, with the place of every mistake.
+
+A procedure, station or world file is read safely (no code, no aliases that grow), validated
+against a :class:`StrictModel`, and all that is wrong with it is reported at once as
+``file:line:column: what was found; what is allowed``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from bench.errors import DocumentError
+
+#: Keys and indices that lead from the top of a document to one of its values.
+Location = tuple[str | int, ...]
+
+MAX_DOCUMENT_BYTES = 1_000_000
+_MAX_VALUES = 50_000
+_MAX_DEPTH = 50
+_SHOWN_CHARACTERS = 60
+
+ModelT = TypeVar("ModelT", bound="StrictModel")
+
+
+class StrictModel(BaseModel):
+    """Base of all file models: unknown keys, numbers given as text and NaN are mistakes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _name_the_allowed_keys(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            return handler(data)
+        except ValidationError as error:
+            raise ValidationError.from_exception_data(
+                cls.__name__, [_rewritten(detail, cls) for detail in error.errors()]
+            ) from error
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something wrong at one place of a document."""
+
+    location: Location
+    message: str
+
+
+@dataclass(frozen=True)
+class Document:
+    """A YAML file as read: plain data, and where in the file each value stands."""
+
+    path: Path
+    text: str
+    data: Any
+    #: (line, column), both from 1, of every key and item.
+    places: dict[Location, tuple[int, int]] = field(repr=False)
+
+    def place(self, location: Sequence[str | int]) -> str:
+        """``file:line:column`` of the deepest part of ``location`` that the file contains."""
+        known: Location = ()
+        for part in location:
+            if (*known, part) in self.places:
+                known = (*known, part)
+        line, column = self.places.get(known, (1, 1))
+        return f"{self.path}:{line}:{column}"
+
+    def error(self, problems: Iterable[Problem]) -> DocumentError:
+        """One error that lists all problems, in the order of the file."""
+        lines = {f"{self.place(problem.location)}: {problem.message}" for problem in problems}
+        return DocumentError("\n".join(sorted(lines, key=_line_and_column)))
+
+
+def read_document(path: Path) -> Document:
+    """Read one YAML file.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read, is too large, or is no valid YAML.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_DOCUMENT_BYTES:
+            raise DocumentError(f"{path}: {size} bytes; at most {MAX_DOCUMENT_BYTES} are allowed")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+    return parse_document(text, path)
+
+
+def parse_document(text: str, path: Path) -> Document:
+    """Parse YAML text that came from ``path``; see :func:`read_document`."""
+    try:
+        node = yaml.compose(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
+        raise DocumentError(f"{path}:{place}: not valid YAML: {error.problem or error.context}") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise DocumentError(f"{path}:1:1: not valid YAML: {str(error).splitlines()[0]}") from error
+    if node is None:
+        raise DocumentError(f"{path}:1:1: the file is empty")
+    reader = _NodeReader()
+    data = reader.plain(node, ())
+    document = Document(path, text, data, reader.places)
+    if reader.problems:
+        raise document.error(reader.problems)
+    return document
+
+
+def validate(document: Document, model: type[ModelT]) -> ModelT:
+    """Turn a document into its model.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything that does not fit the model, each with its place.
+    """
+    if not isinstance(document.data, dict):
+        raise document.error([Problem((), f"expected keys and values; found {_shown(document.data)}")])
+    try:
+        return model.model_validate(document.data)
+    except ValidationError as error:
+        raise document.error(problems_of(error)) from error
+
+
+def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
+    """Translate a validation error of a value at ``at`` into problems."""
+    problems = []
+    for detail in error.errors():
+        location = (*at, *detail["loc"])
+        message = detail["msg"]
+        if detail["type"] == "missing":
+            location, message = location[:-1], f"the key '{location[-1]}' is missing"
+        elif detail["type"] != "unknown_key":
+            message = f"{message.removeprefix('Value error, ')}; found {_shown(detail['input'])}"
+        problems.append(Problem(location, message))
+    return problems
+
+
+def find_document(kind: str, name: str) -> Path:
+    """Find a file by path, or a shipped one by its bare name.
+
+    Parameters
+    ----------
+    kind : {"procedures", "stations", "worlds"}
+        Which folder of shipped files to look in.
+    name : str
+        A path, or the name of a shipped file without its ending.
+
+    Raises
+    ------
+    DocumentError
+        There is no such file; the message lists the shipped names.
+    """
+    path = Path(name)
+    if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:
+        if path.is_file():
+            return path
+        raise DocumentError(f"{name}: there is no such file. {_shipped_names(kind)}")
+    for folder in _shipped_folders(kind):
+        candidate = folder / f"{name}.yaml"
+        if candidate.is_file():
+            return candidate
+    raise DocumentError(f"{name}: no shipped file of that name. {_shipped_names(kind)}")
+
+
+def _shipped_folders(kind: str) -> list[Path]:
+    package = Path(__file__).parent
+    folders = [package / "shipped" / kind, package.parent / kind]
+    return [folder for folder in folders if folder.is_dir()]
+
+
+def _shipped_names(kind: str) -> str:
+    names = sorted({path.stem for folder in _shipped_folders(kind) for path in folder.glob("*.yaml")})
+    return f"Shipped {kind}: {', '.join(names)}"
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text."""
+
+
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("null", r"~|null|Null|NULL|", "~nN"),
+    ("int", r"[-+]?[0-9]+", "-+0123456789"),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+     "-+.0123456789"),
+):  # fmt: skip
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), [*_first, *([""] if _tag == "null" else [])]
+    )
+
+
+class _NodeReader:
+    """Turns YAML nodes into plain data and remembers where each stood."""
+
+    def __init__(self) -> None:
+        self.places: dict[Location, tuple[int, int]] = {}
+        self.problems: list[Problem] = []
+
+    def plain(self, node: yaml.Node, location: Location) -> Any:
+        self.places.setdefault(location, (node.start_mark.line + 1, node.start_mark.column + 1))
+        if len(self.places) > _MAX_VALUES or len(location) > _MAX_DEPTH:
+            if not self.problems:
+                self.problems.append(
+                    Problem((), f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels")
+                )
+            return None
+        if isinstance(node, yaml.MappingNode):
+            return self._mapping(node, location)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.plain(item, (*location, index)) for index, item in enumerate(node.value)]
+        return self._scalar(node, location)
+
+    def _mapping(self, node: yaml.MappingNode, location: Location) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = str(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "(not a plain key)"
+            here = (*location, key)
+            if key in result:
+                self.problems.append(Problem(here, f"the key '{key}' is given twice"))
+                continue
+            self.places[here] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            result[key] = self.plain(value_node, here)
+        return result
+
+    def _scalar(self, node: yaml.Node, location: Location) -> Any:
+        kind = node.tag.removeprefix("tag:yaml.org,2002:")
+        text = str(node.value)
+        match kind:
+            case "str":
+                return text
+            case "null":
+                return None
+            case "bool":
+                return text.lower() == "true"
+            case "int" if len(text) <= _SHOWN_CHARACTERS:
+                return int(text)
+            case "float" if re.fullmatch(r"[-+.\dEe]+", text):
+                return float(text)
+        self.problems.append(Problem(location, f"expected text, a number or true/false; found {_shown(text)}"))
+        return None
+
+
+def _rewritten(detail: Any, model: type[BaseModel]) -> InitErrorDetails:
+    kind, message = detail["type"], detail["msg"]
+    if kind == "extra_forbidden" and len(detail["loc"]) == 1:
+        kind, message = "unknown_key", _unknown_key(str(detail["loc"][0]), list(model.model_fields))
+    literal = message.replace("{", "{{").replace("}", "}}") if kind == "unknown_key" else message
+    return InitErrorDetails(
+        type=PydanticCustomError(kind, literal), loc=detail["loc"], input=detail.get("input")
+    )
+
+
+def _unknown_key(key: str, allowed: list[str]) -> str:
+    close = difflib.get_close_matches(key, allowed, n=1)
+    hint = f" (did you mean '{close[0]}'?)" if close else ""
+    return f"unknown key '{key}'{hint}; allowed here: {', '.join(allowed)}"
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, default=str)
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
+
+
+def _line_and_column(line: str) -> tuple[int, int, str]:
+    match = re.match(r".*?:(\d+):(\d+): ", line)
+    return (int(match[1]), int(match[2]), line) if match else (0, 0, line)

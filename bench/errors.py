@@ -1,0 +1,83 @@
+"""Every error that gyrobench raises on purpose.
+
+::
+
+    GyrobenchError
+    ├── DocumentError (ValueError)        a procedure, station, world or DBC file is wrong
+    ├── InstrumentError                   something about one instrument
+    │   ├── ConnectionFailedError (OSError)   its port can't be opened or went away
+    │   ├── NoReplyError (TimeoutError)   it did not answer in time
+    │   ├── ReplyError                    it answered something that can't be understood
+    │   ├── RefusedError                  it answered that it won't
+    │   └── FaultError                    it reports a fault: trip, interlock, broken sensor
+    ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
+    ├── RunStoppedError                   somebody asked the run to stop
+    ├── MeasurementError (ValueError)     measured data that can't give a result
+    └── RunFolderError (OSError)          a run folder that can't be written or read
+
+A message says what happened, where, and what to do about it.
+"""
+
+
+class GyrobenchError(Exception):
+    """Root of all errors raised on purpose."""
+
+
+class DocumentError(GyrobenchError, ValueError):
+    """A YAML or DBC file is wrong.
+
+    Example scenarios: an unknown key, a temperature outside the station's limits, a signal
+    whose unit can't be converted. The message lists every problem with file, line and column.
+    """
+
+
+class InstrumentError(GyrobenchError):
+    """Something went wrong with one instrument.
+
+    Parameters
+    ----------
+    instrument : str
+        Which one, as the station file names it ("rate table", "chamber", "INS").
+    message : str
+        What happened and what to do.
+    """
+
+    def __init__(self, instrument: str, message: str) -> None:
+        super().__init__(f"{instrument}: {message}")
+        self.instrument = instrument
+
+
+class ConnectionFailedError(InstrumentError, OSError):
+    """The instrument's port can't be opened, or went away (cable, power, wrong name)."""
+
+
+class NoReplyError(InstrumentError, TimeoutError):
+    """The instrument did not answer within its time."""
+
+
+class ReplyError(InstrumentError):
+    """The instrument's answer can't be understood: wrong CRC, wrong length, not a number."""
+
+
+class RefusedError(InstrumentError):
+    """The instrument understood and refused: exception code, parameter out of range."""
+
+
+class FaultError(InstrumentError):
+    """The instrument reports a fault of its own: rate trip, open interlock, broken sensor."""
+
+
+class StepTimeoutError(GyrobenchError, TimeoutError):
+    """A step of the procedure did not reach its end in its time."""
+
+
+class RunStoppedError(GyrobenchError):
+    """The run was asked to stop: Ctrl-C, SIGTERM, SIGHUP or the operator's answer."""
+
+
+class MeasurementError(GyrobenchError, ValueError):
+    """Measured data that can't give a result: a window too short, gaps, not a number."""
+
+
+class RunFolderError(GyrobenchError, OSError):
+    """A run folder can't be written, or what it holds can't be read."""

@@ -1,0 +1,134 @@
+"""A serial line to an instrument, with deadlines on the run's clock.
+
+Any pyserial URL will do: a device (``/dev/ttyUSB0``), ``socket://host:port``,
+``rfc2217://host:port`` or ``emulator://table?...``. pyserial finds the handler of the last one
+in the package named below; nothing is imported from it here.
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+import serial
+
+from bench.clock import Clock, Deadline
+from bench.errors import ConnectionFailedError, NoReplyError
+
+_EMULATOR_HANDLERS = "drivers.emulators.serial_urls"
+if _EMULATOR_HANDLERS not in serial.protocol_handler_packages:
+    serial.protocol_handler_packages.append(_EMULATOR_HANDLERS)
+
+
+class SerialLine:
+    """Bytes to and from one instrument.
+
+    Parameters
+    ----------
+    instrument : str
+        Name used in error messages, for instance "rate table".
+    url : str
+        A device name or pyserial URL.
+    clock : Clock
+        The run's clock.
+    baudrate : int
+        Bits per second; ignored where the URL is not a serial port.
+    parity : {"N", "E", "O"}
+        Parity bit; eight data bits and one stop bit always.
+
+    Raises
+    ------
+    ConnectionFailedError
+        The port can't be opened.
+    """
+
+    _open = False
+
+    def __init__(self, instrument: str, url: str, clock: Clock, baudrate: int = 9600, parity: str = "N") -> None:
+        self.instrument = instrument
+        self.url = url
+        self.clock = clock
+        try:
+            self._port = serial.serial_for_url(url, baudrate=baudrate, parity=parity, timeout=0, write_timeout=5)
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise ConnectionFailedError(
+                instrument, f"can't open {url}: {error}. Check the station file's port and the cable."
+            ) from error
+        self._open = True
+
+    def __enter__(self) -> SerialLine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the port; a second call does nothing."""
+        if self._open:
+            self._open = False
+            self._port.close()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes.
+
+        Raises
+        ------
+        ConnectionFailedError
+            The port went away.
+        """
+        try:
+            self._port.write(data)
+            self._port.flush()
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(error) from error
+
+    def read(self, count: int, deadline: Deadline) -> bytes:
+        """Read exactly ``count`` bytes.
+
+        Raises
+        ------
+        NoReplyError
+            Fewer bytes came before the deadline; the message holds those that did.
+        ConnectionFailedError
+            The port went away.
+        """
+        try:
+            self._port.timeout = deadline.remaining_s()
+            data = bytes(self._port.read(count))
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(error) from error
+        if len(data) < count:
+            raise NoReplyError(
+                self.instrument,
+                f"{len(data)} of {count} bytes within {deadline.duration_s:g} s on {self.url}"
+                f"{': ' + data.hex(' ') if data else ''}. Is it switched on and set to this baud rate?",
+            )
+        return data
+
+    def read_until(self, end: bytes, deadline: Deadline, limit: int = 4096) -> bytes:
+        """Read up to and including ``end``.
+
+        Raises
+        ------
+        NoReplyError
+            ``end`` did not come before the deadline or within ``limit`` bytes.
+        ConnectionFailedError
+            The port went away.
+        """
+        data = bytearray()
+        while not data.endswith(end) and len(data) < limit:
+            data += self.read(1, deadline)
+        if not data.endswith(end):
+            raise NoReplyError(self.instrument, f"no {end!r} within {limit} bytes on {self.url}")
+        return bytes(data)
+
+    def discard_input(self) -> None:
+        """Throw away what arrived and nobody read, so that the next reply is the next one read."""
+        try:
+            self._port.reset_input_buffer()
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(error) from error
+
+    def _gone(self, error: Exception) -> ConnectionFailedError:
+        return ConnectionFailedError(self.instrument, f"{self.url} went away: {error}. Check cable and power.")
