@@ -1,0 +1,192 @@
+"""Bias per gyro, position and temperature bin, and the table ``bias_bins.csv``."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from bench.bias.csv_text import CsvTable, format_csv, format_number, read_text, write_text
+from bench.bias.dwell_table import DwellRow
+from bench.errors import MeasurementError
+from bench.navigation.positions import AXES, POSITIONS
+
+#: Usual width of a bin, K.
+DEFAULT_WIDTH_C = 5.0
+
+
+@dataclass(frozen=True)
+class BiasBin:
+    """Bias of one gyro in one position and range of its own temperature.
+
+    Attributes
+    ----------
+    gyro : str
+        "x", "y" or "z".
+    position : str
+        Key of :data:`bench.navigation.positions.POSITIONS`.
+    bin_low_c, bin_high_c : float
+        Range of the gyro's temperature; the upper end belongs to the next bin.
+    temperature_c, bias_dph : float
+        Means weighted by 1/sigma^2; NaN in an empty bin, as are all below but ``count``.
+    sigma_dph : float
+        Standard uncertainty of the mean from those of the dwells.
+    count : int
+        Number of dwells.
+    chi2_reduced : float
+        Spread of the dwells' biases against their uncertainties: near 1 where these explain it;
+        NaN for a single dwell.
+    spread_p_value : float
+        Probability of a spread at least as large from these uncertainties alone.
+    """
+
+    gyro: str
+    position: str
+    bin_low_c: float
+    bin_high_c: float
+    temperature_c: float
+    bias_dph: float
+    sigma_dph: float
+    count: int
+    chi2_reduced: float
+    spread_p_value: float
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no dwell fell into this bin."""
+        return self.count == 0
+
+
+_COLUMNS = tuple(field.name for field in fields(BiasBin))
+_MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value"}
+
+
+def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> list[BiasBin]:
+    """Sort the dwells of one unit into temperature bins.
+
+    Every position that was measured at all gets every bin from the lowest to the highest
+    occupied one of the gyro, so that a missing measurement shows as an empty bin.
+
+    Parameters
+    ----------
+    rows : iterable of DwellRow
+        Dwells in any order; a gyro without result (NaN) in a dwell is left out of its bins.
+    width_c : float
+        Width of a bin; bins begin at its multiples.
+
+    Returns
+    -------
+    list of BiasBin
+        By gyro, position (in the order of the paper) and temperature.
+
+    Raises
+    ------
+    MeasurementError
+        The width is not above zero, or the dwells are of several units.
+    """
+    rows = list(rows)
+    if not (math.isfinite(width_c) and width_c > 0.0):
+        raise MeasurementError(f"temperature bins need a width above zero; found {width_c:g} K")
+    units = sorted({row.unit for row in rows})
+    if len(units) > 1:
+        raise MeasurementError(
+            f"the dwells are of several units ({', '.join(units)}); bin each unit by itself"
+        )
+    measured = {row.position for row in rows}
+    positions = [name for name in POSITIONS if name in measured]
+    result = []
+    for axis, gyro in enumerate(AXES):
+        members = _by_position_and_number(axis, rows, width_c)
+        numbers = [number for _, number in members]
+        for position in positions:
+            for number in range(min(numbers, default=0), max(numbers, default=-1) + 1):
+                ends = (number * width_c, (number + 1) * width_c)
+                result.append(_bin(axis, gyro, position, ends, members.get((position, number), [])))
+    return result
+
+
+def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
+    """Write ``bias_bins.csv``.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    write_text(path, format_csv(_COLUMNS, (_cells(each) for each in bins)))
+
+
+def read_bins(path: Path) -> list[BiasBin]:
+    """Read ``bias_bins.csv``.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read, or lists all that is wrong with it.
+    """
+    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
+    bins = [_parsed(table, index) for index in range(len(table))]
+    table.raise_problems()
+    return bins
+
+
+def _by_position_and_number(
+    axis: int, rows: Iterable[DwellRow], width_c: float
+) -> dict[tuple[str, int], list[DwellRow]]:
+    members: dict[tuple[str, int], list[DwellRow]] = defaultdict(list)
+    for row in rows:
+        if not math.isnan(row.gyro_c[axis] + row.bias_dph[axis] + row.sigma_dph[axis]):
+            members[row.position, math.floor(row.gyro_c[axis] / width_c)].append(row)
+    return members
+
+
+def _bin(
+    axis: int, gyro: str, position: str, ends_c: tuple[float, float], rows: Sequence[DwellRow]
+) -> BiasBin:
+    if not rows:
+        return BiasBin(gyro, position, *ends_c, math.nan, math.nan, math.nan, 0, math.nan, math.nan)
+    bias, sigma, temperature = np.array(
+        [(row.bias_dph[axis], row.sigma_dph[axis], row.gyro_c[axis]) for row in rows]
+    ).T
+    weight = sigma**-2
+    mean = float(weight @ bias / weight.sum())
+    freedom = len(rows) - 1
+    square = float(weight @ (bias - mean) ** 2)
+    return BiasBin(
+        gyro,
+        position,
+        *ends_c,
+        temperature_c=float(weight @ temperature / weight.sum()),
+        bias_dph=mean,
+        sigma_dph=float(weight.sum() ** -0.5),
+        count=len(rows),
+        chi2_reduced=square / freedom if freedom else math.nan,
+        spread_p_value=float(chi2.sf(square, freedom)) if freedom else math.nan,
+    )
+
+
+def _cells(each: BiasBin) -> list[str]:
+    return [format_number(value) if isinstance(value, float) else str(value) for value in astuple(each)]
+
+
+def _parsed(table: CsvTable, index: int) -> BiasBin:
+    def number(column: str) -> float:
+        return table.number(index, column, may_be_empty=column in _MAY_BE_EMPTY)
+
+    return BiasBin(
+        gyro=table.choice(index, "gyro", AXES),
+        position=table.choice(index, "position", POSITIONS),
+        bin_low_c=number("bin_low_c"),
+        bin_high_c=number("bin_high_c"),
+        temperature_c=number("temperature_c"),
+        bias_dph=number("bias_dph"),
+        sigma_dph=number("sigma_dph"),
+        count=table.integer(index, "count"),
+        chi2_reduced=number("chi2_reduced"),
+        spread_p_value=number("spread_p_value"),
+    )

@@ -1,0 +1,169 @@
+"""CSV tables as text: cells checked one by one, mistakes reported with line and column."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
+
+from bench.errors import DocumentError, RunFolderError
+
+_SHOWN_PROBLEMS = 20
+_INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+
+
+class CsvTable:
+    """Cells of a CSV text, turned into values by column name.
+
+    A cell that is wrong is noted and gives a stand-in; :meth:`raise_problems` reports them all.
+
+    Parameters
+    ----------
+    text : str
+        UTF-8 content, with a header.
+    name : str
+        What to call the file in messages.
+    required : sequence of str
+        Columns that must be there.
+
+    Attributes
+    ----------
+    lines : list of int
+        Line on which each row ends, from 1.
+
+    Raises
+    ------
+    DocumentError
+        No header, a column missing or given twice, a row with too few or too many cells.
+    """
+
+    def __init__(self, text: str, name: str, required: Sequence[str]) -> None:
+        self._name = name
+        self._problems: list[str] = []
+        self._rows: list[list[str]] = []
+        self.lines: list[int] = []
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        try:
+            header = [cell.strip() for cell in next(reader, [])]
+            for cells in reader:
+                if cells:
+                    self._rows.append(cells)
+                    self.lines.append(reader.line_num)
+        except csv.Error as error:
+            raise DocumentError(f"{name}:{reader.line_num}: not valid CSV: {error}") from error
+        self._columns = {column: index for index, column in enumerate(header)}
+        self._check_shape(header, required)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def text(self, index: int, column: str) -> str:
+        """Give the cell as it stands; empty where the table has no such column."""
+        position = self._columns.get(column)
+        return "" if position is None else self._rows[index][position].strip()
+
+    def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
+        """Read one of some words."""
+        text = self.text(index, column)
+        if text not in allowed:
+            self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
+        return text
+
+    def integer(self, index: int, column: str) -> int:
+        """Read a whole number."""
+        text = self.text(index, column)
+        if _INTEGER.fullmatch(text):
+            return int(text)
+        self.problem(index, column, f"expected a whole number; found '{text}'")
+        return 0
+
+    def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read a finite number; NaN for an empty cell or ``nan``, which may be a mistake."""
+        text = self.text(index, column)
+        if _NUMBER.fullmatch(text) and math.isfinite(float(text)):
+            return float(text)
+        if not (may_be_empty and text.lower() in ("", "nan")):
+            self.problem(index, column, f"expected a number; found '{text}'")
+        return math.nan
+
+    def problem(self, index: int, column: str, message: str) -> None:
+        """Note that a cell is wrong."""
+        self._problems.append(f"{self._name}:{self.lines[index]}: column {column}: {message}")
+
+    def raise_problems(self) -> None:
+        """Report what was noted.
+
+        Raises
+        ------
+        DocumentError
+            Something was.
+        """
+        if not self._problems:
+            return
+        more = len(self._problems) - _SHOWN_PROBLEMS
+        shown = self._problems[:_SHOWN_PROBLEMS] + ([f"... and {more} more"] if more > 0 else [])
+        raise DocumentError("\n".join(shown))
+
+    def _check_shape(self, header: list[str], required: Sequence[str]) -> None:
+        missing = [column for column in required if column not in self._columns]
+        if missing:
+            raise DocumentError(
+                f"{self._name}:1: the header lacks the columns {', '.join(missing)}; "
+                f"it has {', '.join(header) or 'none'}"
+            )
+        twice = sorted({column for column in header if header.count(column) > 1})
+        if twice:
+            raise DocumentError(f"{self._name}:1: the header gives {', '.join(twice)} more than once")
+        for cells, line in zip(self._rows, self.lines, strict=True):
+            if len(cells) != len(header):
+                raise DocumentError(
+                    f"{self._name}:{line}: {len(cells)} cells where the header has {len(header)}"
+                )
+
+
+def format_number(value: float) -> str:
+    """Nine significant digits, which survive reading and writing again; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
+def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """CSV text with a header and plain line ends."""
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def read_text(path: Path) -> str:
+    """Content of a UTF-8 file, without the mark that some spreadsheets put in front.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a UTF-8 file, line ends as they are.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        raise RunFolderError(f"{path}: can't be written: {error.strerror}") from error

@@ -1,0 +1,140 @@
+"""How the noise of the sensors reaches estimates that are linear in velocity and heading.
+
+The noise of an INS at rest is integrated before it is seen: angle random walk makes the attitude
+walk, the tilt makes the velocity run away, and the Earth's curvature feeds velocity back into
+tilt with the Schuler frequency. Neighbouring epochs are therefore strongly correlated, and the
+textbook formula for the scatter of a fitted slope is far too small. Here the variance of
+``sum_k w_k y(t_k)`` is summed over the noise of every interval between epochs: a unit step of
+gyro angle at s moves the velocity at t by ``g sin(W (t - s)) / W``, a unit step of velocity moves
+it by ``cos(W (t - s))``, with ``W = sqrt(g / R)``. Earth-rate coupling changes a standard
+deviation by 3 % over two windows of 10 min and is left out, and so is the noise of the alignment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import DocumentError
+from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Declared noise of the INS, the same for all axes.
+
+    Attributes
+    ----------
+    angle_random_walk : float
+        White noise of the gyro rates, rad/sqrt(s); above zero.
+    velocity_random_walk : float
+        White noise of the accelerations, m/s/sqrt(s).
+    velocity_white : float
+        Noise of each velocity output, independent from epoch to epoch, m/s.
+    heading_white : float
+        The same of the attitude outputs, rad.
+
+    Raises
+    ------
+    DocumentError
+        A value is out of range.
+    """
+
+    angle_random_walk: float
+    velocity_random_walk: float = 0.0
+    velocity_white: float = 0.0
+    heading_white: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise DocumentError(f"noise of the INS: {field.name} must not be negative; found {value}")
+        if self.angle_random_walk == 0.0:
+            raise DocumentError("noise of the INS: the angle random walk must be above zero")
+
+    @classmethod
+    def from_datasheet(
+        cls,
+        arw_deg_per_sqrt_h: float,
+        vrw_ug_per_sqrt_hz: float = 0.0,
+        velocity_lsb_mps: float = 0.0,
+        heading_lsb_rad: float = 0.0,
+    ) -> NoiseModel:
+        """Noise in the units of data sheets, output noise from the resolution (LSB^2/12).
+
+        Rounding is white only where the output moves by more than one LSB from epoch to epoch or
+        carries noise of that size; with a coarser resolution the variance is a lower bound.
+        """
+        return cls(
+            arw_deg_per_sqrt_h * DEG_PER_SQRT_H_TO_SI,
+            vrw_ug_per_sqrt_hz * UG_PER_SQRT_HZ_TO_SI,
+            velocity_lsb_mps / np.sqrt(12.0),
+            heading_lsb_rad / np.sqrt(12.0),
+        )
+
+    def velocity_variance(
+        self, time: NDArray[np.float64], weights: NDArray[np.float64], gravity: float
+    ) -> NDArray[np.float64]:
+        """Variance of weighted sums of one horizontal velocity.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,)
+            Epochs, s; may leap over a turn. Noise before the first one is not counted: the
+            weights of the first window must not respond to a constant and a slope.
+        weights : ndarray, shape (n,) or (n, m)
+            Weight of each epoch, for m sums.
+        gravity : float
+            Gravity, m/s^2.
+
+        Returns
+        -------
+        ndarray, shape () or (m,)
+        """
+        rate = np.sqrt(gravity / MEAN_RADIUS)
+        tails = _tails(time, weights, rate)
+        walk = np.diff(time) @ (
+            (self.angle_random_walk * gravity / rate * tails.imag) ** 2
+            + (self.velocity_random_walk * tails.real) ** 2
+        )
+        return np.asarray(walk + self.velocity_white**2 * (weights**2).sum(axis=0))
+
+    def heading_variance(
+        self, time: NDArray[np.float64], weights: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Variance of weighted sums of the heading; parameters as for the velocity."""
+        walk = np.diff(time) @ (self.angle_random_walk * _tails(time, weights, 0.0).real) ** 2
+        return np.asarray(walk + self.heading_white**2 * (weights**2).sum(axis=0))
+
+    def expected_velocity_residual(
+        self, time: NDArray[np.float64], basis: NDArray[np.float64], gravity: float
+    ) -> float:
+        """Expect this sum of squares of one velocity less its projection on orthonormal columns."""
+        rate = np.sqrt(gravity / MEAN_RADIUS)
+        elapsed = time - time[0]
+        turned = np.diff(time) * np.exp(-2j * rate * (_middles(time) - time[0]))
+        swing = (np.exp(2j * rate * elapsed) * np.concatenate([[0.0], np.cumsum(turned)])).real
+        each = 0.5 * (self.angle_random_walk * gravity / rate) ** 2 * (elapsed - swing)
+        each += 0.5 * self.velocity_random_walk**2 * (elapsed + swing) + self.velocity_white**2
+        return float(each.sum() - self.velocity_variance(time, basis, gravity).sum())
+
+    def expected_heading_residual(self, time: NDArray[np.float64], basis: NDArray[np.float64]) -> float:
+        """Expect this sum of squares of the heading less its projection on orthonormal columns."""
+        each = self.angle_random_walk**2 * (time - time[0]) + self.heading_white**2
+        return float(each.sum() - self.heading_variance(time, basis).sum())
+
+
+def _middles(time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the noise of each interval is taken to act, (n - 1,)."""
+    return 0.5 * (time[:-1] + time[1:])
+
+
+def _tails(time: NDArray[np.float64], weights: NDArray[np.float64], rate: float) -> NDArray[np.complex128]:
+    """``sum over t_k > s of w_k exp(i rate (t_k - s))`` for the middle s of each interval."""
+    column = (slice(None),) + (None,) * (weights.ndim - 1)
+    weighted = weights * np.exp(1j * rate * (time - time[0]))[column]
+    tails = np.cumsum(weighted[:0:-1], axis=0)[::-1]
+    return np.asarray(tails * np.exp(-1j * rate * (_middles(time) - time[0]))[column])

@@ -1,0 +1,91 @@
+"""Rotations: matrices about an axis, small rotations in ENU, and the Euler angles of the paper.
+
+Yaw is positive about Up, so it grows from East towards North; pitch turns about body x, roll
+about body y.
+
+References
+----------
+Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
+Navigation System Based on Ring Laser Gyroscope", section 4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+#: Up in the navigation frame.
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def rotation_matrix(axis: ArrayLike, angle: float) -> NDArray[np.float64]:
+    """Matrix (3, 3) that turns vectors by ``angle`` (rad) about the unit vector ``axis``."""
+    return np.asarray(Rotation.from_rotvec(angle * np.asarray(axis, dtype=float)).as_matrix())
+
+
+def rotation_vector_enu(
+    C_nb: NDArray[np.float64], C_nb_reference: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rotation vectors in ENU that lead from a reference attitude to the given ones.
+
+    The Up component is a heading without singularity: for rotations much smaller than 1 rad it
+    changes as the yaw of whichever Euler sequence is regular.
+
+    Parameters
+    ----------
+    C_nb : ndarray, shape (n, 3, 3)
+        Attitudes, less than half a turn away from the reference.
+    C_nb_reference : ndarray, shape (3, 3)
+        Attitude from which to count.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Rotation vectors, rad.
+    """
+    vector, sine, angle = _axis_and_angle(C_nb @ C_nb_reference.T)
+    stretch = np.divide(angle, sine, out=np.ones_like(angle), where=sine > 0.0)
+    return vector * stretch[:, np.newaxis]
+
+
+def angle_between(C_one: NDArray[np.float64], C_other: NDArray[np.float64]) -> float:
+    """Angle (rad, 0 to pi) of the rotation that leads from one attitude (3, 3) to another."""
+    return float(_axis_and_angle(C_one @ C_other.T)[2])
+
+
+def euler_rpy321(C_nb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Roll, pitch and yaw (..., 3), rad, of ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``.
+
+    Roll and yaw are meaningless where body y is up or down (pitch of +-90 deg).
+    """
+    roll = np.arctan2(-C_nb[..., 2, 0], C_nb[..., 2, 2])
+    pitch = np.arcsin(np.clip(C_nb[..., 2, 1], -1.0, 1.0))
+    yaw = np.arctan2(-C_nb[..., 0, 1], C_nb[..., 1, 1])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def euler_pry231(C_nb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Roll, pitch and yaw (..., 3), rad, of ``C_nb = Rz(yaw) Ry(roll) Rx(pitch)``.
+
+    Pitch and yaw are meaningless where body x is up or down (roll of +-90 deg).
+    """
+    roll = np.arcsin(np.clip(-C_nb[..., 2, 0], -1.0, 1.0))
+    pitch = np.arctan2(C_nb[..., 2, 1], C_nb[..., 2, 2])
+    yaw = np.arctan2(C_nb[..., 1, 0], C_nb[..., 0, 0])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def _axis_and_angle(
+    turn: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Axis times sine (..., 3), sine and angle (...) of rotation matrices (..., 3, 3)."""
+    twice = [
+        turn[..., 2, 1] - turn[..., 1, 2],
+        turn[..., 0, 2] - turn[..., 2, 0],
+        turn[..., 1, 0] - turn[..., 0, 1],
+    ]
+    vector = 0.5 * np.stack(twice, axis=-1)
+    sine = np.sqrt((vector**2).sum(axis=-1))
+    cosine = 0.5 * (turn[..., 0, 0] + turn[..., 1, 1] + turn[..., 2, 2] - 1.0)
+    return vector, sine, np.arctan2(sine, cosine)

@@ -1,0 +1,66 @@
+"""The Earth's rotation, gravity and curvature (WGS-84), and the units that go with them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Rotation rate of the Earth, rad/s.
+EARTH_RATE = 7.292115e-5
+#: Semi-major axis of the ellipsoid, m.
+SEMI_MAJOR_AXIS = 6378137.0
+#: Flattening of the ellipsoid.
+FLATTENING = 1.0 / 298.257223563
+#: Square of the first eccentricity of the ellipsoid.
+ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
+#: Mean radius of the Earth, m, where the difference between North and East does not matter.
+MEAN_RADIUS = 6371008.8
+#: Normal gravity at the equator, m/s^2.
+EQUATOR_GRAVITY = 9.7803253359
+#: Normal gravity at the poles, m/s^2.
+POLE_GRAVITY = 9.8321849378
+#: Gravity by definition, m/s^2: the g of specifications in ug.
+STANDARD_GRAVITY = 9.80665
+
+#: One degree per hour in rad/s.
+DPH_TO_RADPS = np.pi / 180.0 / 3600.0
+#: One rad/s in degrees per hour.
+RADPS_TO_DPH = 1.0 / DPH_TO_RADPS
+#: One degree per root hour (angle random walk) in rad/sqrt(s).
+DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
+#: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
+UG_PER_SQRT_HZ_TO_SI = 1e-6 * STANDARD_GRAVITY
+
+_CENTRIFUGAL_RATIO = 0.00344978650684  # rate^2 a^2 b / GM
+_SOMIGLIANA = (1.0 - FLATTENING) * POLE_GRAVITY / EQUATOR_GRAVITY - 1.0
+
+
+def earth_rate_enu(latitude: float) -> NDArray[np.float64]:
+    """Resolve the rotation of the Earth in the navigation frame, rad/s, at a latitude in rad."""
+    return EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+
+
+def gravity(latitude: float, height: float = 0.0) -> float:
+    """Compute normal gravity, m/s^2, by Somigliana's formula with the second-order term of height.
+
+    Parameters
+    ----------
+    latitude : float
+        Geodetic latitude, rad.
+    height : float
+        Height above the ellipsoid, m.
+    """
+    sine_squared = float(np.sin(latitude)) ** 2
+    surface = EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA * sine_squared)
+    surface /= float(np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine_squared))
+    relative = height / SEMI_MAJOR_AXIS
+    slope = 1.0 + FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * FLATTENING * sine_squared
+    return surface * (1.0 - 2.0 * slope * relative + 3.0 * relative**2)
+
+
+def curvature_radii(latitude: float, height: float = 0.0) -> tuple[float, float]:
+    """Compute the radii of curvature along the meridian (North) and across it (East), m."""
+    shrink = 1.0 - ECCENTRICITY_SQUARED * float(np.sin(latitude)) ** 2
+    east = SEMI_MAJOR_AXIS / float(np.sqrt(shrink))
+    north = east * (1.0 - ECCENTRICITY_SQUARED) / shrink
+    return north + height, east + height

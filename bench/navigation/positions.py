@@ -1,0 +1,79 @@
+"""The six positions in which the gyros are measured, and the attitude of each.
+
+The table below reproduces every sign of the paper's equations (10) and (12) to (16).
+
+References
+----------
+Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
+Navigation System Based on Ring Laser Gyroscope", section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.navigation.attitude import UP, rotation_matrix
+
+#: Body axes, in the order of arrays.
+AXES = ("x", "y", "z")
+
+_DIRECTIONS = {
+    "E": (1.0, 0.0, 0.0),
+    "W": (-1.0, 0.0, 0.0),
+    "N": (0.0, 1.0, 0.0),
+    "S": (0.0, -1.0, 0.0),
+    "U": (0.0, 0.0, 1.0),
+    "D": (0.0, 0.0, -1.0),
+}
+
+
+@dataclass(frozen=True)
+class Position:
+    """One of the six positions.
+
+    Attributes
+    ----------
+    name : str
+        Key of the position in files: "z_up", "x_down", ...
+    directions : str
+        Where body x, y and z point at azimuth 0, as three letters out of E, W, N, S, U, D.
+    """
+
+    name: str
+    directions: str
+
+    @property
+    def up_axis(self) -> int:
+        """Index of the vertical body axis: 0 for x, 1 for y, 2 for z."""
+        return next(index for index, letter in enumerate(self.directions) if letter in "UD")
+
+    @property
+    def up_sign(self) -> int:
+        """+1 where the vertical body axis points up, -1 where it points down."""
+        return 1 if "U" in self.directions else -1
+
+    def C_nb(self, azimuth_rad: float = 0.0) -> NDArray[np.float64]:  # noqa: N802
+        """Attitude (3, 3) after a turn by ``azimuth_rad`` about Up from azimuth 0."""
+        at_zero = np.array([_DIRECTIONS[letter] for letter in self.directions]).T
+        return rotation_matrix(UP, azimuth_rad) @ at_zero if azimuth_rad else at_zero
+
+
+#: The six positions by name, in the order of the paper.
+POSITIONS: Mapping[str, Position] = MappingProxyType(
+    {
+        position.name: position
+        for position in (
+            Position("z_up", "ENU"),
+            Position("z_down", "WND"),
+            Position("y_up", "EUS"),
+            Position("y_down", "EDN"),
+            Position("x_up", "UEN"),
+            Position("x_down", "DWN"),
+        )
+    }
+)

@@ -1,0 +1,201 @@
+"""Kinematics of a two-axis table: which axis angles give which attitude, and how to turn.
+
+The outer axis is fixed in the laboratory; it carries the inner axis, which is perpendicular to
+it and carries the unit. With the outer axis level all six positions can be reached at azimuths
+0 and 180 deg; with the outer axis vertical every azimuth can be reached, but only in the four
+positions in which the body axis along the inner axis stays level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import DocumentError
+from bench.navigation.attitude import UP, rotation_matrix
+from bench.navigation.positions import AXES, POSITIONS
+
+#: Angles of the outer and the inner axis, deg.
+Angles = tuple[float, float]
+
+#: Range of an axis with slip rings.
+UNLIMITED = (-np.inf, np.inf)
+
+_TOLERANCE = 1e-6
+_ANGLE_DECIMALS = 9
+_MOST_TURNS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class TwoAxisTable:
+    """A two-axis table with a unit mounted on it.
+
+    Attributes
+    ----------
+    outer_axis_enu, inner_axis_enu : ndarray, shape (3,)
+        Unit vectors of the two axes with both angles at zero; positive angles turn about them.
+    C_mount : ndarray, shape (3, 3)
+        Attitude ``C_nb`` of the unit with both angles at zero.
+    outer_limits_deg, inner_limits_deg : tuple of float
+        Lowest and highest angle of each axis.
+
+    Raises
+    ------
+    DocumentError
+        The axes are no perpendicular unit vectors or ``C_mount`` is no rotation.
+    """
+
+    outer_axis_enu: NDArray[np.float64]
+    inner_axis_enu: NDArray[np.float64]
+    C_mount: NDArray[np.float64]
+    outer_limits_deg: tuple[float, float] = UNLIMITED
+    inner_limits_deg: tuple[float, float] = UNLIMITED
+
+    def __post_init__(self) -> None:
+        axes = np.stack([self.outer_axis_enu, self.inner_axis_enu])
+        if not np.allclose(axes @ axes.T, np.eye(2), atol=_TOLERANCE):
+            raise DocumentError(
+                f"the table's axes must be two perpendicular unit vectors; found {axes.tolist()}"
+            )
+        C = self.C_mount
+        if not (np.allclose(C @ C.T, np.eye(3), atol=_TOLERANCE) and np.linalg.det(C) > 0.0):
+            raise DocumentError(f"the mounting must be a right-handed rotation; found {C.tolist()}")
+
+    def attitude(self, outer_deg: float, inner_deg: float) -> NDArray[np.float64]:
+        """Attitude ``C_nb`` (3, 3) of the unit at these axis angles."""
+        outer = rotation_matrix(self.outer_axis_enu, np.deg2rad(outer_deg))
+        return outer @ rotation_matrix(self.inner_axis_enu, np.deg2rad(inner_deg)) @ self.C_mount
+
+    def angles(self, C_nb: NDArray[np.float64], turn_deg: float = 0.0) -> Angles:
+        """Axis angles that give an attitude.
+
+        Parameters
+        ----------
+        C_nb : ndarray, shape (3, 3)
+            Attitude wanted.
+        turn_deg : float
+            A turn about Up that will follow; of equivalent angles those are taken that leave
+            room for it within the limits (see :meth:`turn`).
+
+        Returns
+        -------
+        tuple of float
+            Outer and inner angle, each in (-180, 180] unless the limits exclude that.
+
+        Raises
+        ------
+        DocumentError
+            No angles of this table and mounting give the attitude, or none within the limits.
+        """
+        outer, inner = self._principal_angles(C_nb)
+        for start in _nearest_first(outer, inner):
+            if self._allows(start) and (not turn_deg or self._turned(start, turn_deg) is not None):
+                return start
+        room = f" and leaves room for a turn of {turn_deg:g} deg" if turn_deg else ""
+        raise DocumentError(
+            f"the table can't reach outer {outer:g} deg, inner {inner:g} deg within the limits "
+            f"(outer {_range(self.outer_limits_deg)}, inner {_range(self.inner_limits_deg)}){room}"
+        )
+
+    def turn(self, from_angles: Angles, angle_deg: float) -> Angles:
+        """Axis angles after a turn about Up.
+
+        Where one axis is vertical it alone moves, by exactly the turn and in the sense asked.
+        Where both are level a turn of 180 deg moves both; the inner axis then takes the sign of
+        ``angle_deg`` if the limits allow.
+
+        Raises
+        ------
+        DocumentError
+            The attitude after the turn can't be reached, or not within the limits.
+        """
+        target = self._turned(from_angles, angle_deg)
+        if target is None:
+            raise DocumentError(
+                f"a turn of {angle_deg:g} deg from outer {from_angles[0]:g} deg, inner {from_angles[1]:g} "
+                f"deg leaves the table's limits (outer {_range(self.outer_limits_deg)}, "
+                f"inner {_range(self.inner_limits_deg)}); start from equivalent angles or turn the other way"
+            )
+        return target
+
+    def reaches(self, C_nb: NDArray[np.float64]) -> bool:
+        """Whether some axis angles, limits apart, give this attitude."""
+        carried = C_nb @ self.C_mount.T @ self.inner_axis_enu
+        return bool(abs(carried @ self.outer_axis_enu) < _TOLERANCE)
+
+    def _principal_angles(self, C_nb: NDArray[np.float64]) -> Angles:
+        if not self.reaches(C_nb):
+            raise DocumentError(self._why_not(C_nb))
+        from_zero = C_nb @ self.C_mount.T
+        outer = _angle_deg(self.outer_axis_enu, self.inner_axis_enu, from_zero @ self.inner_axis_enu)
+        inner_turn = rotation_matrix(self.outer_axis_enu, -np.deg2rad(outer)) @ from_zero
+        return outer, _angle_deg(self.inner_axis_enu, self.outer_axis_enu, inner_turn @ self.outer_axis_enu)
+
+    def _turned(self, start: Angles, angle_deg: float) -> Angles | None:
+        principal = self._principal_angles(rotation_matrix(UP, np.deg2rad(angle_deg)) @ self.attitude(*start))
+        inner_axis = rotation_matrix(self.outer_axis_enu, np.deg2rad(start[0])) @ self.inner_axis_enu
+        outer_up, inner_up = (_upward(axis) for axis in (self.outer_axis_enu, inner_axis))
+        both_level = not (outer_up or inner_up)
+        wanted = (
+            start[0] + angle_deg * outer_up,
+            start[1] + angle_deg * (1 if both_level else inner_up),
+        )
+        options = [option for option in _nearest_first(*principal) if self._allows(option)]
+        if not both_level:
+            options = [option for option in options if np.allclose(option, wanted, atol=_TOLERANCE)]
+        return min(options, key=lambda option: _distance(option, wanted), default=None)
+
+    def _allows(self, angles: Angles) -> bool:
+        limits = (self.outer_limits_deg, self.inner_limits_deg)
+        return all(low <= angle <= high for angle, (low, high) in zip(angles, limits, strict=True))
+
+    def _why_not(self, C_nb: NDArray[np.float64]) -> str:
+        body_axis = self.C_mount.T @ self.inner_axis_enu
+        tilt = np.rad2deg(np.arccos(np.clip(C_nb @ body_axis @ self.outer_axis_enu, -1.0, 1.0)))
+        reached = [name for name, position in POSITIONS.items() if self.reaches(position.C_nb())]
+        return (
+            f"the table can't reach this attitude: the body axis along the inner axis "
+            f"({_named(body_axis, AXES)}) would have to lie at {tilt:.1f} deg to the outer axis "
+            f"({_named(self.outer_axis_enu, ('East', 'North', 'Up'))}), but always stays perpendicular to "
+            f"it. At azimuth 0 this mounting reaches {', '.join(reached) or 'none of the six positions'}; "
+            "mount the unit another way for the rest"
+        )
+
+
+def _angle_deg(axis: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+    """Angle of the turn about ``axis`` that takes ``start``, perpendicular to it, to ``end``; (-180, 180]."""
+    angle = np.rad2deg(np.arctan2(axis @ np.cross(start, end), start @ end))
+    rounded = round(float(angle), _ANGLE_DECIMALS) + 0.0
+    return rounded if rounded > -180.0 else rounded + 360.0
+
+
+def _nearest_first(outer: float, inner: float) -> list[Angles]:
+    """Add full turns, which give the same attitude: the smallest angles first, positive before negative."""
+    turns = range(-_MOST_TURNS, _MOST_TURNS + 1)
+    options = [(outer + 360.0 * i, inner + 360.0 * j) for i in turns for j in turns]
+    return sorted(options, key=lambda option: (abs(option[0]) + abs(option[1]), -option[0], -option[1]))
+
+
+def _distance(option: Angles, wanted: Angles) -> float:
+    """How far apart two pairs of angles are, rounded so that equal distances compare equal."""
+    return round(abs(option[0] - wanted[0]) + abs(option[1] - wanted[1]), _ANGLE_DECIMALS)
+
+
+def _upward(axis: NDArray[np.float64]) -> int:
+    """+1 for an axis that points up, -1 for down, 0 for any other."""
+    vertical = float(axis @ UP)
+    return int(np.sign(vertical)) if abs(vertical) > 1.0 - _TOLERANCE else 0
+
+
+def _named(vector: NDArray[np.float64], names: tuple[str, ...]) -> str:
+    """``x``, ``-z`` or, for an oblique vector, its components."""
+    index = int(np.argmax(np.abs(vector)))
+    if abs(vector[index]) < 1.0 - _TOLERANCE:
+        return np.array2string(vector, precision=4)
+    return f"{'-' if vector[index] < 0.0 else ''}{names[index]}"
+
+
+def _range(limits_deg: tuple[float, float]) -> str:
+    return f"{limits_deg[0]:g} to {limits_deg[1]:g} deg"

@@ -1,0 +1,122 @@
+import math
+from itertools import count
+
+import numpy as np
+import pytest
+
+from bench.bias.bins import bin_biases, read_bins, write_bins
+from bench.bias.dwell_table import DwellRow
+from bench.errors import DocumentError, MeasurementError
+
+numbers = count()
+
+
+def row(
+    position="z_up", gyro_c=(22.0, 22.0, 22.0), bias_dph=(0.0, 0.0, 0.0), sigma_dph=(0.001,) * 3, unit="U"
+):
+    return DwellRow(
+        unit, "R", next(numbers), 0, position, 0.0, 1.0, 0.0, gyro_c, (0.0,) * 3, bias_dph, sigma_dph
+    )
+
+
+def only(bins, gyro, position="z_up"):
+    return [each for each in bins if each.gyro == gyro and each.position == position]
+
+
+def test_weights_by_the_uncertainty():
+    rows = [
+        row(bias_dph=(0.010, 0, 0), sigma_dph=(0.001,) * 3, gyro_c=(21.0, 21.0, 21.0)),
+        row(bias_dph=(0.020, 0, 0), sigma_dph=(0.002,) * 3, gyro_c=(24.0, 24.0, 24.0)),
+    ]
+    (each,) = only(bin_biases(rows), "x")
+    assert each.bias_dph == pytest.approx(0.012)
+    assert each.temperature_c == pytest.approx(21.6)
+    assert each.sigma_dph == pytest.approx(1 / math.sqrt(1e6 + 0.25e6))
+    assert each.count == 2
+    assert each.chi2_reduced == pytest.approx(2.0**2 + 4.0**2)
+    assert each.spread_p_value == pytest.approx(math.erfc(math.sqrt(20.0 / 2.0)))
+
+
+def test_bins_by_the_temperature_of_the_gyro_itself():
+    bins = bin_biases([row(gyro_c=(-0.1, 4.9, 5.0))])
+    ranges = [(each.gyro, each.bin_low_c, each.bin_high_c) for each in bins]
+    assert ranges == [("x", -5.0, 0.0), ("y", 0.0, 5.0), ("z", 5.0, 10.0)]
+
+
+def test_width_is_a_choice():
+    (each,) = only(bin_biases([row(gyro_c=(23.0,) * 3)], width_c=10.0), "x")
+    assert (each.bin_low_c, each.bin_high_c) == (20.0, 30.0)
+
+
+def test_a_bin_that_nobody_measured_is_there_and_empty():
+    bins = bin_biases([row(gyro_c=(11.0,) * 3), row(gyro_c=(26.0,) * 3), row("y_up", gyro_c=(16.0,) * 3)])
+    assert [each.count for each in only(bins, "x")] == [1, 0, 0, 1]
+    assert [each.count for each in only(bins, "x", "y_up")] == [0, 1, 0, 0]
+    empty = only(bins, "x")[1]
+    assert empty.is_empty
+    assert all(
+        math.isnan(v) for v in (empty.bias_dph, empty.sigma_dph, empty.temperature_c, empty.chi2_reduced)
+    )
+
+
+def test_one_dwell_has_no_spread():
+    each = bin_biases([row()])[0]
+    assert math.isnan(each.chi2_reduced)
+    assert math.isnan(each.spread_p_value)
+
+
+def test_spread_of_true_uncertainties_is_seldom_called_large():
+    rng = np.random.default_rng(5)
+    rows = [
+        row(gyro_c=(5.0 * k + 1.0,) * 3, bias_dph=tuple(0.002 * rng.normal(size=3)), sigma_dph=(0.002,) * 3)
+        for k in range(500)
+        for _ in range(4)
+    ]
+    p_values = np.array([each.spread_p_value for each in bin_biases(rows)])
+    assert 0.03 < (p_values < 0.05).mean() < 0.07
+    assert np.mean([each.chi2_reduced for each in bin_biases(rows)]) == pytest.approx(1.0, abs=0.07)
+
+
+def test_refuses_dwells_of_several_units_and_a_width_of_zero():
+    with pytest.raises(MeasurementError, match=r"several units \(A, B\)"):
+        bin_biases([row(unit="A"), row(unit="B")])
+    with pytest.raises(MeasurementError, match="width above zero"):
+        bin_biases([row()], width_c=0.0)
+
+
+def test_dwells_without_result_are_left_out():
+    nan = (math.nan,) * 3
+    bins = bin_biases([row(), row(bias_dph=(math.nan, 0.0, 0.0)), row(gyro_c=nan), row(sigma_dph=nan)])
+    assert [each.count for each in bins] == [1, 2, 2]
+    assert bin_biases([row(bias_dph=nan)]) == []
+
+
+def test_no_dwells_give_no_bins():
+    assert bin_biases([]) == []
+
+
+def test_reading_and_writing_again_gives_the_same_file(tmp_path):
+    rng = np.random.default_rng(6)
+    rows = [
+        row(position, tuple(30.0 + 20.0 * rng.normal(size=3)), tuple(0.01 * rng.normal(size=3)))
+        for position in ("x_down", "z_up")
+        for _ in range(20)
+    ]
+    bins = bin_biases(rows, width_c=0.7)
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    write_bins(first, bins)
+    write_bins(second, read_bins(first))
+    assert first.read_bytes() == second.read_bytes()
+    read = read_bins(first)
+    assert [each.count for each in read] == [each.count for each in bins]
+    np.testing.assert_allclose([e.bias_dph for e in read], [e.bias_dph for e in bins], rtol=1e-8)
+
+
+def test_says_which_cell_is_wrong(tmp_path):
+    path = tmp_path / "bias_bins.csv"
+    write_bins(path, bin_biases([row()]))
+    path.write_text(path.read_text().replace("\ny,", "\nw,"))
+    with pytest.raises(
+        DocumentError, match=r"bias_bins\.csv:3: column gyro: expected one of x, y, z; found 'w'"
+    ):
+        read_bins(path)
