@@ -109,7 +109,8 @@ def parse_document(text: str, path: Path) -> Document:
         mark = error.problem_mark or error.context_mark
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
         raise DocumentError(f"{path}:{place}: not valid YAML: {error.problem or error.context}") from error
-    except (yaml.YAMLError, RecursionError) as error:
+    # PyYAML lets the errors of int() and chr() out for absurd version numbers and \U escapes.
+    except (yaml.YAMLError, RecursionError, ValueError, OverflowError) as error:
         raise DocumentError(f"{path}:1:1: not valid YAML: {str(error).splitlines()[0]}") from error
     if node is None:
         raise DocumentError(f"{path}:1:1: the file is empty")
@@ -178,6 +179,12 @@ def find_document(kind: str, name: str) -> Path:
     raise DocumentError(f"{name}: no shipped file of that name. {_shipped_names(kind)}")
 
 
+def hint(name: str, allowed: Iterable[str]) -> str:
+    """Say " (did you mean 'x'?)" if one of the allowed names is near, else nothing."""
+    close = difflib.get_close_matches(name, list(allowed), n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
+
+
 def _shipped_folders(kind: str) -> list[Path]:
     package = Path(__file__).parent
     folders = [package / "shipped" / kind, package.parent / kind]
@@ -193,17 +200,23 @@ class _Loader(yaml.SafeLoader):
     """Safe loader with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text."""
 
 
+_SCALARS = {
+    "bool": re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"),
+    "null": re.compile(r"^(?:~|null|Null|NULL|)$"),
+    "int": re.compile(r"^[-+]?[0-9]+$"),
+    "float": re.compile(
+        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+    ),
+}
 _Loader.yaml_implicit_resolvers = {}
-for _tag, _pattern, _first in (
-    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
-    ("null", r"~|null|Null|NULL|", "~nN"),
-    ("int", r"[-+]?[0-9]+", "-+0123456789"),
-    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
-     "-+.0123456789"),
-):  # fmt: skip
-    _Loader.add_implicit_resolver(
-        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), [*_first, *([""] if _tag == "null" else [])]
-    )
+for _tag, _first in (
+    ("bool", "tTfF"),
+    ("null", ["~", "n", "N", ""]),
+    ("int", "-+0123456789"),
+    ("float", "-+.0123456789"),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
 
 
 class _NodeReader:
@@ -233,7 +246,7 @@ class _NodeReader:
             key = str(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "(not a plain key)"
             here = (*location, key)
             if key in result:
-                self.problems.append(Problem(here, f"the key '{key}' is given twice"))
+                self.problems.append(Problem(here, f"the key {_quoted(key)} is given twice"))
                 continue
             self.places[here] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             result[key] = self.plain(value_node, here)
@@ -242,18 +255,22 @@ class _NodeReader:
     def _scalar(self, node: yaml.Node, location: Location) -> Any:
         kind = node.tag.removeprefix("tag:yaml.org,2002:")
         text = str(node.value)
-        match kind:
-            case "str":
-                return text
-            case "null":
-                return None
-            case "bool":
-                return text.lower() == "true"
-            case "int" if len(text) <= _SHOWN_CHARACTERS:
-                return int(text)
-            case "float" if re.fullmatch(r"[-+.\dEe]+", text):
-                return float(text)
-        self.problems.append(Problem(location, f"expected text, a number or true/false; found {_shown(text)}"))
+        if kind == "str":
+            return text
+        # A tag such as !!int may stand before any text, so the text is checked here as well.
+        if kind in _SCALARS and _SCALARS[kind].fullmatch(text):
+            match kind:
+                case "null":
+                    return None
+                case "bool":
+                    return text.lower() == "true"
+                case "int" if len(text) <= _SHOWN_CHARACTERS:
+                    return int(text)
+                case "float" if re.fullmatch(r"[-+.0-9Ee]+", text):
+                    return float(text)
+        self.problems.append(
+            Problem(location, f"expected text, a number or true/false; found {_shown(text)}")
+        )
         return None
 
 
@@ -261,20 +278,23 @@ def _rewritten(detail: Any, model: type[BaseModel]) -> InitErrorDetails:
     kind, message = detail["type"], detail["msg"]
     if kind == "extra_forbidden" and len(detail["loc"]) == 1:
         kind, message = "unknown_key", _unknown_key(str(detail["loc"][0]), list(model.model_fields))
-    literal = message.replace("{", "{{").replace("}", "}}") if kind == "unknown_key" else message
     return InitErrorDetails(
-        type=PydanticCustomError(kind, literal), loc=detail["loc"], input=detail.get("input")
+        type=PydanticCustomError(kind, message), loc=detail["loc"], input=detail.get("input")
     )
 
 
 def _unknown_key(key: str, allowed: list[str]) -> str:
-    close = difflib.get_close_matches(key, allowed, n=1)
-    hint = f" (did you mean '{close[0]}'?)" if close else ""
-    return f"unknown key '{key}'{hint}; allowed here: {', '.join(allowed)}"
+    return f"unknown key {_quoted(key)}{hint(key, allowed)}; allowed here: {', '.join(allowed)}"
+
+
+def _quoted(key: str) -> str:
+    return f"'{key}'" if key.isprintable() else json.dumps(key)
 
 
 def _shown(value: Any) -> str:
-    text = json.dumps(value, default=str)
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    if not text.isprintable():
+        text = json.dumps(value, default=str)
     return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
 
 

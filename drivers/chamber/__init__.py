@@ -1,0 +1,75 @@
+"""Thermal chambers: what the bench asks of one, whatever its controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class ChamberReading:
+    """What one poll of a chamber gives."""
+
+    temperature_c: float
+
+
+class Chamber(Protocol):
+    """A thermal chamber.
+
+    Every method may raise an :class:`~bench.errors.InstrumentError`.
+    """
+
+    def identify(self) -> str:
+        """Name of the controller, for the run's provenance."""
+        ...
+
+    def read(self) -> ChamberReading:
+        """Measure the air.
+
+        Raises
+        ------
+        FaultError
+            The controller's temperature sensor is faulty.
+        """
+        ...
+
+    def alarms(self) -> list[str]:
+        """Active alarms and sensor errors, in words; empty when all is well."""
+        ...
+
+    def clear_alarms(self) -> None:
+        """Clear alarms and sensor errors that are latched; those whose cause is still there stay."""
+        ...
+
+    def limits_c(self) -> tuple[float, float]:
+        """Lowest and highest set point that the controller accepts."""
+        ...
+
+    def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
+        """Command a temperature, approached at that rate, or as fast as possible with None.
+
+        Both are rounded to the controller's resolution.
+
+        Raises
+        ------
+        RefusedError
+            A value is outside the controller's limits or no finite number (nothing has been
+            sent then), or the controller does not hold what was written.
+        """
+        ...
+
+    def set_point_c(self) -> float:
+        """Temperature last commanded."""
+        ...
+
+    def switch(self, on: bool) -> None:
+        """Switch the chamber's temperature control on or off."""
+        ...
+
+    def switch_event(self, number: int, on: bool) -> None:
+        """Switch one of the controller's event outputs, counted from 1."""
+        ...
+
+    def close(self) -> None:
+        """Close the line to the controller; the chamber goes on as it is."""
+        ...

@@ -1,0 +1,235 @@
+"""Driver of the Watlow F4 (F4S, F4D, F4P) chamber controller over Modbus RTU.
+
+Registers: Watlow F4P user's manual 0600-0032-0013. Temperatures and ramp rates are 16-bit numbers
+with an implied decimal point, whose place the controller tells.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from bench.errors import FaultError, RefusedError, ReplyError
+from drivers.chamber import ChamberReading
+from drivers.modbus_rtu import ModbusRtu
+from drivers.serial_line import SerialLine
+
+_RAMP_OFF, _RAMP_AT_EVERY_CHANGE = 0, 2
+_PER_MINUTE, _PER_HOUR = 0, 1
+_FASTEST_RAMP = 999
+_MOST_DECIMALS = 3
+_FAHRENHEIT = 0
+_INT16_MIN, _INT16_MAX = -32768, 32767
+
+
+class Register(IntEnum):
+    """Holding registers in use; their names appear in error messages."""
+
+    MODEL_NUMBER = 0
+    PROCESS_VALUE_1 = 100
+    INPUT_1_ERROR = 101
+    ALARM_1 = 102
+    ALARM_2 = 106
+    SET_POINT_1 = 300
+    CLEAR_INPUT_ERROR = 311
+    CLEAR_ALARM = 312
+    SET_POINT_LOW_LIMIT = 602
+    INPUT_1_DECIMALS = 606
+    TEMPERATURE_UNIT = 901
+    RAMP_MODE = 1100
+    RAMP_RATE = 1101
+    RAMP_SCALE = 1102
+    EVENT_1 = 2000
+    EVENT_2 = 2010
+    EVENT_3 = 2020
+    EVENT_4 = 2030
+    EVENT_5 = 2040
+    EVENT_6 = 2050
+    EVENT_7 = 2060
+    EVENT_8 = 2070
+
+
+_EVENTS = [register for register in Register if register.name.startswith("EVENT_")]
+
+
+def to_register(value: float, decimals: int) -> int | None:
+    """Round to a 16-bit number with implied decimals; None if it does not fit or is NaN."""
+    scaled = value * 10.0**decimals
+    return round(scaled) if _INT16_MIN - 0.5 <= scaled < _INT16_MAX + 0.5 else None
+
+
+def from_register(number: int, decimals: int) -> float:
+    """Value of a 16-bit number with implied decimals."""
+    return number / 10.0**decimals
+
+
+class WatlowF4:
+    """A chamber behind a Watlow F4.
+
+    Parameters
+    ----------
+    line : SerialLine
+        The line to the controller; closed by :meth:`close`.
+    address : int
+        The controller's Modbus address.
+    chamber_event : int
+        Event output that switches the chamber's machinery on.
+    reply_timeout_s : float
+        Longest wait for each reply.
+
+    Raises
+    ------
+    RefusedError
+        The controller works in degrees Fahrenheit.
+    InstrumentError
+        It can't be talked to.
+    """
+
+    def __init__(
+        self, line: SerialLine, address: int = 1, chamber_event: int = 1, reply_timeout_s: float = 1.0
+    ) -> None:
+        self._line = line
+        self._address = address
+        self._chamber_event = chamber_event
+        self._modbus = ModbusRtu(line, address, reply_timeout_s)
+        (self._decimals,) = self._modbus.read(Register.INPUT_1_DECIMALS)
+        if not 0 <= self._decimals <= _MOST_DECIMALS:
+            raise ReplyError(
+                line.instrument, f"register 606 claims {self._decimals} decimals; is it a Watlow F4?"
+            )
+        if self._optional(Register.TEMPERATURE_UNIT) == _FAHRENHEIT:
+            raise self._refused("the controller works in °F; set it to °C in its setup menu")
+        self._can_ramp = self._optional(Register.RAMP_MODE) is not None
+
+    def identify(self) -> str:
+        """Model number and what distinguishes this controller."""
+        (model,) = self._modbus.read(Register.MODEL_NUMBER)
+        ramps = "ramps to set points" if self._can_ramp else "ramps by profiles only"
+        return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
+
+    def read(self) -> ChamberReading:
+        """Measure the air (registers 100 and 101).
+
+        Raises
+        ------
+        FaultError
+            The temperature sensor is faulty.
+        """
+        value, error = self._modbus.read(Register.PROCESS_VALUE_1, 2)
+        if error:
+            raise FaultError(self._line.instrument, f"{_sensor_error(error)}; check the temperature sensor")
+        return ChamberReading(from_register(value, self._decimals))
+
+    def alarms(self) -> list[str]:
+        """Active alarms and sensor errors (registers 101, 102, 106)."""
+        error, alarm_1 = self._modbus.read(Register.INPUT_1_ERROR, 2)
+        (alarm_2,) = self._modbus.read(Register.ALARM_2)
+        active = [_sensor_error(error)] if error else []
+        for register, status in ((Register.ALARM_1, alarm_1), (Register.ALARM_2, alarm_2)):
+            if status:
+                active.append(f"alarm {register.name[-1]} (register {int(register)} reads {status})")
+        return active
+
+    def clear_alarms(self) -> None:
+        """Clear latched sensor errors and alarms (registers 311, 312)."""
+        self._modbus.write(Register.CLEAR_INPUT_ERROR, 1)
+        self._modbus.write(Register.CLEAR_ALARM, 1)
+
+    def limits_c(self) -> tuple[float, float]:
+        """Lowest and highest set point (registers 602, 603)."""
+        low, high = self._modbus.read(Register.SET_POINT_LOW_LIMIT, 2)
+        return from_register(low, self._decimals), from_register(high, self._decimals)
+
+    def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
+        """Command a temperature and the ramp to it (registers 300, 1100 to 1102).
+
+        Raises
+        ------
+        RefusedError
+            A value is outside the controller's limits, the controller ramps by profiles only, or
+            it does not hold what was written.
+        """
+        set_point = to_register(temperature_c, self._decimals)
+        if set_point is None:
+            raise self._refused(f"a set point of {temperature_c} °C can't be written to register 300")
+        settings = self._ramp_settings(rate_c_per_min)
+        low_c, high_c = self.limits_c()
+        if not low_c <= from_register(set_point, self._decimals) <= high_c:
+            raise self._refused(
+                f"a set point of {temperature_c} °C is outside the controller's limits, "
+                f"{low_c} to {high_c} °C (registers 602, 603)"
+            )
+        for register, number in (*settings, (Register.SET_POINT_1, set_point)):
+            self._write(register, number)
+
+    def set_point_c(self) -> float:
+        """Temperature last commanded (register 300)."""
+        (number,) = self._modbus.read(Register.SET_POINT_1)
+        return from_register(number, self._decimals)
+
+    def switch(self, on: bool) -> None:
+        """Switch the chamber's event output."""
+        self.switch_event(self._chamber_event, on)
+
+    def switch_event(self, number: int, on: bool) -> None:
+        """Switch an event output, 1 to 8 (registers 2000, 2010, ...).
+
+        Raises
+        ------
+        RefusedError
+            There is no such output, or it does not keep its state.
+        """
+        if not 1 <= number <= len(_EVENTS):
+            raise self._refused(f"there is no event output {number}, only 1 to {len(_EVENTS)}")
+        self._write(_EVENTS[number - 1], int(on))
+
+    def close(self) -> None:
+        """Close the line; the controller goes on as it is."""
+        self._line.close()
+
+    def _ramp_settings(self, rate_c_per_min: float | None) -> list[tuple[Register, int]]:
+        """Values of the ramp registers, in the scale that comes closer to the rate."""
+        if rate_c_per_min is None:
+            return [(Register.RAMP_MODE, _RAMP_OFF)] if self._can_ramp else []
+        if not self._can_ramp:
+            raise self._refused(
+                f"no ramp of {rate_c_per_min} °C/min: this controller ramps only by profiles; "
+                "command the set point without a rate"
+            )
+        settings = []
+        for scale, minutes in ((_PER_MINUTE, 1), (_PER_HOUR, 60)):
+            number = to_register(rate_c_per_min * minutes, self._decimals)
+            if number is not None and 1 <= number <= _FASTEST_RAMP * 10**self._decimals:
+                error = abs(from_register(number, self._decimals) / minutes - rate_c_per_min)
+                settings.append((error, scale, number))
+        if not settings:
+            raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be written to register 1101")
+        _, scale, number = min(settings)
+        # The mode comes last, so that no ramp starts with an old rate.
+        return [
+            (Register.RAMP_RATE, number),
+            (Register.RAMP_SCALE, scale),
+            (Register.RAMP_MODE, _RAMP_AT_EVERY_CHANGE),
+        ]
+
+    def _write(self, register: Register, number: int) -> None:
+        self._modbus.write(register, number)
+        (held,) = self._modbus.read(register)
+        if held != number:
+            raise self._refused(
+                f"register {int(register)} holds {held} although {number} was written and accepted"
+            )
+
+    def _optional(self, register: Register) -> int | None:
+        """Read a register that not every model has."""
+        try:
+            (number,) = self._modbus.read(register)
+        except RefusedError:
+            return None
+        return number
+
+    def _refused(self, message: str) -> RefusedError:
+        return RefusedError(self._line.instrument, message)
+
+
+def _sensor_error(code: int) -> str:
+    return f"error {code} of input 1 (register 101)"

@@ -1,0 +1,151 @@
+"""A Modbus RTU device as the line sees it: frames in, frames out, registers behind.
+
+Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
+over Serial Line V1.02.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from pymodbus.framer.rtu import FramerRTU
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadHoldingRegistersResponse,
+    WriteMultipleRegistersRequest,
+    WriteMultipleRegistersResponse,
+    WriteSingleRegisterRequest,
+    WriteSingleRegisterResponse,
+)
+
+#: A silence longer than this ends a frame: the 3.5 characters of the standard, and what a
+#: computer's serial port adds.
+SILENT_INTERVAL_S = 0.05
+
+_BROADCAST = 0
+_EXCEPTION_BIT = 0x80
+_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
+_MOST_WRITTEN = 123
+_REQUESTS: dict[int, type[ModbusPDU]] = {
+    request.function_code: request
+    for request in (ReadHoldingRegistersRequest, WriteSingleRegisterRequest, WriteMultipleRegistersRequest)
+}
+
+
+@dataclass(frozen=True)
+class HoldingRegister:
+    """One signed 16-bit register.
+
+    Attributes
+    ----------
+    read : callable
+        Its value.
+    write : callable or None
+        Sets it and tells whether the value is allowed; None means read only.
+    """
+
+    read: Callable[[], int]
+    write: Callable[[int], bool] | None = None
+
+
+class ModbusRtuDevice:
+    """Answers requests for holding registers: functions 03, 06 and 16.
+
+    Parameters
+    ----------
+    registers : mapping of int to HoldingRegister
+        The registers by their address.
+    address : int
+        The device's address on the line, 1 to 247.
+    """
+
+    def __init__(self, registers: Mapping[int, HoldingRegister], address: int) -> None:
+        self._registers = registers
+        self._address = address
+        self._framer = FramerRTU(DecodePDU(is_server=True))
+        self._received = bytearray()
+        self._received_s = 0.0
+
+    def feed(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes from the line at time ``now_s`` and return the reply, if one is due."""
+        if now_s - self._received_s > SILENT_INTERVAL_S:
+            self._received.clear()
+        self._received_s = now_s
+        self._received += data
+        frame = self._take_frame()
+        if not frame or frame[0] not in (self._address, _BROADCAST) or frame[1] & _EXCEPTION_BIT:
+            return b""
+        reply = self._execute(frame[1], frame[2:])
+        if frame[0] == _BROADCAST:
+            return b""
+        reply.dev_id = self._address
+        return self._framer.buildFrame(reply)
+
+    def _take_frame(self) -> bytes:
+        """Take a complete and intact frame, without its CRC, or nothing.
+
+        The function tells the length; with a function that is not known here, all bytes since
+        the last silence are the frame.
+        """
+        received = bytes(self._received)
+        if len(received) < FramerRTU.MIN_SIZE:
+            return b""
+        kind = _REQUESTS.get(received[1])
+        size = kind.calculateRtuFrameSize(received) if kind else len(received)
+        if not size or len(received) < size:
+            return b""
+        intact = FramerRTU.compute_CRC(received[:size]) == 0
+        if intact or kind:
+            self._received.clear()
+        return received[: size - 2] if intact else b""
+
+    def _execute(self, function: int, content: bytes) -> ModbusPDU:
+        kind = _REQUESTS.get(function)
+        if kind is None:
+            return ExceptionResponse(function, _ILLEGAL_FUNCTION)
+        request = kind()
+        try:
+            request.decode(content)
+        except (ValueError, struct.error):
+            return ExceptionResponse(function, _ILLEGAL_VALUE)
+        match request:
+            case WriteSingleRegisterRequest():
+                answer: ModbusPDU = WriteSingleRegisterResponse(
+                    address=request.address, registers=request.registers
+                )
+                failure = self._write(request.address, request.registers)
+            case WriteMultipleRegistersRequest():
+                answer = WriteMultipleRegistersResponse(address=request.address, count=request.count)
+                failure = self._write_several(request)
+            case _:
+                return self._read(request)
+        return ExceptionResponse(function, failure) if failure else answer
+
+    def _read(self, request: ModbusPDU) -> ModbusPDU:
+        addresses = range(request.address, request.address + request.count)
+        if not all(address in self._registers for address in addresses):
+            return ExceptionResponse(request.function_code, _ILLEGAL_ADDRESS)
+        numbers = [self._registers[address].read() & 0xFFFF for address in addresses]
+        return ReadHoldingRegistersResponse(registers=numbers)
+
+    def _write_several(self, request: WriteMultipleRegistersRequest) -> int:
+        count = len(request.registers)
+        if not 1 <= count <= _MOST_WRITTEN or request.count != count or request.byte_count != 2 * count:
+            return _ILLEGAL_VALUE
+        return self._write(request.address, request.registers)
+
+    def _write(self, first: int, values: Sequence[int]) -> int:
+        """Write successive registers; returns an exception code, or zero."""
+        registers = [self._registers.get(first + offset) for offset in range(len(values))]
+        writes = [register.write for register in registers if register and register.write]
+        if len(writes) < len(values):
+            return _ILLEGAL_ADDRESS
+        allowed = all(write(_signed(value)) for write, value in zip(writes, values, strict=True))
+        return 0 if allowed else _ILLEGAL_VALUE
+
+
+def _signed(number: int) -> int:
+    return number - 0x10000 if number & 0x8000 else number

@@ -1,0 +1,115 @@
+"""The air of the thermal chamber, its control loop, and the machinery that moves the heat."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+#: Cooling demand, as a share of full power, at which the compressor starts.
+_COMPRESSOR_STARTS_AT = 0.02
+
+
+@dataclass(frozen=True)
+class ChamberParameters:
+    """What the chamber can do, and the room around it.
+
+    Attributes
+    ----------
+    heating_limit_c_per_min, cooling_limit_c_per_min : float
+        Fastest change of the air at full power, above zero.
+    control_time_constant_s : float
+        Lag of the air behind the working set point.
+    ambient_c, ambient_time_constant_s : float
+        Room temperature, and how fast the air drifts there by itself.
+    low_c, high_c : float
+        Temperatures that the machinery can reach.
+    """
+
+    heating_limit_c_per_min: float = 5.0
+    cooling_limit_c_per_min: float = 3.0
+    control_time_constant_s: float = 90.0
+    ambient_c: float = 23.0
+    ambient_time_constant_s: float = 5400.0
+    low_c: float = -60.0
+    high_c: float = 100.0
+
+
+class ChamberAir:
+    """Air temperature of a chamber under control, or left alone.
+
+    Attributes
+    ----------
+    air_c : float
+        Temperature of the air.
+    set_point_c : float
+        Where the air is to go.
+    ramp_rate_c_per_min : float or None
+        How fast the working set point goes there; None means at once.
+    running : bool
+        Whether the air is controlled; otherwise it drifts to the room's temperature.
+    working_set_point_c : float
+        The set point as ramped so far.
+    power : float
+        Share of full power: 1 heats, -1 cools.
+    compressor_on : bool
+        Whether the refrigeration runs: as long as heat has to be taken out.
+    """
+
+    def __init__(self, parameters: ChamberParameters | None = None) -> None:
+        self.parameters = parameters or ChamberParameters()
+        self.air_c = self.parameters.ambient_c
+        self.set_point_c = self.air_c
+        self.ramp_rate_c_per_min: float | None = None
+        self.running = False
+        self.working_set_point_c = self.air_c
+        self.power = 0.0
+        self.compressor_on = False
+
+    def step(self, dt_s: float) -> None:
+        """Go on by ``dt_s``."""
+        if self.running:
+            self._control(dt_s)
+        else:
+            self._drift(dt_s)
+
+    def disturb(self, delta_c: float) -> None:
+        """Change the air's temperature at once, as an opened door does."""
+        self.air_c += delta_c
+
+    def _control(self, dt_s: float) -> None:
+        limits = self.parameters
+        target_c = self.set_point_c
+        if self.ramp_rate_c_per_min is not None:
+            span_c = self.ramp_rate_c_per_min * dt_s / 60.0
+            target_c = _within(target_c, self.working_set_point_c - span_c, self.working_set_point_c + span_c)
+        self.working_set_point_c = target_c
+        gap_c = _within(target_c, limits.low_c, limits.high_c) - self.air_c
+        wanted_c_per_min = -gap_c * math.expm1(-dt_s / limits.control_time_constant_s) * 60.0 / dt_s
+        rate_c_per_min = _within(
+            wanted_c_per_min, -limits.cooling_limit_c_per_min, limits.heating_limit_c_per_min
+        )
+        self.air_c += rate_c_per_min * dt_s / 60.0
+        self._drive_machinery(rate_c_per_min)
+
+    def _drive_machinery(self, rate_c_per_min: float) -> None:
+        limits = self.parameters
+        lost_c_per_min = (self.air_c - limits.ambient_c) * 60.0 / limits.ambient_time_constant_s
+        demand_c_per_min = rate_c_per_min + lost_c_per_min
+        full_c_per_min = (
+            limits.heating_limit_c_per_min if demand_c_per_min > 0.0 else limits.cooling_limit_c_per_min
+        )
+        self.power = _within(demand_c_per_min / full_c_per_min, -1.0, 1.0)
+        self.compressor_on = self.power < (0.0 if self.compressor_on else -_COMPRESSOR_STARTS_AT)
+
+    def _drift(self, dt_s: float) -> None:
+        limits = self.parameters
+        share = -math.expm1(-dt_s / limits.ambient_time_constant_s)
+        self.air_c += (limits.ambient_c - self.air_c) * share
+        # Control that is switched on later ramps from where the air is by then.
+        self.working_set_point_c = self.air_c
+        self.power = 0.0
+        self.compressor_on = False
+
+
+def _within(value: float, low: float, high: float) -> float:
+    return low if value < low else high if value > high else value

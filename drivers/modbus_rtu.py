@@ -1,0 +1,135 @@
+"""Modbus RTU, the master's side: read and write the holding registers of one device.
+
+Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
+over Serial Line V1.02.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+
+from bench.clock import Deadline
+from bench.errors import RefusedError, ReplyError
+from drivers.serial_line import SerialLine
+
+#: A frame ends with a silence of 3.5 characters, 4 ms at 9600 baud.
+PAUSE_AFTER_READ_S = 0.005
+#: Controllers store a written value before they listen again.
+PAUSE_AFTER_WRITE_S = 0.03
+#: A late or damaged reply passes by, and is not taken for the answer to the next request.
+PAUSE_AFTER_FAILURE_S = 0.1
+
+_READ, _WRITE = 3, 6
+_EXCEPTION_BIT = 0x80
+_EXCEPTION_FRAME_BYTES = 5
+_EXCEPTIONS = {1: "illegal function", 2: "illegal data address", 3: "illegal data value", 4: "device failure"}
+
+
+def _crc_entry(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte >> 1) ^ 0xA001 if byte & 1 else byte >> 1
+    return byte
+
+
+_CRC_TABLE = tuple(_crc_entry(byte) for byte in range(256))
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/MODBUS; zero for a whole frame that is intact."""
+    crc = 0xFFFF
+    for byte in data:
+        crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
+
+def framed(content: bytes) -> bytes:
+    """Append the CRC, low byte first."""
+    return content + crc16(content).to_bytes(2, "little")
+
+
+class ModbusRtu:
+    """Exchanges with the device at one address of a line.
+
+    Parameters
+    ----------
+    line : SerialLine
+        Where the device hangs.
+    address : int
+        1 to 247.
+    reply_timeout_s : float
+        Longest wait for a reply.
+    """
+
+    def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
+        self._line = line
+        self._address = address
+        self._reply_timeout_s = reply_timeout_s
+        self._next_request_s = line.clock.now()
+
+    def read(self, register: int, count: int = 1) -> tuple[int, ...]:
+        """Read successive registers as signed 16-bit numbers.
+
+        Raises
+        ------
+        RefusedError
+            The device answered with an exception.
+        ReplyError, NoReplyError, ConnectionFailedError
+            No valid answer came.
+        """
+        request = struct.pack(">BBHH", self._address, _READ, register, count)
+        start = bytes((self._address, _READ, 2 * count))
+        reply = self._exchange(request, start, len(start) + 2 * count + 2, PAUSE_AFTER_READ_S)
+        self._raise_exception(reply, f"read {_label(register)}")
+        return struct.unpack(f">{count}h", reply[len(start) : -2])
+
+    def write(self, register: int, value: int) -> None:
+        """Write one register as a signed 16-bit number; raises what :meth:`read` raises."""
+        request = struct.pack(">BBHh", self._address, _WRITE, register, value)
+        reply = self._exchange(request, request, len(request) + 2, PAUSE_AFTER_WRITE_S)
+        self._raise_exception(reply, f"write {value} to {_label(register)}")
+
+    def _exchange(self, request: bytes, start: bytes, size: int, pause_s: float) -> bytes:
+        """Send a request; return its reply, ``size`` bytes beginning with ``start``, or an exception."""
+        clock = self._line.clock
+        clock.sleep_until(self._next_request_s)
+        self._line.discard_input()
+        settled_pause_s = PAUSE_AFTER_FAILURE_S
+        try:
+            self._line.write(framed(request))
+            reply = self._receive(size)
+            refusal = bytes((self._address, request[1] | _EXCEPTION_BIT))
+            if crc16(reply) != 0:
+                raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
+            if not reply.startswith((start, refusal)):
+                raise self._unexpected(request, reply, "it answers something else; check the address")
+            settled_pause_s = pause_s
+        finally:
+            self._next_request_s = clock.now() + settled_pause_s
+        return reply
+
+    def _receive(self, size: int) -> bytes:
+        deadline = Deadline(self._line.clock, self._reply_timeout_s)
+        reply = self._line.read(_EXCEPTION_FRAME_BYTES, deadline)
+        if not reply[1] & _EXCEPTION_BIT:
+            reply += self._line.read(size - _EXCEPTION_FRAME_BYTES, deadline)
+        return reply
+
+    def _unexpected(self, request: bytes, reply: bytes, problem: str) -> ReplyError:
+        return ReplyError(
+            self._line.instrument,
+            f"asked {request.hex(' ')}, got {reply.hex(' ')} on {self._line.url}: {problem}",
+        )
+
+    def _raise_exception(self, reply: bytes, attempt: str) -> None:
+        if reply[1] & _EXCEPTION_BIT:
+            code = reply[2]
+            meaning = _EXCEPTIONS.get(code, "unknown")
+            raise RefusedError(
+                self._line.instrument, f"refused to {attempt}: exception {code:02d}, {meaning}"
+            )
+
+
+def _label(register: int) -> str:
+    name = f" ({register.name.replace('_', ' ').lower()})" if isinstance(register, IntEnum) else ""
+    return f"register {int(register)}{name}"

@@ -1,0 +1,126 @@
+"""An independent implementation of Modbus on the other side, over pseudo-terminals."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+from pymodbus.client import ModbusSerialClient
+from pymodbus.server import ModbusSerialServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from bench.clock import WallClock
+from bench.errors import RefusedError
+from drivers.chamber import ChamberReading
+from drivers.chamber.watlow_f4 import WatlowF4
+from drivers.serial_line import SerialLine
+
+REGISTERS = {
+    0: [5270],
+    100: [0x10000 - 123, 0, 0, 0, 0, 0, 0, 0],
+    300: [230],
+    311: [0, 0],
+    602: [0x10000 - 700, 1200],
+    606: [1],
+    901: [1],
+    1100: [0, 1000, 0],
+    **{1990 + 10 * number: [0] for number in range(1, 9)},
+}
+
+
+class Server(threading.Thread):
+    """pymodbus's serial server, holding plain registers."""
+
+    def __init__(self, port: str, registers: dict[int, list[int]]) -> None:
+        super().__init__(daemon=True)
+        blocks = [
+            SimData(address, values=values, datatype=DataType.REGISTERS)
+            for address, values in registers.items()
+        ]
+        self._device = SimDevice(1, blocks)
+        self._port = port
+        self._ready = threading.Event()
+        self._loop = asyncio.new_event_loop()
+
+    def run(self) -> None:
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        self._server = ModbusSerialServer(self._device, port=self._port)
+        await self._server.serve_forever(background=True)
+        self._ready.set()
+        await self._server.serving
+
+    def __enter__(self) -> "Server":
+        self.start()
+        assert self._ready.wait(5)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        asyncio.run_coroutine_threadsafe(self._server.shutdown(), self._loop)
+        self.join(5)
+        assert not self.is_alive()
+
+    def register(self, address: int) -> int:
+        future = asyncio.run_coroutine_threadsafe(self._server.async_getValues(1, 3, address), self._loop)
+        return future.result(5)[0]
+
+
+@pytest.fixture
+def client(bench) -> Iterator[ModbusSerialClient]:
+    client = ModbusSerialClient(bench.url, baudrate=19200, timeout=5, retries=0)
+    assert client.connect()
+    yield client
+    client.close()
+
+
+def test_pymodbus_client_reads_the_emulated_chamber(bench, client):
+    bench.air.air_c = -12.3
+    reply = client.read_holding_registers(100, count=2)
+    assert not reply.isError()
+    assert reply.registers == [0x10000 - 123, 0]
+    assert client.read_holding_registers(0).registers == [5270]
+
+
+def test_pymodbus_client_writes_the_emulated_chamber(bench, client):
+    assert not client.write_register(300, 850).isError()
+    assert bench.air.set_point_c == 85.0
+    assert not client.write_registers(1100, [2, 15, 1]).isError()
+    assert bench.air.ramp_rate_c_per_min == pytest.approx(1.5 / 60.0)
+    assert not client.write_register(2010, 1).isError()
+    assert bench.events == [(2, True)]
+
+
+def test_pymodbus_client_understands_the_exceptions(bench, client):
+    assert client.read_holding_registers(3000).exception_code == 2
+    assert client.write_register(300, 9999).exception_code == 3
+    assert client.read_coils(100).exception_code == 1
+
+
+def test_the_driver_talks_to_pymodbus_server(crossed_ports):
+    near, far = crossed_ports
+    with Server(far, REGISTERS) as server, SerialLine("chamber", near, WallClock()) as line:
+        chamber = WatlowF4(line, reply_timeout_s=5.0)
+        assert chamber.identify().startswith("Watlow F4, model number 5270")
+        assert chamber.read() == ChamberReading(-12.3)
+        assert chamber.limits_c() == (-70.0, 120.0)
+        assert chamber.alarms() == []
+        chamber.set_temperature(-40.0, 0.25)
+        assert chamber.set_point_c() == -40.0
+        assert [server.register(address) for address in (300, 1100, 1101, 1102)] == [0x10000 - 400, 2, 150, 1]
+        chamber.switch(True)
+        chamber.switch_event(2, True)
+        assert [server.register(address) for address in (2000, 2010, 2020)] == [1, 1, 0]
+
+
+def test_the_driver_understands_pymodbus_exceptions(crossed_ports):
+    near, far = crossed_ports
+    without_ramp = {address: values for address, values in REGISTERS.items() if address not in (1100, 2070)}
+    with Server(far, without_ramp), SerialLine("chamber", near, WallClock()) as line:
+        chamber = WatlowF4(line, reply_timeout_s=5.0)
+        assert chamber.identify().endswith("ramps by profiles only")
+        with pytest.raises(RefusedError, match="exception 02"):
+            chamber.switch_event(8, True)
