@@ -1,0 +1,287 @@
+"""One axis as the Acutrol 3000 runs it: servo and interlock, mode, demands, limits, status bits.
+
+The mode numbers in the state register, and the lower of two bits being the positive direction,
+are assumptions; the rest follows the manual TM-8004.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+from drivers.emulators.acl_syntax import AclError, ErrorCode
+from drivers.emulators.world.motion_profile import AxisState
+from drivers.emulators.world.table_axis import TableAxis
+
+#: The rate trip stands this much above the rate limit until it is set.
+_RATE_TRIP_FACTOR = 1.2
+_TRACKING_ERROR_LIMIT_DEG = 1.0
+_MAX_DELTA_DEG = 180.0
+_AT_LIMIT_DEG = 1e-6
+
+
+class Mode(IntEnum):
+    """What the axis follows."""
+
+    OFF = 0
+    POSITION = 1
+    RATE = 2
+    ARATE = 3
+    SYNTHESIS = 4
+    TRACK = 5
+
+
+_RATE_MODES = (Mode.RATE, Mode.ARATE)
+#: Modes without a motion in this emulator.
+_MODES_NOT_EMULATED = (Mode.SYNTHESIS, Mode.TRACK)
+
+
+class SoftwareFault(IntEnum):
+    """Bits of the register ``AnSWFLT``."""
+
+    SOFTWARE_ABORT = 0
+    RATE_TRIP = 1
+    TRACKING_ERROR = 2
+    FRAME_TIME = 3
+    MISCORRELATION = 5
+    CRC = 6
+    FINE_FEEDBACK_LOSS = 7
+    COARSE_FEEDBACK_LOSS = 8
+    SELF_TEST = 9
+
+
+@dataclass
+class Demands:
+    """What an axis was last told, and which demands wait for their mode."""
+
+    position_deg: float
+    rate_dps: float = 0.0
+    acceleration_dps2: float = 0.0
+    position_waits: bool = False
+    rate_waits: bool = False
+
+
+class AclAxis:
+    """State of one axis around its physics.
+
+    The controller works in servo frames: all that one message says or asks happens at the
+    moment of the frame that was begun for it.
+
+    Attributes
+    ----------
+    state : AxisState
+        What the encoder read in this frame.
+    limits : dict of Mode to AxisLimits
+        Bounds in force in each mode.
+    trip_rates_dps : dict of Mode to float
+        Rate at which the axis trips in each mode.
+    """
+
+    def __init__(self, physics: TableAxis) -> None:
+        self.physics = physics
+        self.widest = physics.parameters.limits
+        self.limits = dict.fromkeys(Mode, self.widest)
+        self.trip_rates_dps = dict.fromkeys(Mode, _RATE_TRIP_FACTOR * self.widest.rate_dps)
+        self.tracking_error_limit_deg = _TRACKING_ERROR_LIMIT_DEG
+        self.mode = Mode.OFF
+        self.closed = False
+        self.software_faults = 0
+        self.open_interlocks = 0
+        self.latched_interlocks = 0
+        self._now_s = 0.0
+        self.state: AxisState = physics.encoder(0.0)
+        self.demands = Demands(self.state.position_deg)
+
+    def begin_frame(self, now_s: float) -> None:
+        """Look at the axis now; a rate or a following error beyond its limit trips it."""
+        self._now_s = now_s
+        self.state = self.physics.encoder(now_s)
+        if self.closed and self.physics.is_moving(now_s):
+            if abs(self.state.rate_dps) > self.trip_rates_dps[self.mode]:
+                self.trip(SoftwareFault.RATE_TRIP)
+            elif abs(self.following_error_deg) > self.tracking_error_limit_deg:
+                self.trip(SoftwareFault.TRACKING_ERROR)
+
+    @property
+    def following_error_deg(self) -> float:
+        """Encoder minus commanded profile in this frame."""
+        return self.physics.following_error_deg(self._now_s)
+
+    # servo and interlock
+
+    @property
+    def faulted(self) -> bool:
+        """Whether a fault is latched or an interlock open."""
+        return bool(self.software_faults or self.latched_interlocks)
+
+    @property
+    def interlock(self) -> str:
+        """Answer to the interlock query."""
+        return "Close" if self.closed else "Fault" if self.faulted else "Open"
+
+    def close(self) -> None:
+        """Close the servo; the axis holds its position in mode Off."""
+        if self.faulted:
+            raise AclError(ErrorCode.CANNOT_SERVO)
+        if not self.closed:
+            self.closed = True
+            self.mode = Mode.OFF
+            self.demands = Demands(self.physics.rest_position_deg)
+
+    def open(self) -> None:
+        """Open the servo; the brake stops the axis."""
+        if self.closed:
+            self._apply_limits(Mode.OFF)
+            self.physics.release(self._now_s)
+        self.closed = False
+        self.mode = Mode.OFF
+
+    def reset(self) -> None:
+        """Forget latched faults, unless the axis is servoed or the cause is still there."""
+        if not self.closed:
+            self.software_faults = 0
+            self.latched_interlocks = self.open_interlocks
+
+    def trip(self, fault: SoftwareFault) -> None:
+        """Latch a fault and lose the servo."""
+        self.software_faults |= 1 << fault
+        self.open()
+
+    def open_interlock(self, bit: int) -> None:
+        """Open one of the hardware interlocks: latch it and lose the servo."""
+        self.open_interlocks |= 1 << bit
+        self.latched_interlocks |= 1 << bit
+        self.open()
+
+    def close_interlock(self, bit: int) -> None:
+        """Close the hardware interlock again; it stays latched until a reset."""
+        self.open_interlocks &= ~(1 << bit)
+
+    # modes and demands
+
+    def set_mode(self, mode: Mode) -> None:
+        """Change the mode and carry out the demand that waits for it; without one, stop."""
+        if mode in _MODES_NOT_EMULATED:
+            raise AclError(ErrorCode.NOT_AVAILABLE)
+        if not self.closed:
+            if mode is not Mode.OFF:
+                raise AclError(ErrorCode.NOT_SERVOED)
+            return
+        if mode is self.mode and mode is not Mode.OFF:
+            return
+        self.mode = mode
+        if mode is Mode.POSITION and self.demands.position_waits:
+            self._move()
+        elif mode in _RATE_MODES and self.demands.rate_waits:
+            self._turn()
+        else:
+            self._stop()
+
+    def home(self) -> None:
+        """Go to zero in position mode."""
+        if not self.closed:
+            raise AclError(ErrorCode.NOT_SERVOED)
+        self.demand_position(0.0)
+        self.set_mode(Mode.POSITION)
+
+    def demand_position(self, position_deg: float) -> None:
+        """Move there in position mode, in another mode keep it until then."""
+        limits = self.limits[Mode.POSITION]
+        if not limits.low_deg <= position_deg <= limits.high_deg:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        self.demands.position_deg = position_deg
+        self.demands.position_waits = True
+        if self.closed and self.mode is Mode.POSITION:
+            self._move()
+
+    def demand_delta(self, delta_deg: float) -> None:
+        """Move the position demand on, or start from where the axis is in a rate mode."""
+        if abs(delta_deg) > _MAX_DELTA_DEG:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        turning = self.mode in _RATE_MODES and not self.demands.position_waits
+        base_deg = self.state.position_deg if turning else self.demands.position_deg
+        self.demand_position(base_deg + delta_deg)
+
+    def demand_rate(self, rate_dps: float) -> None:
+        """Turn in a rate mode, in another mode keep it until then."""
+        if abs(rate_dps) > self.widest.rate_dps:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        self.demands.rate_dps = rate_dps
+        self.demands.rate_waits = True
+        if self.closed and self.mode in _RATE_MODES:
+            self._turn()
+
+    def demand_acceleration(self, acceleration_dps2: float) -> None:
+        """Keep it: the modes that follow an acceleration are not emulated."""
+        if abs(acceleration_dps2) > self.widest.acceleration_dps2:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        self.demands.acceleration_dps2 = acceleration_dps2
+
+    def _move(self) -> None:
+        self.demands.position_waits = False
+        self._apply_limits(Mode.POSITION)
+        self.physics.move_to(self.demands.position_deg, self._now_s)
+
+    def _turn(self) -> None:
+        self.demands.rate_waits = False
+        self._apply_limits(self.mode)
+        self.physics.turn_at(self.demands.rate_dps, self._now_s)
+
+    def _stop(self) -> None:
+        self.demands.rate_dps = 0.0
+        self._apply_limits(self.mode)
+        self.physics.stop(self._now_s)
+        self.demands.position_deg = self.physics.rest_position_deg
+
+    def _apply_limits(self, mode: Mode) -> None:
+        self.physics.limits = self.limits[mode]
+
+    # limits
+
+    def set_limits(self, mode: Mode, **bounds: float) -> None:
+        """Change bounds of one mode, within the widest ones; named as those of the physics."""
+        wanted, widest = replace(self.limits[mode], **bounds), self.widest
+        if not (
+            0.0 < wanted.rate_dps <= widest.rate_dps
+            and 0.0 < wanted.acceleration_dps2 <= widest.acceleration_dps2
+            and 0.0 < wanted.jerk_dps3 <= widest.jerk_dps3
+            and widest.low_deg <= wanted.low_deg < wanted.high_deg <= widest.high_deg
+        ):
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        self.limits[mode] = wanted
+
+    def set_trip_rate(self, mode: Mode, rate_dps: float) -> None:
+        """Change the rate at which the axis trips in one mode."""
+        if rate_dps <= 0.0:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        self.trip_rates_dps[mode] = rate_dps
+
+    # status registers
+
+    def state_register(self) -> int:
+        """``AnSTATE``: mode, servo, why it is not servoed, and whether that is latched."""
+        value = int(self.mode)
+        value |= self.closed << 4 | (not self.closed and not self.faulted) << 5
+        value |= bool(self.software_faults) << 6 | bool(self.latched_interlocks) << 7
+        return value | self.faulted << 8 | self.faulted << 9
+
+    def dynamics_register(self) -> int:
+        """``AnDYN``: limits reached and profiles complete."""
+        complete = self.closed and self.physics.profile_complete(self._now_s)
+        position_deg = self.state.position_deg
+        limits, rate_dps = self.limits[self.mode], self.demands.rate_dps
+        turning = self.mode in _RATE_MODES
+        value = (turning and rate_dps > limits.rate_dps) << 4 | (turning and rate_dps < -limits.rate_dps) << 5
+        value |= (position_deg > limits.high_deg - _AT_LIMIT_DEG) << 6
+        value |= (position_deg < limits.low_deg + _AT_LIMIT_DEG) << 7
+        return value | (complete and self.mode is Mode.POSITION) << 8 | (complete and turning) << 9
+
+    def legacy_register(self) -> int:
+        """Status word of the controllers before it (``Status:ECP n,2``)."""
+        faults = self.software_faults
+        lost = (
+            faults >> SoftwareFault.FINE_FEEDBACK_LOSS & 1 | faults >> SoftwareFault.COARSE_FEEDBACK_LOSS & 1
+        )
+        value = bool(self.dynamics_register() & 0x300) << 7 | lost << 10
+        value |= (faults >> SoftwareFault.RATE_TRIP & 1) << 14
+        return value | (faults >> SoftwareFault.TRACKING_ERROR & 1) << 15

@@ -1,0 +1,222 @@
+"""Emulator of the Acutrol 3000 table controller at its serial port or TCP socket.
+
+Source: command language manual TM-8004; prefix of the replies as in TM-9374A. Every message is
+answered by an error code and a length, 32 bits each, and then the text: the answers of its
+queries joined by ``;``, or ``OK``.
+
+Assumptions where the public manuals are silent: the error codes; that a refused message is
+answered with the error's words; that a message with a wrong word is refused as a whole, while one
+refused by an axis stays executed up to there; that the status request enable register starts
+with the interlock bit set.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Literal
+
+from drivers.emulators.acl_axis import AclAxis, SoftwareFault
+from drivers.emulators.acl_axis_commands import (
+    Arguments,
+    AxisCommands,
+    Handler,
+    Handlers,
+    expect,
+    whole_number,
+)
+from drivers.emulators.acl_syntax import (
+    MAX_MESSAGE_CHARACTERS,
+    AclError,
+    ErrorCode,
+    parse_message,
+)
+from drivers.emulators.world.table_axis import TableAxis
+
+_ERRORS_KEPT = 32
+_MAX_VARIABLES = 8
+_COMMAND_ERROR, _EXECUTION_ERROR, _POWER_ON = 1 << 5, 1 << 4, 1 << 7
+_INTERLOCK_SUMMARY, _EVENT_SUMMARY, _MASTER_SUMMARY, _ERRORS_QUEUED = 1 << 0, 1 << 5, 1 << 6, 1 << 7
+
+
+class Acutrol3000Emulator:
+    """The controller over its axes.
+
+    Parameters
+    ----------
+    axes : mapping of int to TableAxis
+        Physics of each axis by its number; axes with position limits, so never continuous.
+    word_order : {"little", "big"}
+        Byte order of the two words before each reply.
+    identity : str
+        Answer to ``*IDN?``.
+    decimals : int
+        Decimals of the numbers that are read.
+    """
+
+    latency_s = 0.004
+
+    def __init__(
+        self,
+        axes: Mapping[int, TableAxis],
+        *,
+        word_order: Literal["little", "big"] = "little",
+        identity: str = "Acutronic R&D USA,Acutrol3000,0,gyrobench emulator",
+        decimals: int = 6,
+    ) -> None:
+        self.axes = {number: AclAxis(axis) for number, axis in sorted(axes.items())}
+        self._prefix = struct.Struct("<II" if word_order == "little" else ">II")
+        self._identity = identity
+        self._buffer = b""
+        self._overlong = False
+        self._errors: deque[ErrorCode] = deque(maxlen=_ERRORS_KEPT)
+        self._events, self._events_enabled = _POWER_ON, 0
+        self._requests_enabled = _INTERLOCK_SUMMARY
+        self._locked_out = False
+        self._handlers = {**AxisCommands(self.axes, decimals).handlers(), **self._own_handlers()}
+
+    def feed(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes; return the replies to the messages that they complete."""
+        *messages, self._buffer = (self._buffer + data).split(b"\n")
+        replies = b""
+        for message in messages:
+            too_long, self._overlong = self._overlong or len(message) > MAX_MESSAGE_CHARACTERS, False
+            replies += self._reply(message.strip(), too_long, now_s)
+        if len(self._buffer) > MAX_MESSAGE_CHARACTERS:
+            self._buffer, self._overlong = b"", True
+        return replies
+
+    def trip(self, axis: int, fault: SoftwareFault, now_s: float) -> None:
+        """Make an axis lose its servo by a fault of the controller's own; a reset clears it."""
+        self.axes[axis].begin_frame(now_s)
+        self.axes[axis].trip(fault)
+
+    def open_interlock(self, axis: int, now_s: float, bit: int = 0) -> None:
+        """Open a hardware interlock (a bit of ``AnINTLK``): the axis loses its servo."""
+        self.axes[axis].begin_frame(now_s)
+        self.axes[axis].open_interlock(bit)
+
+    def close_interlock(self, axis: int, bit: int = 0) -> None:
+        """Close the hardware interlock again; the axis needs a reset and a close command."""
+        self.axes[axis].close_interlock(bit)
+
+    def _reply(self, message: bytes, too_long: bool, now_s: float) -> bytes:
+        if not message and not too_long:
+            return b""
+        code = ErrorCode.NONE
+        try:
+            if too_long:
+                raise AclError(ErrorCode.MESSAGE_TOO_LONG)
+            text = self._execute(message.decode("latin-1"), now_s)
+        except AclError as error:
+            code, text = error.code, error.code.text
+            self._note(code)
+        body = text.encode("ascii")
+        return self._prefix.pack(code, len(body)) + body
+
+    def _execute(self, message: str, now_s: float) -> str:
+        for axis in self.axes.values():
+            axis.begin_frame(now_s)
+        units = parse_message(message)
+        if sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        try:
+            handlers = [self._handlers[unit.header, unit.is_query] for unit in units]
+        except KeyError:
+            raise AclError(ErrorCode.UNKNOWN_COMMAND) from None
+        answers = [handle(unit.arguments) for handle, unit in zip(handlers, units, strict=True)]
+        text = ";".join(answer for answer in answers if answer) or "OK"
+        if len(text) > MAX_MESSAGE_CHARACTERS:
+            raise AclError(ErrorCode.MESSAGE_TOO_LONG)
+        return text
+
+    def _note(self, code: ErrorCode) -> None:
+        self._errors.append(code)
+        self._events |= _EXECUTION_ERROR if code >= ErrorCode.PARAMETER_OUT_OF_RANGE else _COMMAND_ERROR
+
+    def _own_handlers(self) -> Handlers:
+        return {
+            (("*IDN",), True): self._answer(lambda: self._identity),
+            (("*STB",), True): self._answer(lambda: str(self._status_byte())),
+            (("*ESR",), True): self._answer(self._take_events),
+            (("*ESE",), True): self._answer(lambda: str(self._events_enabled)),
+            (("*SRE",), True): self._answer(lambda: str(self._requests_enabled)),
+            (("*ESE",), False): self._set_events_enabled,
+            (("*SRE",), False): self._set_requests_enabled,
+            (("*CLS",), False): self._answer(self._clear_status),
+            (("STATUS", "MSG"), True): self._next_error,
+            (("QUERY", "ERROR"), True): self._error_text,
+            (("QUERY", "SYSTEM"), True): self._answer(
+                lambda: ",".join(str(int(number)) for number in (len(self._errors), *self._errors))
+            ),
+            (("UTILITY", "LOCKOUT"), False): self._set_lockout,
+            (("UTILITY", "LOCKOUT"), True): self._answer(lambda: "ON" if self._locked_out else "OFF"),
+            (("UTILITY", "FORMAT"), False): self._refuse_format,
+        }
+
+    @staticmethod
+    def _answer(value: Callable[[], str]) -> Handler:
+        """Make a handler that takes no arguments."""
+
+        def query(arguments: Arguments) -> str:
+            expect(arguments, 0)
+            return value()
+
+        return query
+
+    def _status_byte(self) -> int:
+        value = _INTERLOCK_SUMMARY if any(axis.faulted for axis in self.axes.values()) else 0
+        value |= _EVENT_SUMMARY if self._events & self._events_enabled else 0
+        value |= _ERRORS_QUEUED if self._errors else 0
+        return value | (_MASTER_SUMMARY if value & self._requests_enabled else 0)
+
+    def _take_events(self) -> str:
+        events, self._events = self._events, 0
+        return str(events)
+
+    def _clear_status(self) -> str:
+        self._events = 0
+        self._errors.clear()
+        return ""
+
+    def _set_events_enabled(self, arguments: Arguments) -> str:
+        self._events_enabled = _byte(arguments)
+        return ""
+
+    def _set_requests_enabled(self, arguments: Arguments) -> str:
+        self._requests_enabled = _byte(arguments) & ~_MASTER_SUMMARY
+        return ""
+
+    def _next_error(self, arguments: Arguments) -> str:
+        expect(arguments, 1)
+        if arguments[0] != "QERROR":
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        code = self._errors.popleft() if self._errors else ErrorCode.NONE
+        return f"{int(code)},{code.text}"
+
+    def _error_text(self, arguments: Arguments) -> str:
+        expect(arguments, 1)
+        try:
+            return ErrorCode(whole_number(arguments[0])).text
+        except ValueError:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE) from None
+
+    def _set_lockout(self, arguments: Arguments) -> str:
+        expect(arguments, 1)
+        if arguments[0] not in ("ON", "OFF"):
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        self._locked_out = arguments[0] == "ON"
+        return ""
+
+    def _refuse_format(self, _: Arguments) -> str:
+        """Binary numbers exist on the GPIB alone."""
+        raise AclError(ErrorCode.NOT_AVAILABLE)
+
+
+def _byte(arguments: Arguments) -> int:
+    expect(arguments, 1)
+    value = whole_number(arguments[0])
+    if not 0 <= value <= 255:
+        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    return value

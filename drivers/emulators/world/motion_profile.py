@@ -1,0 +1,235 @@
+"""Jerk-limited motion along one coordinate, as a function of time alone.
+
+A motion is a row of pieces of constant jerk. It starts from any position, rate and acceleration,
+so that one motion can follow another without a jump in any of the three.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+Array = NDArray[np.float64]
+
+#: Settling follows x^3 exp(-x), x in time constants: smooth at its start, greatest at x = 3.
+_SETTLING_PEAK = 27.0 * math.exp(-3.0)
+#: After so many time constants settling is below 1e-6 of its size, and over.
+_SETTLING_TIME_CONSTANTS = 25.0
+#: Places closer to each other than this are the same.
+_SAME_PLACE_DEG = 1e-10
+
+
+@dataclass(frozen=True)
+class AxisLimits:
+    """Bounds that a motion keeps; the bounds of position may be infinite."""
+
+    rate_dps: float
+    acceleration_dps2: float
+    jerk_dps3: float
+    low_deg: float
+    high_deg: float
+
+
+class AxisState(NamedTuple):
+    """Where an axis is and how it moves."""
+
+    position_deg: float
+    rate_dps: float = 0.0
+    acceleration_dps2: float = 0.0
+
+    def after(self, jerk_dps3: float, duration_s: float) -> AxisState:
+        """State at the end of a time of constant jerk."""
+        position, rate, acceleration = self
+        t = duration_s
+        return AxisState(
+            position + t * (rate + t * (acceleration / 2.0 + t * jerk_dps3 / 6.0)),
+            rate + t * (acceleration + t * jerk_dps3 / 2.0),
+            acceleration + t * jerk_dps3,
+        )
+
+
+class Piece(NamedTuple):
+    """A time of constant jerk; the last piece of a motion may last for ever."""
+
+    jerk_dps3: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Settling:
+    """Overshoot after the end of a motion, and its decay."""
+
+    size_deg: float
+    time_constant_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the end of the motion to complete rest."""
+        return _SETTLING_TIME_CONSTANTS * self.time_constant_s if self.size_deg else 0.0
+
+    def position_deg(self, time_s: Array) -> Array:
+        """Offset at times since the end of the motion; zero before and after settling."""
+        x, scale = self._scaled(time_s)
+        return scale * x**3
+
+    def rate_dps(self, time_s: Array) -> Array:
+        """Return its time derivative."""
+        x, scale = self._scaled(time_s)
+        return scale * (3.0 - x) * x**2 / self.time_constant_s
+
+    def acceleration_dps2(self, time_s: Array) -> Array:
+        """Return its second time derivative."""
+        x, scale = self._scaled(time_s)
+        return scale * (6.0 - 6.0 * x + x**2) * x / self.time_constant_s**2
+
+    def _scaled(self, time_s: Array) -> tuple[Array, Array]:
+        x = np.where((time_s > 0.0) & (time_s < self.duration_s), time_s, 0.0) / self.time_constant_s
+        return x, self.size_deg * np.exp(-x) / _SETTLING_PEAK
+
+
+def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[Piece]:
+    """Quickest way to a constant rate: build acceleration up, hold it, take it away."""
+    jerk = limits.jerk_dps3
+    # what the rate becomes if the present acceleration is only taken away
+    natural_dps = start.rate_dps + start.acceleration_dps2 * abs(start.acceleration_dps2) / (2.0 * jerk)
+    sign = 1.0 if rate_dps >= natural_dps else -1.0
+    first = sign * start.acceleration_dps2
+    change = sign * (rate_dps - start.rate_dps)
+    peak = max(first, math.sqrt(max(0.0, jerk * change + first * first / 2.0)))
+    ceiling = max(limits.acceleration_dps2, first)
+    hold_s = 0.0
+    if peak > ceiling:
+        peak = ceiling
+        hold_s = max(0.0, change - (2.0 * peak * peak - first * first) / (2.0 * jerk)) / peak
+    return [
+        Piece(sign * jerk, (peak - first) / jerk),
+        Piece(0.0, hold_s),
+        Piece(-sign * jerk, peak / jerk),
+    ]
+
+
+def rest_position(start: AxisState, limits: AxisLimits) -> float:
+    """Where the axis comes to rest if it stops at once."""
+    return _end(start, change_rate(start, 0.0, limits)).position_deg
+
+
+def move(
+    start: AxisState, target_deg: float, limits: AxisLimits
+) -> tuple[list[Piece], list[Piece], list[Piece]]:
+    """Quickest way to rest at a target: pieces up to the peak rate, along it, and down to rest.
+
+    An infinite target has a way along that never ends and none down.
+    """
+    if math.isinf(target_deg):
+        rate_dps = math.copysign(limits.rate_dps, target_deg)
+        return change_rate(start, rate_dps, limits), [Piece(0.0, math.inf)], []
+
+    def beyond_deg(peak_dps: float) -> float:
+        up = change_rate(start, peak_dps, limits)
+        down = change_rate(AxisState(0.0, peak_dps), 0.0, limits)
+        return _end(start, up + down).position_deg - target_deg
+
+    if abs(beyond_deg(0.0)) < _SAME_PLACE_DEG:
+        return [], [], change_rate(start, 0.0, limits)
+    peak_dps = math.copysign(limits.rate_dps, -beyond_deg(0.0))
+    along_s = -beyond_deg(peak_dps) / peak_dps
+    if along_s < 0.0:
+        along_s = 0.0
+        peak_dps = float(brentq(beyond_deg, 0.0, peak_dps, xtol=1e-13))
+    down = change_rate(AxisState(0.0, peak_dps), 0.0, limits)
+    return change_rate(start, peak_dps, limits), [Piece(0.0, along_s)], down
+
+
+class Motion:
+    """A motion from a moment on, with what remains of it for ever after.
+
+    Parameters
+    ----------
+    start_s, start
+        When and from which state.
+    pieces : sequence of Piece
+        What follows; after them the axis is at rest, unless the last one is endless.
+    settling : Settling
+        What the end of the pieces excites.
+    target_deg : float, optional
+        Place of rest, free of the rounding of the pieces.
+
+    Attributes
+    ----------
+    end_s, still_from_s : float
+        End of the pieces; end of settling, from which on the position is constant.
+    """
+
+    def __init__(
+        self,
+        start_s: float,
+        start: AxisState,
+        pieces: Sequence[Piece],
+        settling: Settling,
+        target_deg: float | None = None,
+    ) -> None:
+        pieces = [piece for piece in pieces if piece.duration_s > 0.0]
+        endless = bool(pieces) and math.isinf(pieces[-1].duration_s)
+        finite = pieces[:-1] if endless else pieces
+        states = list(itertools.accumulate(finite, lambda state, piece: state.after(*piece), initial=start))
+        if not endless:
+            states[-1] = AxisState(states[-1].position_deg if target_deg is None else target_deg)
+        self.start_s = start_s
+        self._times_s = list(itertools.accumulate((p.duration_s for p in finite), initial=start_s))
+        self._states = states
+        self._jerks_dps3 = [*(piece.jerk_dps3 for piece in finite), 0.0]
+        self._settling = settling
+        self.end_s = math.inf if endless else self._times_s[-1]
+        self.still_from_s = self.end_s + settling.duration_s
+
+    @property
+    def last_state(self) -> AxisState:
+        """State after the last finite piece, settling left out."""
+        return self._states[-1]
+
+    def at(self, time_s: float) -> AxisState:
+        """State at one time, not before the start."""
+        if time_s >= self.still_from_s:
+            return self._states[-1]
+        index = max(0, bisect_right(self._times_s, time_s) - 1)
+        state = self._states[index].after(self._jerks_dps3[index], time_s - self._times_s[index])
+        if time_s <= self.end_s:
+            return state
+        since_s = np.asarray(time_s - self.end_s)
+        return AxisState(
+            state.position_deg + float(self._settling.position_deg(since_s)),
+            state.rate_dps + float(self._settling.rate_dps(since_s)),
+            state.acceleration_dps2 + float(self._settling.acceleration_dps2(since_s)),
+        )
+
+    def positions_deg(self, time_s: Array) -> Array:
+        """Position at each time, none before the start."""
+        t, position, rate, acceleration, jerk = self._pieces_at(time_s)
+        profile_deg = position + t * (rate + t * (acceleration / 2.0 + t * jerk / 6.0))
+        return profile_deg + self._settling.position_deg(time_s - self.end_s)
+
+    def rates_dps(self, time_s: Array) -> Array:
+        """Rate at each time, none before the start."""
+        t, _, rate, acceleration, jerk = self._pieces_at(time_s)
+        return rate + t * (acceleration + t * jerk / 2.0) + self._settling.rate_dps(time_s - self.end_s)
+
+    def _pieces_at(self, time_s: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Time since the piece's start, its start state (three arrays) and its jerk, at each time."""
+        times_s = np.array(self._times_s)
+        index = np.maximum(np.searchsorted(times_s, time_s, side="right") - 1, 0)
+        position, rate, acceleration = np.array(self._states).T[:, index]
+        return time_s - times_s[index], position, rate, acceleration, np.array(self._jerks_dps3)[index]
+
+
+def _end(start: AxisState, pieces: Sequence[Piece]) -> AxisState:
+    for piece in pieces:
+        start = start.after(*piece)
+    return start

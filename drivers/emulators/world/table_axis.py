@@ -1,0 +1,196 @@
+"""One axis of a rate table: what it can do, how it moves, and what its encoder makes of it.
+
+The servo brings the *encoder* to where the command says; the true angle differs from it by the
+encoder's error, which is the same each time at the same angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.emulators.world.motion_profile import (
+    AxisLimits,
+    AxisState,
+    Motion,
+    Piece,
+    Settling,
+    change_rate,
+    move,
+    rest_position,
+)
+
+Array = NDArray[np.float64]
+
+_ARCSEC_DEG = 1.0 / 3600.0
+#: How long before the last command the past can still be asked for.
+_MEMORY_S = 1.0
+
+
+@dataclass(frozen=True)
+class AxisParameters:
+    """What one axis can do and how well.
+
+    Attributes
+    ----------
+    position_error_arcsec : float
+        Bound of the encoder's error: a harmonic of the angle and one of twice the angle, the
+        second of half the size.
+    position_error_phases_deg : tuple of float
+        Phases of the two.
+    settling_amplitude_arcsec : float
+        Overshoot after braking at the acceleration limit; in proportion less after less.
+    """
+
+    rate_limit_dps: float = 30.0
+    acceleration_limit_dps2: float = 30.0
+    jerk_limit_dps3: float = 60.0
+    position_low_deg: float = -400.0
+    position_high_deg: float = 400.0
+    position_error_arcsec: float = 1.0
+    position_error_phases_deg: tuple[float, float] = (0.0, 0.0)
+    settling_time_constant_s: float = 0.3
+    settling_amplitude_arcsec: float = 20.0
+
+    @property
+    def limits(self) -> AxisLimits:
+        """Widest limits that the axis may be set to."""
+        return AxisLimits(
+            self.rate_limit_dps,
+            self.acceleration_limit_dps2,
+            self.jerk_limit_dps3,
+            self.position_low_deg,
+            self.position_high_deg,
+        )
+
+
+class TableAxis:
+    """One axis, at rest until it is told to move.
+
+    Commands come in the order of time. Position and rate may be asked for from one second
+    before the last command on.
+
+    Attributes
+    ----------
+    limits : AxisLimits
+        Bounds for the commands from now on; may be set, and does not change a motion under way.
+    """
+
+    def __init__(self, parameters: AxisParameters, position_deg: float = 0.0) -> None:
+        self.parameters = parameters
+        self.limits = parameters.limits
+        rest = Motion(0.0, AxisState(position_deg), [], Settling(0.0, 1.0))
+        self._motions = [rest]
+        self._complete_from_s, self._complete_until_s = 0.0, math.inf
+        self._rest_angle_deg = self._true_angle(np.asarray(position_deg))
+
+    def move_to(self, position_deg: float, now_s: float) -> None:
+        """Move to a position of the encoder and stay; beyond a position limit means that limit."""
+        target_deg = min(max(position_deg, self.limits.low_deg), self.limits.high_deg)
+        up, along, down = move(self.encoder(now_s), target_deg, self.limits)
+        self._start(now_s, [*up, *along, *down], self._settling(down), target_deg)
+
+    def turn_at(self, rate_dps: float, now_s: float) -> None:
+        """Turn at a rate until the next command; at a position limit the axis stops by itself."""
+        rate_dps = min(max(rate_dps, -self.limits.rate_dps), self.limits.rate_dps)
+        end_deg = self.limits.high_deg if rate_dps > 0.0 else self.limits.low_deg
+        start = self.encoder(now_s)
+        if rate_dps == 0.0 or (end_deg - rest_position(start, self.limits)) * rate_dps <= 0.0:
+            self.stop(now_s)
+            return
+        up, along, down = move(start, end_deg, replace(self.limits, rate_dps=abs(rate_dps)))
+        self._start(now_s, [*up, *along, *down], self._settling(down), end_deg)
+        self._complete_from_s = now_s + sum(piece.duration_s for piece in up)
+        self._complete_until_s = self._complete_from_s + sum(piece.duration_s for piece in along)
+
+    def stop(self, now_s: float) -> None:
+        """Come to rest within the limits and stay there."""
+        pieces = change_rate(self.encoder(now_s), 0.0, self.limits)
+        self._start(now_s, pieces, self._settling(pieces))
+
+    def release(self, now_s: float) -> None:
+        """Open the servo: the brake brings the axis to rest, and nothing settles."""
+        pieces = change_rate(self.encoder(now_s), 0.0, self.limits)
+        self._start(now_s, pieces, self._settling([]))
+
+    def encoder(self, now_s: float) -> AxisState:
+        """Return what the encoder reads at a time not before the last command."""
+        return self._motions[-1].at(now_s)
+
+    @property
+    def rest_position_deg(self) -> float:
+        """Where the encoder will rest when the present move or stop is over."""
+        return self._motions[-1].last_state.position_deg
+
+    def following_error_deg(self, now_s: float) -> float:
+        """Return encoder minus commanded profile: the overshoot while the axis settles."""
+        motion = self._motions[-1]
+        if motion.end_s < now_s < motion.still_from_s:
+            return motion.at(now_s).position_deg - motion.last_state.position_deg
+        return 0.0
+
+    def position_deg(self, time_s: Array) -> Array:
+        """Return the true angle at each time, not wrapped; any shape."""
+        if time_s.size and time_s.min() >= self._motions[-1].still_from_s:
+            return np.full(time_s.shape, self._rest_angle_deg)
+        return self._true_angle(self._select(Motion.positions_deg, time_s))
+
+    def rate_dps(self, time_s: Array) -> Array:
+        """Return the true rate at each time; any shape."""
+        first, second = self._error_arguments(self._select(Motion.positions_deg, time_s))
+        slope = math.radians(self._error_deg) * (np.cos(first) + np.cos(second))
+        return self._select(Motion.rates_dps, time_s) * (1.0 + slope)
+
+    def profile_complete(self, now_s: float) -> bool:
+        """Whether the commanded position or rate is reached, and still held."""
+        return self._complete_from_s <= now_s < self._complete_until_s
+
+    def is_moving(self, now_s: float) -> bool:
+        """Whether the angle can still change; if not, it stays exactly what it is."""
+        return now_s < self._motions[-1].still_from_s
+
+    def _start(
+        self, now_s: float, pieces: list[Piece], settling: Settling, target_deg: float | None = None
+    ) -> None:
+        motion = Motion(now_s, self.encoder(now_s), pieces, settling, target_deg)
+        # a motion is remembered as long as its end, the start of the next one, is recent
+        ends_s = [later.start_s for later in self._motions[1:]] + [now_s]
+        recent = [m for m, end_s in zip(self._motions, ends_s, strict=True) if end_s > now_s - _MEMORY_S]
+        self._motions = [*recent, motion]
+        self._complete_from_s, self._complete_until_s = motion.end_s, math.inf
+        self._rest_angle_deg = self._true_angle(np.asarray(motion.last_state.position_deg))
+
+    def _settling(self, braking: list[Piece]) -> Settling:
+        """Overshoot that a braking of three pieces leaves behind: its deceleration decides."""
+        deceleration_dps2 = braking[-1].jerk_dps3 * braking[-1].duration_s if braking else 0.0
+        share = deceleration_dps2 / self.parameters.acceleration_limit_dps2
+        return Settling(
+            share * self.parameters.settling_amplitude_arcsec * _ARCSEC_DEG,
+            self.parameters.settling_time_constant_s,
+        )
+
+    def _select(self, evaluate: Callable[[Motion, Array], Array], time_s: Array) -> Array:
+        """Evaluate for each time the motion that was under way then."""
+        values = evaluate(self._motions[-1], time_s)
+        for earlier, later in zip(self._motions[-2::-1], self._motions[:0:-1], strict=True):
+            before = time_s < later.start_s
+            if not before.any():
+                break
+            values = np.where(before, evaluate(earlier, time_s), values)
+        return values
+
+    @property
+    def _error_deg(self) -> float:
+        return self.parameters.position_error_arcsec * _ARCSEC_DEG / 1.5
+
+    def _error_arguments(self, encoder_deg: Array) -> tuple[Array, Array]:
+        first_deg, second_deg = self.parameters.position_error_phases_deg
+        return np.deg2rad(encoder_deg + first_deg), np.deg2rad(2.0 * encoder_deg + second_deg)
+
+    def _true_angle(self, encoder_deg: Array) -> Array:
+        first, second = self._error_arguments(encoder_deg)
+        return encoder_deg + self._error_deg * (np.sin(first) + 0.5 * np.sin(second))

@@ -1,0 +1,235 @@
+"""Driver of the Acutronic Acutrol 3000 table controller, on RS-232 or its TCP socket.
+
+Source: command language manual TM-8004. On a continuous axis the controller takes the shortest
+way to a position, so a turn of 180 deg has no sure direction: axes have to be set up with
+position limits. There the demanded angle itself decides the direction.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+from bench.clock import Deadline
+from bench.errors import FaultError, NoReplyError, RefusedError, ReplyError
+from drivers.rate_table import TableReading
+from drivers.rate_table.acl_messages import (
+    ABORTS,
+    DYNAMICS_POSITION_COMPLETE,
+    INTERLOCKS,
+    PREFIX_BYTES,
+    SOFTWARE_FAULTS,
+    STATE_SERVOED,
+    ReplyFraming,
+    set_bits,
+)
+from drivers.serial_line import SerialLine
+
+_REGISTER = re.compile(r"\d{1,10}", re.ASCII)
+#: Modes whose limits bound the motions of this driver: Off (controlled stop), Position, Rate.
+_LIMITED_MODES = ("O", "P", "R")
+_SERVO_TIME_S = 5.0
+_STANDSTILL_TIME_S = 30.0
+_STANDSTILL_DPS = 0.01
+_POLL_S = 0.1
+#: After a failed exchange the line must be silent for this share of the reply time-out.
+_SILENCE_SHARE = 0.25
+
+
+class Acutrol3000:
+    """A table behind an Acutrol 3000; implements :class:`drivers.rate_table.RateTable`.
+
+    Parameters
+    ----------
+    line : SerialLine
+        The line to the controller; closed by :meth:`close`.
+    axes : sequence of int
+        Numbers of the axes in use.
+    reply_timeout_s : float
+        Time allowed from a command to the end of its reply.
+    """
+
+    def __init__(self, line: SerialLine, axes: Sequence[int] = (1, 2), reply_timeout_s: float = 2.0) -> None:
+        self._line = line
+        self._axes = tuple(sorted(axes))
+        self._reply_timeout_s = reply_timeout_s
+        self._framing = ReplyFraming()
+        self._out_of_step = False
+        self._limits: tuple[float, float, float] | None = None
+        self._moved = self._axes
+        self._read_query = ":Read:" + ";".join(f"Position? {n};Rate? {n}" for n in self._axes)
+        self._done_query = self._status_query("STATE", "DYN")
+        self._fault_query = self._status_query("STATE", "SWFLT", "INTLK")
+
+    def identify(self) -> str:
+        """Answer to ``*IDN?``."""
+        return self._exchange("*IDN?")
+
+    def prepare(self) -> None:
+        """Lock the front panel out, clear faults, close the servos, set the limits given before."""
+        self._command(":Utility:Lockout ON")
+        self._command(":Interlock:Reset")
+        try:
+            self._command(self._each_axis(":Interlock:", "Close"))
+        except RefusedError as error:
+            raise self._no_servo() from error
+        self._await_servo()
+        if self._limits is not None:
+            self.set_limits(*self._limits)
+
+    def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:
+        """Bound positioning, turning and stopping of every axis."""
+        bounds = ",".join(map(_number, (rate_dps, acceleration_dps2, jerk_dps3)))
+        self._command(";".join(f":Limit {n},{mode},{bounds}" for n in self._axes for mode in _LIMITED_MODES))
+        self._limits = (rate_dps, acceleration_dps2, jerk_dps3)
+
+    def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
+        """Start to move axes to absolute angles, in one message and so in one servo frame."""
+        axes = tuple(sorted(angles_deg))
+        # demands first: a mode entered with an old demand would start towards that
+        self._command(
+            ":Limit:"
+            + ";".join(f"Rate P,{n},{_number(rate_dps)}" for n in axes)
+            + ";:Demand:"
+            + ";".join(f"Position {n},{_number(angles_deg[n])}" for n in axes)
+            + ";:Mode:"
+            + ";".join(f"Position {n}" for n in axes)
+        )
+        self._moved = axes
+
+    def in_position(self) -> bool:
+        """Whether the controller calls the position profile of every axis last moved complete."""
+        values = self._registers(self._done_query, 2)
+        if not all(state & STATE_SERVOED for state, _ in values.values()):
+            raise self._no_servo()
+        return all(values[n][1] & DYNAMICS_POSITION_COMPLETE for n in self._moved)
+
+    def turn_at(self, axis: int, rate_dps: float) -> None:
+        """Turn one axis at a constant rate until told otherwise."""
+        self._command(f":Demand:Rate {axis},{_number(rate_dps)};:Mode:Rate {axis}")
+
+    def read(self) -> TableReading:
+        """Position and rate of all axes in one servo frame."""
+        text = self._exchange(self._read_query)
+        try:
+            values = tuple(map(float, text.split(";")))
+        except ValueError:
+            raise self._unexpected(self._read_query, text) from None
+        if len(values) != 2 * len(self._axes) or not all(map(math.isfinite, values)):
+            raise self._unexpected(self._read_query, text)
+        return TableReading(values[0::2], values[1::2])
+
+    def faults(self) -> list[str]:
+        """Latched faults and open interlocks of every axis."""
+        words = []
+        for axis, (state, software, interlock) in self._registers(self._fault_query, 3).items():
+            found = set_bits(software, SOFTWARE_FAULTS, "software fault")
+            found += set_bits(interlock, INTERLOCKS, "interlock")
+            found = found or [name for bit, name in ABORTS.items() if state >> bit & 1]
+            words += [f"axis {axis}: {fault}" for fault in found]
+        return words
+
+    def stop(self) -> None:
+        """Begin a controlled stop of all axes; the servos stay closed."""
+        self._command(self._each_axis(":Mode:", "Off"))
+
+    def release(self) -> None:
+        """Stop, wait for rest but not for ever, open the servos, give the front panel back."""
+        try:
+            self.stop()
+            self._await_standstill()
+        finally:
+            self._command(self._each_axis(":Interlock:", "Open"))
+        self._command(":Utility:Lockout OFF")
+
+    def close(self) -> None:
+        """Close the line; the table stays as it is."""
+        self._line.close()
+
+    def _each_axis(self, node: str, command: str) -> str:
+        return node + ";".join(f"{command} {n}" for n in self._axes)
+
+    def _status_query(self, *registers: str) -> str:
+        return ":Status:" + ";".join(f"CSR? A{n}{register}" for n in self._axes for register in registers)
+
+    def _await_servo(self) -> None:
+        clock = self._line.clock
+        deadline = Deadline(clock, _SERVO_TIME_S)
+        while not all(state & STATE_SERVOED for state, _ in self._registers(self._done_query, 2).values()):
+            if deadline.expired():
+                raise self._no_servo()
+            clock.sleep(_POLL_S)
+
+    def _await_standstill(self) -> None:
+        clock = self._line.clock
+        deadline = Deadline(clock, _STANDSTILL_TIME_S)
+        while any(abs(rate) > _STANDSTILL_DPS for rate in self.read().rate_dps) and not deadline.expired():
+            clock.sleep(_POLL_S)
+
+    def _no_servo(self) -> FaultError:
+        causes = "; ".join(self.faults()) or "the controller names no fault"
+        return FaultError(
+            self._line.instrument,
+            f"an axis is not under servo control ({causes}). Clear the cause and prepare the table again.",
+        )
+
+    def _registers(self, query: str, count: int) -> dict[int, tuple[int, ...]]:
+        """Status registers of each axis, ``count`` of each."""
+        text = self._exchange(query)
+        values = text.split(";")
+        if len(values) != count * len(self._axes) or not all(map(_REGISTER.fullmatch, values)):
+            raise self._unexpected(query, text)
+        numbers = tuple(map(int, values))
+        return {n: numbers[i * count : (i + 1) * count] for i, n in enumerate(self._axes)}
+
+    def _command(self, message: str) -> None:
+        # some firmware sends an empty line instead of OK
+        if (text := self._exchange(message)) not in ("OK", ""):
+            raise self._unexpected(message, text)
+
+    def _exchange(self, message: str) -> str:
+        """Send one message and return the text of its reply."""
+        line = self._line
+        if self._out_of_step:
+            self._await_silence()
+        line.discard_input()
+        self._out_of_step = True
+        line.write(message.encode("ascii") + b"\r\n")
+        deadline = Deadline(line.clock, self._reply_timeout_s)
+        try:
+            prefix = line.read(PREFIX_BYTES, deadline)
+            decoded = self._framing.decode(prefix)
+            if decoded is None:
+                raise self._unexpected(message, prefix.hex(" "))
+            code, length = decoded
+            body = line.read(length, deadline) if length else b""
+        except NoReplyError as error:
+            detail = str(error).removeprefix(f"{line.instrument}: ")
+            raise NoReplyError(line.instrument, f"no complete reply to {message}: {detail}") from error
+        text = body.decode("ascii", errors="backslashreplace").strip()
+        self._out_of_step = False
+        if code:
+            raise RefusedError(line.instrument, f"{message} was refused with error {code} {text}".rstrip())
+        return text
+
+    def _unexpected(self, message: str, reply: str) -> ReplyError:
+        self._out_of_step = True
+        return ReplyError(
+            self._line.instrument,
+            f"{message} was answered by {reply!r}. Does another program use this line?",
+        )
+
+    def _await_silence(self) -> None:
+        """Let a late reply arrive, so that it can't be taken for the next one."""
+        clock = self._line.clock
+        deadline = Deadline(clock, self._reply_timeout_s)
+        while not deadline.expired():
+            try:
+                self._line.read(1, Deadline(clock, _SILENCE_SHARE * self._reply_timeout_s))
+            except NoReplyError:
+                return
+
+
+def _number(value: float) -> str:
+    return f"{value:.6f}"

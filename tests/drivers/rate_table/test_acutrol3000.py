@@ -1,0 +1,314 @@
+import struct
+import time
+from contextlib import suppress
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
+from drivers.emulators.acl_axis import SoftwareFault
+from drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from drivers.rate_table import RateTable, TableReading
+from drivers.rate_table.acutrol3000 import Acutrol3000
+
+FAST = AxisParameters(
+    rate_limit_dps=2000.0,
+    acceleration_limit_dps2=2e4,
+    jerk_limit_dps3=2e6,
+    settling_time_constant_s=0.001,
+)
+
+
+def reply(text, code=0, order="<"):
+    return struct.pack(order + "II", code, len(text)) + text.encode()
+
+
+def emulator(**options):
+    return Acutrol3000Emulator({1: TableAxis(FAST), 2: TableAxis(FAST)}, **options)
+
+
+@pytest.fixture
+def controller():
+    return emulator()
+
+
+@pytest.fixture
+def table(controller, serve):
+    with serve(controller) as line:
+        yield Acutrol3000(line)
+
+
+def wait_until(condition, limit_s=3.0):
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+# on the emulator
+
+
+def test_it_is_a_rate_table(table):
+    as_interface: RateTable = table
+    assert as_interface.identify().startswith("Acutronic R&D USA,Acutrol3000,")
+
+
+@pytest.mark.parametrize("word_order", ["little", "big"])
+def test_the_byte_order_of_the_prefix_is_detected(serve, word_order):
+    with serve(emulator(word_order=word_order)) as line:
+        table = Acutrol3000(line)
+        table.prepare()
+        assert table.read() == TableReading((0.0, 0.0), (0.0, 0.0))
+
+
+def test_preparing_closes_the_servos_and_locks_the_panel_out(table, controller):
+    table.prepare()
+    assert controller.axes[1].closed
+    assert controller.axes[2].closed
+    assert controller.feed(b":utility:lockout?\n", 1e6)[8:] == b"ON"
+
+
+def test_a_move_brings_every_axis_to_its_angle_in_the_direction_of_the_difference(table, controller):
+    table.prepare()
+    table.move_to({1: 190.0, 2: -370.5}, rate_dps=1500.0)
+    seen = []
+    wait_until(lambda: seen.append(table.read()) or table.in_position())
+    assert table.read().position_deg == pytest.approx((190.0, -370.5), abs=0.006)
+    assert all(reading.position_deg[0] >= 0.0 >= reading.position_deg[1] for reading in seen)
+    starts_s = {axis.physics._motions[-1].start_s for axis in controller.axes.values()}
+    assert len(starts_s) == 1
+
+
+def test_a_move_of_one_axis_does_not_wait_for_the_other(table):
+    table.prepare()
+    for angle in (90.0, -90.0, 0.0):
+        table.move_to({2: angle}, rate_dps=500.0)
+        assert not table.in_position()
+        wait_until(table.in_position)
+        assert table.read().position_deg == pytest.approx((0.0, angle), abs=0.006)
+
+
+def test_a_move_keeps_to_the_rate_asked_for(table, controller):
+    table.prepare()
+    table.move_to({1: 20.0, 2: 5.0}, rate_dps=100.0)
+    rates = []
+    wait_until(lambda: rates.append(table.read().rate_dps[0]) or table.in_position())
+    assert max(rates) == pytest.approx(100.0, rel=1e-3)
+
+
+def test_limits_bound_the_acceleration_and_survive_a_new_preparation(table, controller):
+    table.set_limits(1000.0, 400.0, 1e5)
+    controller.axes[1].limits = dict.fromkeys(controller.axes[1].limits, controller.axes[1].widest)
+    table.prepare()
+    table.turn_at(1, 100.0)
+    time.sleep(0.05)
+    assert abs(table.read().rate_dps[0]) < 40.0
+
+
+def test_turning_holds_the_rate_and_stop_ends_it(table):
+    table.prepare()
+    table.turn_at(2, -300.0)
+    wait_until(lambda: table.read().rate_dps == pytest.approx((0.0, -300.0)))
+    table.stop()
+    wait_until(lambda: table.read().rate_dps == (0.0, 0.0))
+    assert not table.in_position()
+
+
+def test_a_turn_can_follow_a_move_and_a_move_a_turn(table):
+    table.prepare()
+    table.move_to({1: 10.0, 2: 0.0}, rate_dps=500.0)
+    wait_until(table.in_position)
+    table.turn_at(1, 200.0)
+    wait_until(lambda: table.read().rate_dps[0] == pytest.approx(200.0))
+    table.move_to({1: 10.0, 2: 0.0}, rate_dps=500.0)
+    wait_until(table.in_position)
+    assert table.read().position_deg[0] == pytest.approx(10.0, abs=0.006)
+
+
+def test_releasing_stops_the_table_before_it_opens_the_servos(table, controller):
+    table.prepare()
+    table.turn_at(1, 500.0)
+    table.release()
+    assert not controller.axes[1].closed
+    assert not controller.axes[1].physics.is_moving(1e6)
+    assert table.faults() == []
+    assert controller.feed(b":utility:lockout?\n", 1e6)[8:] == b"OFF"
+
+
+def test_a_table_that_was_never_prepared_can_be_released(table):
+    table.release()
+    assert table.faults() == []
+
+
+def test_a_trip_is_told_in_words_and_ends_the_wait_for_the_position(table, controller):
+    table.prepare()
+    table.move_to({1: 300.0, 2: 0.0}, rate_dps=100.0)
+    controller.trip(2, SoftwareFault.FINE_FEEDBACK_LOSS, table._line.clock.now())
+    assert table.faults() == ["axis 2: fine feedback lost"]
+    with pytest.raises(FaultError, match="axis 2: fine feedback lost"):
+        table.in_position()
+    table.prepare()
+    assert table.faults() == []
+
+
+def test_an_open_interlock_keeps_the_table_from_being_prepared(table, controller):
+    controller.open_interlock(1, 0.0, bit=9)
+    with pytest.raises(FaultError, match="axis 1: master interlock or front panel"):
+        table.prepare()
+    controller.close_interlock(1, bit=9)
+    table.prepare()
+    assert table.faults() == []
+
+
+def test_what_the_controller_refuses_is_refused_by_name_and_the_line_stays_in_step(table):
+    table.prepare()
+    with pytest.raises(RefusedError, match=r"Position 1,500\.000000.*200 Parameter out of range"):
+        table.move_to({1: 500.0}, rate_dps=10.0)
+    with pytest.raises(RefusedError, match="Rate 3"):
+        table.turn_at(3, 1.0)
+    with pytest.raises(RefusedError, match="Rate 1,nan"):
+        table.turn_at(1, float("nan"))
+    assert table.read().rate_dps == (0.0, 0.0)
+
+
+def test_moving_without_servo_is_refused(table):
+    with pytest.raises(RefusedError, match="Not servoed"):
+        table.move_to({1: 5.0}, rate_dps=10.0)
+
+
+def test_a_single_axis_table_reads_one_axis(serve):
+    with serve(Acutrol3000Emulator({1: TableAxis(FAST, position_deg=10.0001)})) as line:
+        assert Acutrol3000(line, axes=[1]).read() == TableReading((10.0001,), (0.0,))
+
+
+# on replies that are wrong
+
+
+def test_silence_is_reported_with_the_command(serve, scripted):
+    with serve(scripted()) as line, pytest.raises(NoReplyError, match=r"\*IDN\?.*0 of 8 bytes"):
+        Acutrol3000(line, reply_timeout_s=0.02).identify()
+
+
+def test_a_truncated_prefix_is_no_reply(serve, scripted):
+    with serve(scripted(b"\x00\x00\x00")) as line, pytest.raises(NoReplyError, match="3 of 8 bytes"):
+        Acutrol3000(line, reply_timeout_s=0.02).identify()
+
+
+def test_a_text_shorter_than_its_length_is_no_reply(serve, scripted):
+    with serve(scripted(reply("10.0001")[:-2])) as line, pytest.raises(NoReplyError, match="5 of 7 bytes"):
+        Acutrol3000(line, reply_timeout_s=0.02).identify()
+
+
+def test_an_absurd_length_is_a_wrong_reply(serve, scripted):
+    with (
+        serve(scripted(b"\x00\x00\x00\x00\xff\xff\xff\xff")) as line,
+        pytest.raises(ReplyError, match="ff ff"),
+    ):
+        Acutrol3000(line, reply_timeout_s=0.02).identify()
+
+
+def test_an_error_code_without_text_is_a_refusal(serve, scripted):
+    with serve(scripted(reply("", code=7))) as line, pytest.raises(RefusedError, match="error 7"):
+        Acutrol3000(line).stop()
+
+
+@pytest.mark.parametrize("text", ["", "OK", "1.0;2.0;3.0", "1.0;2.0;3.0;4.0;5.0", "1;2;3;nan", "1;2;3;x"])
+def test_a_reading_that_is_not_two_numbers_an_axis_is_a_wrong_reply(serve, scripted, text):
+    with serve(scripted(reply(text))) as line, pytest.raises(ReplyError, match=":Read:"):
+        Acutrol3000(line).read()
+
+
+@pytest.mark.parametrize("text", ["", "OK", "16", "16;x", "16;256;16;-1", "16;256;16;" + "9" * 5000])
+def test_registers_that_are_no_registers_are_a_wrong_reply(serve, scripted, text):
+    with serve(scripted(reply(text))) as line, pytest.raises(ReplyError, match=":Status:"):
+        Acutrol3000(line).in_position()
+
+
+def test_a_command_answered_by_a_number_is_a_wrong_reply(serve, scripted):
+    with serve(scripted(reply("10.0"))) as line, pytest.raises(ReplyError, match=":Mode:Off 1;Off 2"):
+        Acutrol3000(line).stop()
+
+
+def test_firmware_that_answers_commands_with_an_empty_line_is_understood(serve, scripted):
+    with serve(scripted(reply("\r\n"))) as line:
+        Acutrol3000(line).stop()
+
+
+def test_what_nobody_asked_for_is_not_taken_for_a_reply(serve, scripted):
+    table_replies = scripted(reply("stale") + reply("OK"), reply("OK"))
+    with serve(table_replies) as line:
+        table = Acutrol3000(line, reply_timeout_s=0.2)
+        assert table.identify() == "stale"
+        wait_until(lambda: line._port.in_waiting > 0)
+        table.stop()
+
+
+def test_a_late_reply_is_not_taken_for_the_next_one(serve):
+    class Late:
+        latency_s = 0.0
+        count = 0
+
+        def feed(self, data, now_s):
+            self.count += 1
+            if self.count == 1:
+                time.sleep(0.12)
+            return reply(f"answer {self.count}")
+
+    with serve(Late()) as line:
+        table = Acutrol3000(line, reply_timeout_s=0.1)
+        with pytest.raises(NoReplyError):
+            table.identify()
+        assert table.identify() == "answer 2"
+
+
+def test_a_change_of_byte_order_is_noticed_and_then_accepted(serve, scripted):
+    with serve(scripted(reply("OK"), reply("OK", order=">"), reply("OK", order=">"))) as line:
+        table = Acutrol3000(line, reply_timeout_s=0.05)
+        table.stop()
+        with pytest.raises(ReplyError):
+            table.stop()
+        table.stop()
+
+
+def test_closing_closes_the_line(serve, scripted):
+    with serve(scripted()) as line:
+        Acutrol3000(line).close()
+        with pytest.raises(InstrumentError):
+            Acutrol3000(line).identify()
+
+
+replies = st.one_of(
+    st.binary(max_size=40),
+    st.text(alphabet="0123456789.;-+eOKnaif \r\n", max_size=40).map(reply),
+    st.builds(
+        lambda body, code: struct.pack("<II", code, len(body)) + body,
+        st.binary(max_size=20),
+        st.integers(0, 2**32 - 1),
+    ),
+)
+requests = {
+    "identify": lambda table: table.identify(),
+    "prepare": lambda table: table.prepare(),
+    "move": lambda table: table.move_to({1: 1.0, 2: 2.0}, 5.0),
+    "done": lambda table: table.in_position(),
+    "read": lambda table: table.read(),
+    "faults": lambda table: table.faults(),
+    "stop": lambda table: table.stop(),
+}
+
+
+def test_no_reply_makes_the_driver_raise_anything_but_instrument_errors(serve, scripted):
+    instrument = scripted()
+    with serve(instrument) as line:
+        table = Acutrol3000(line, reply_timeout_s=0.01)
+
+        @settings(max_examples=80, deadline=None)
+        @given(st.lists(replies, max_size=3), st.sampled_from(sorted(requests)))
+        def check(answers, request):
+            instrument.replies = list(answers)
+            with suppress(InstrumentError):
+                requests[request](table)
+
+        check()
