@@ -245,10 +245,10 @@ class _NodeReader:
         for key_node, value_node in node.value:
             key = str(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "(not a plain key)"
             here = (*location, key)
+            self.places[here] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if key in result:
                 self.problems.append(Problem(here, f"the key {_quoted(key)} is given twice"))
                 continue
-            self.places[here] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             result[key] = self.plain(value_node, here)
         return result
 

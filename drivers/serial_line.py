@@ -43,12 +43,16 @@ class SerialLine:
 
     _open = False
 
-    def __init__(self, instrument: str, url: str, clock: Clock, baudrate: int = 9600, parity: str = "N") -> None:
+    def __init__(
+        self, instrument: str, url: str, clock: Clock, baudrate: int = 9600, parity: str = "N"
+    ) -> None:
         self.instrument = instrument
         self.url = url
         self.clock = clock
         try:
-            self._port = serial.serial_for_url(url, baudrate=baudrate, parity=parity, timeout=0, write_timeout=5)
+            self._port = serial.serial_for_url(
+                url, baudrate=baudrate, parity=parity, timeout=0, write_timeout=5
+            )
         except (serial.SerialException, ValueError, OSError) as error:
             raise ConnectionFailedError(
                 instrument, f"can't open {url}: {error}. Check the station file's port and the cable."
@@ -131,4 +135,6 @@ class SerialLine:
             raise self._gone(error) from error
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
-        return ConnectionFailedError(self.instrument, f"{self.url} went away: {error}. Check cable and power.")
+        return ConnectionFailedError(
+            self.instrument, f"{self.url} went away: {error}. Check cable and power."
+        )

@@ -85,7 +85,17 @@ def test_agrees_with_an_independent_mechanisation_with_biases_and_a_turn():
         columns=["dt", "theta_x", "theta_y", "theta_z", "dv_x", "dv_y", "dv_z"],
         index=DT * np.arange(1, len(rotation) + 1),
     )
-    start = {"lat": 36.4, "lon": 0, "alt": HEIGHT, "VN": 0, "VE": 0, "VD": 0, "roll": 0, "pitch": 0, "heading": 0}
+    start = {
+        "lat": 36.4,
+        "lon": 0,
+        "alt": HEIGHT,
+        "VN": 0,
+        "VE": 0,
+        "VD": 0,
+        "roll": 0,
+        "pitch": 0,
+        "heading": 0,
+    }
     theirs = Integrator(pd.Series(start, dtype=float), with_altitude=False).integrate(table).iloc[100::100]
 
     np.testing.assert_allclose(ours[:, 4], theirs.VE, atol=2e-6)

@@ -1,0 +1,138 @@
+"""The command line; each command calls one function, and imports what it needs when it runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.errors import DocumentError, GyrobenchError, InstrumentError
+
+app = typer.Typer(
+    help="Bench controller for calibrating the gyros of inertial navigation systems.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=True,
+    rich_markup_mode=None,
+)
+
+#: Exit codes: the run did not finish; a file or option is wrong; an instrument can't be reached.
+EXIT_NOT_FINISHED, EXIT_WRONG_INPUT, EXIT_INSTRUMENT = 1, 2, 3
+
+_STATION_HELP = "Station file, or the name of a shipped one."
+
+
+@app.command()
+def run(
+    procedure: Annotated[str, typer.Argument(help="Procedure file, or the name of a shipped one.")],
+    station: Annotated[str, typer.Option(help=_STATION_HELP)] = "emulated",
+    world: Annotated[
+        str, typer.Option(help="World behind emulated instruments: file or shipped name.")
+    ] = "gyro_a",
+    out: Annotated[Path | None, typer.Option(help="Run folder; by default a new one under runs/.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random in the emulated world.")] = 0,
+) -> None:
+    """Run a procedure and report each gyro's bias.
+
+    Example: gyrobench run six_position_fig7 --world gyro_b
+    """
+    from rich.console import Console
+
+    from bench.bias.bins import read_bins
+    from bench.bias.equality import compare_positions
+    from bench.engine.operator import ConsentingOperator
+    from bench.engine.session import prepare_job, run_job
+    from bench.progress_view import ProgressView
+    from bench.report.html import write_report
+    from bench.report.terminal import bins_table, durations_table
+    from bench.station.instruments import Emulation
+    from bench.terminal_operator import TerminalOperator
+
+    console = Console()
+    job = prepare_job(procedure, station, Emulation(world, seed))
+    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
+    with ProgressView(console, job.plan) as progress:
+        folder, outcome = run_job(job, out, progress, operator)
+    bins = read_bins(folder.bias_bins)
+    report = write_report(folder)
+    console.print(bins_table(bins, compare_positions(bins)))
+    console.print(durations_table(outcome.took_s))
+    for action in outcome.safe_state:
+        console.print(
+            f"{'FAILED: ' if action.problem else ''}{action.what}{_because(action.problem)}", soft_wrap=True
+        )
+    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    if outcome.ended != "finished":
+        console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+@app.command()
+def plan(
+    procedure: Annotated[str, typer.Argument(help="Procedure file, or the name of a shipped one.")],
+    station: Annotated[str, typer.Option(help=_STATION_HELP)] = "emulated",
+    figure: Annotated[Path | None, typer.Option(help="Draw the planned profile into this PNG file.")] = None,
+) -> None:
+    """Show what a procedure would do and how long it takes, without touching an instrument.
+
+    Example: gyrobench plan six_position_fig7 --figure plan.png
+    """
+    from rich.console import Console
+
+    from bench.engine.session import prepare_job
+    from bench.procedure.timeline import timeline_rows
+    from bench.report.terminal import timeline_table
+
+    job = prepare_job(procedure, station)
+    Console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
+    if figure is not None:
+        from bench.report.figures import plan_figure, save_figure
+
+        save_figure(plan_figure(job.plan), figure)
+        typer.echo(f"Figure   {figure}")
+
+
+@app.command()
+def bins(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]) -> None:
+    """Measure a run anew from its raw CAN log and write its tables again.
+
+    Example: gyrobench bins runs/six_position_fig7-001
+    """
+    from rich.console import Console
+
+    from bench.bias.bins import read_bins
+    from bench.bias.equality import compare_positions
+    from bench.engine.session import measure_again
+    from bench.report.html import write_report
+    from bench.report.terminal import bins_table
+
+    folder = measure_again(run_folder)
+    measured = read_bins(folder.bias_bins)
+    console = Console()
+    console.print(bins_table(measured, compare_positions(measured)))
+    console.print(
+        f"Report   {write_report(folder)}\nTables   {folder.dwells}, {folder.bias_bins}", soft_wrap=True
+    )
+
+
+def _because(problem: str) -> str:
+    return f": {problem}" if problem else ""
+
+
+def main() -> None:
+    """Run the command line; known errors become a message and an exit code."""
+    try:
+        app()
+    except DocumentError as error:
+        _fail(error, EXIT_WRONG_INPUT)
+    except InstrumentError as error:
+        _fail(error, EXIT_INSTRUMENT)
+    except GyrobenchError as error:
+        _fail(error, EXIT_NOT_FINISHED)
+
+
+def _fail(error: GyrobenchError, code: int) -> None:
+    typer.echo(f"gyrobench: {error}", err=True)
+    sys.exit(code)

@@ -1,0 +1,208 @@
+"""The engine: walks a plan step by step, and leaves the bench in its safe state."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Protocol
+
+from bench.bias.dwell_table import DwellRow, write_dwells
+from bench.clock import Deadline
+from bench.documents import Document
+from bench.engine.actions import Context, perform
+from bench.engine.dwell_recorder import DwellRecorder
+from bench.engine.live_bench import LiveBench
+from bench.engine.operator import Operator
+from bench.engine.safe_state import SafeAction, make_safe
+from bench.errors import GyrobenchError, RunStoppedError, StepTimeoutError
+from bench.measurement.dwell import MeasurementSetup, measure_dwell
+from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.steps import Align, GoTo, Turn
+from bench.run_store.folder import RunFolder
+from bench.run_store.journal import Journal
+
+
+class Progress(Protocol):
+    """Somebody who watches a run."""
+
+    def step_started(self, planned: PlannedStep, late_s: float) -> None:
+        """A step begins, so many seconds later than planned."""
+        ...
+
+    def ticked(self, bench: LiveBench, left_s: float) -> None:
+        """Time went on; so much is left by the plan."""
+        ...
+
+    def dwell_measured(self, row: DwellRow) -> None:
+        """A dwell is over and its biases are known."""
+        ...
+
+
+@dataclass
+class RunOutcome:
+    """How a run ended.
+
+    Attributes
+    ----------
+    ended : str
+        "finished", "stopped" (somebody asked) or "failed".
+    reason : str
+        Why it did not finish; empty where it did.
+    rows : list of DwellRow
+        What was measured.
+    duration_s : float
+        On the run's clock.
+    took_s : dict of str to list of tuple
+        Planned and real duration of every step done, by kind.
+    safe_state : list of SafeAction
+        What was done at the end, and how it went.
+    """
+
+    ended: str = "finished"
+    reason: str = ""
+    rows: list[DwellRow] = field(default_factory=list)
+    duration_s: float = 0.0
+    took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    safe_state: list[SafeAction] = field(default_factory=list)
+
+
+class Engine:
+    """Runs one plan on one bench.
+
+    Parameters
+    ----------
+    document : Document
+        The procedure's file, to say where a step stands.
+    plan : Plan
+        What to do.
+    bench : LiveBench
+        The opened bench.
+    setup : MeasurementSetup
+        What turns frames into biases.
+    folder, journal
+        Where the run leaves its results.
+    operator, progress
+        The person to ask, and the one who watches.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        plan: Plan,
+        bench: LiveBench,
+        setup: MeasurementSetup,
+        folder: RunFolder,
+        journal: Journal,
+        operator: Operator,
+        progress: Progress,
+    ) -> None:
+        self._document = document
+        self._plan = plan
+        self._bench = bench
+        self._setup = setup
+        self._folder = folder
+        self._journal = journal
+        self._progress = progress
+        self._recorder = DwellRecorder(bench)
+        self._context = Context(bench, operator, self._recorder)
+        self._outcome = RunOutcome()
+
+    def run(self) -> RunOutcome:
+        """Perform all steps, then go to the safe state, whatever happened.
+
+        A failure that gyrobench knows of is told by the outcome; any other exception is raised
+        once the bench is safe.
+        """
+        outcome, begin_s = self._outcome, self._bench.clock.now()
+        try:
+            self._bench.start()
+            for planned in self._plan.steps:
+                self._perform(planned)
+        except RunStoppedError as error:
+            outcome.ended, outcome.reason = "stopped", str(error)
+        except GyrobenchError as error:
+            outcome.ended, outcome.reason = "failed", str(error)
+        except BaseException as error:
+            outcome.ended, outcome.reason = "failed", f"unexpected {type(error).__name__}: {error}"
+            raise
+        finally:
+            outcome.duration_s = self._bench.clock.now() - begin_s
+            self._end()
+        return outcome
+
+    def _perform(self, planned: PlannedStep) -> None:
+        bench, clock = self._bench, self._bench.clock
+        begin_s = clock.now()
+        what = planned.step.describe()
+        self._journal.record("step_started", step=planned.number, what=what, label=planned.label)
+        self._progress.step_started(planned, begin_s - planned.start_s)
+        bench.step, bench.dwell = planned.number, planned.dwell or 0
+        self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
+        if isinstance(planned.step, Align) and not self._recorder.unit:
+            self._identify_unit()
+        if isinstance(planned.step, GoTo):
+            self._context.turn_to_come_deg = self._turns_after(planned)
+        deadline = Deadline(clock, planned.timeout_s)
+        for _ in perform(planned.step, self._context):
+            bench.tick()
+            self._progress.ticked(bench, self._plan.duration_s - planned.start_s - (clock.now() - begin_s))
+            if deadline.expired():
+                raise StepTimeoutError(self._late(planned))
+        took_s = clock.now() - begin_s
+        self._outcome.took_s.setdefault(planned.step.name, []).append((planned.duration_s, took_s))
+        self._journal.record(
+            "step_finished",
+            step=planned.number,
+            planned_s=round(planned.duration_s, 3),
+            took_s=round(took_s, 3),
+        )
+        if planned.dwell and self._is_last_of_dwell(planned):
+            self._finish_dwell()
+
+    def _identify_unit(self) -> None:
+        ins = self._bench.instruments.ins
+        self._recorder.unit = str(ins.identity().get("serial_number", "unknown"))
+        self._journal.record("ins_identified", unit=self._recorder.unit, identity=ins.identify())
+
+    def _late(self, planned: PlannedStep) -> str:
+        return (
+            f"{self._document.place(planned.location)}: step {planned.number} "
+            f"({planned.label}: {planned.step.describe()}) was not over after {planned.timeout_s:.0f} s. "
+            "Look at the instrument that it waits for, or give the step a longer timeout_s"
+        )
+
+    def _turns_after(self, planned: PlannedStep) -> float:
+        total_deg = 0.0
+        for later in self._plan.steps[planned.number :]:
+            if isinstance(later.step, GoTo):
+                break
+            if isinstance(later.step, Turn):
+                total_deg += later.step.angle_deg
+        return total_deg
+
+    def _is_last_of_dwell(self, planned: PlannedStep) -> bool:
+        later = self._plan.steps[planned.number : planned.number + 1]
+        return not later or later[0].dwell != planned.dwell
+
+    def _finish_dwell(self) -> None:
+        capture = self._bench.capture
+        if capture is None:
+            return
+        marks = self._recorder.marks()
+        measured = measure_dwell(marks, capture.frames(), self._setup)
+        self._bench.end_capture()
+        self._journal.record(
+            "dwell_finished", marks=marks.to_json(), flags=measured.row.flags, epochs=asdict(measured.counts)
+        )
+        self._outcome.rows.append(measured.row)
+        write_dwells(self._folder.dwells, self._outcome.rows)
+        self._progress.dwell_measured(measured.row)
+
+    def _end(self) -> None:
+        outcome = self._outcome
+        outcome.safe_state = make_safe(self._bench.station, self._bench.instruments)
+        self._journal.record(
+            "run_ended",
+            ended=outcome.ended,
+            reason=outcome.reason,
+            safe_state=[{"what": action.what, "problem": action.problem} for action in outcome.safe_state],
+        )

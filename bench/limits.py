@@ -1,0 +1,30 @@
+"""What a station can do: the limits that a plan must keep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class StationLimits:
+    """Limits of one station's chamber and table.
+
+    Attributes
+    ----------
+    chamber_low_c, chamber_high_c : float
+        Range of the chamber's set point.
+    ramp_max_c_per_min : float
+        Fastest ramp of the chamber, up or down.
+    table_rate_max_dps : float
+        Fastest turn of either axis of the table.
+    reachable : callable
+        ``reachable(position, azimuth_deg)`` gives the reason why the table can't stand there,
+        None where it can.
+    """
+
+    chamber_low_c: float
+    chamber_high_c: float
+    ramp_max_c_per_min: float
+    table_rate_max_dps: float
+    reachable: Callable[[str, float], str | None]

@@ -1,0 +1,90 @@
+"""Marks: which frames make a dwell, and what table and chamber were doing.
+
+Windows are bounded by CAN time stamps that lie between two frames, so that the raw log gives the
+very frames that were there live.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bench.errors import RunFolderError
+
+
+@dataclass(frozen=True)
+class WindowMark:
+    """One stretch of navigation at rest.
+
+    Attributes
+    ----------
+    frames_from, frames_until : float
+        CAN time stamps between which its frames arrived, s.
+    outer_deg, inner_deg : float
+        Where the table stood, by its own reading.
+    """
+
+    frames_from: float
+    frames_until: float
+    outer_deg: float
+    inner_deg: float
+
+
+@dataclass(frozen=True)
+class DwellMarks:
+    """All that is known of a dwell beside its frames.
+
+    Attributes
+    ----------
+    unit, run : str
+        Serial number of the INS; one value per power-on.
+    dwell, cycle : int
+        As in the dwell table.
+    position, azimuth_deg : str, float
+        Where the dwell began.
+    frames_from : float
+        CAN time stamp at which its alignment began, s.
+    windows : tuple of WindowMark
+        In the order of time; the paper's method has two.
+    start_s, end_s, since_power_on_s : float
+        Times of the first and last window's ends on the run's clock, and from power-on to the first.
+    chamber_set_c, chamber_c : float or None
+        Set point, and mean of the air; None where the chamber was not controlled or not read.
+    disturbances : tuple of str
+        What went wrong while it lasted; a disturbed dwell is kept out of the bins.
+    """
+
+    unit: str
+    run: str
+    dwell: int
+    cycle: int
+    position: str
+    azimuth_deg: float
+    frames_from: float
+    windows: tuple[WindowMark, ...]
+    start_s: float
+    end_s: float
+    since_power_on_s: float
+    chamber_set_c: float | None
+    chamber_c: float | None
+    disturbances: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the journal."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> DwellMarks:
+        """Undo :meth:`to_json`.
+
+        Raises
+        ------
+        RunFolderError
+            The data are not those of a dwell.
+        """
+        try:
+            windows = tuple(WindowMark(**window) for window in data["windows"])
+            return cls(**{**data, "windows": windows, "disturbances": tuple(data["disturbances"])})
+        except (KeyError, TypeError) as error:
+            raise RunFolderError(f"journal: damaged marks of a dwell: {error}") from error

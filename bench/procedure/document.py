@@ -1,0 +1,207 @@
+"""A procedure as written: its YAML file, checked step by step where each stands.
+
+Loops (``repeat``) and variables (``$name``) are still in it; :mod:`bench.procedure.plan` takes
+them out. A step is validated here with the values that stand in the file; a value that is a
+variable is checked when the plan gives it its value.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, PlainValidator, ValidationError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+from bench.documents import Document, Location, Problem, StrictModel, hint, read_document, validate
+from bench.procedure.step import Step
+from bench.procedure.steps import STEP_KINDS
+
+#: A value that a loop variable can take.
+Value = float | int | str
+
+_VARIABLE = re.compile(r"\$([a-z][a-z0-9_]*)")
+_ALLOWED_STEPS = (*STEP_KINDS, "repeat")
+_STEP_KEYS = frozenset(key for kind in STEP_KINDS.values() for key in kind.model_fields)
+
+
+@dataclass(frozen=True)
+class StepTemplate:
+    """A step as written: its kind, and its keys with variables still in them."""
+
+    kind: type[Step]
+    values: Mapping[str, Any]
+
+    def variables(self) -> dict[str, str]:
+        """Names of the variables by the keys that they stand for."""
+        names = {key: variable_in(value) for key, value in self.values.items()}
+        return {key: name for key, name in names.items() if name is not None}
+
+
+def _checked_value(value: Any) -> Value:
+    if variable_in(value) is not None:
+        raise ValueError("a loop goes over values, not over other variables")
+    if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    raise ValueError("expected a number or text")
+
+
+class Repeat(StrictModel):
+    """Steps done once for every combination of values, the first variable outermost."""
+
+    over: dict[
+        Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")],
+        Annotated[list[Annotated[Value, PlainValidator(_checked_value)]], Field(min_length=1)],
+    ] = Field(min_length=1, description="values of each loop variable")
+    steps: list[Entry] = Field(min_length=1, description="what to do with them")
+
+
+class Procedure(StrictModel):
+    """A procedure file."""
+
+    procedure: str = Field(
+        pattern="^[A-Za-z0-9_-]{1,80}$", description="name: letters, digits, underscore, hyphen"
+    )
+    description: str = Field(default="", description="what it measures, for people")
+    assumptions: list[str] = Field(
+        default=[], description="what its source does not tell and was chosen here"
+    )
+    bin_width_c: float = Field(default=5.0, gt=0.0, le=100.0, description="width of a temperature bin, degC")
+    steps: list[Entry] = Field(min_length=1, description="what to do, in order")
+
+
+def _checked_entry(entry: Any) -> StepTemplate | Repeat:
+    """Turn ``{name: {key: value}}`` into a template or a loop; a bare name has no keys."""
+    if isinstance(entry, str):
+        entry = {entry: None}
+    if not isinstance(entry, dict) or len(entry) != 1:
+        raise ValueError("expected one step, written as 'name: {key: value, ...}'")
+    [(name, values)] = entry.items()
+    if name not in _ALLOWED_STEPS:
+        allowed = ", ".join(_ALLOWED_STEPS)
+        message = f"unknown step {json.dumps(name)}{hint(name, _ALLOWED_STEPS)}; allowed here: {allowed}"
+        raise PydanticCustomError("unknown_key", message)
+    if values is not None and not isinstance(values, dict):
+        raise ValueError(f"expected the keys of '{name}', written as 'key: value'")
+    return _loop(values or {}) if name == "repeat" else _template(STEP_KINDS[name], values or {})
+
+
+def _loop(values: dict[str, Any]) -> Repeat:
+    try:
+        return Repeat.model_validate(values)
+    except ValidationError as error:
+        raise _error_below("repeat", error.errors()) from error
+
+
+def _template(kind: type[Step], values: dict[str, Any]) -> StepTemplate:
+    try:
+        kind.model_validate(values)
+    except ValidationError as error:
+        details = [detail for detail in error.errors() if not _is_about_a_variable(detail)]
+        if details:
+            raise _error_below(kind.name, details) from error
+    return StepTemplate(kind, values)
+
+
+def _is_about_a_variable(detail: ErrorDetails) -> bool:
+    return detail["type"] != "unknown_key" and variable_in(detail["input"]) is not None
+
+
+def _error_below(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
+    """Put errors of a value under the key that the value belongs to."""
+    lines = [
+        InitErrorDetails(
+            type=PydanticCustomError(detail["type"], detail["msg"]),
+            loc=(key, *detail["loc"]),
+            input=detail["input"],
+        )
+        for detail in details
+    ]
+    return ValidationError.from_exception_data(key, lines)
+
+
+Entry = Annotated[StepTemplate | Repeat, PlainValidator(_checked_entry)]
+Repeat.model_rebuild()
+Procedure.model_rebuild()
+
+
+def load_procedure(path: Path) -> tuple[Document, Procedure]:
+    """Read a procedure file and check all that can be checked without unrolling its loops.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything that is wrong, each with its place in the file.
+    """
+    document = read_document(path)
+    return document, checked_procedure(document)
+
+
+def checked_procedure(document: Document) -> Procedure:
+    """Turn a document into a procedure; see :func:`load_procedure`."""
+    procedure = validate(document, Procedure)
+    problems = [*_scope_problems(procedure.steps, ("steps",), ())]
+    if problems:
+        raise document.error(problems)
+    return procedure
+
+
+def variable_in(value: Any) -> str | None:
+    """Name of the variable that a value consists of, if it is one."""
+    match = _VARIABLE.fullmatch(value) if isinstance(value, str) else None
+    return match[1] if match else None
+
+
+def entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
+    """Where the keys of an entry stand whose list item is at ``at``."""
+    return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
+
+
+def _scope_problems(
+    entries: Sequence[StepTemplate | Repeat], at: Location, scope: tuple[str, ...]
+) -> Iterator[Problem]:
+    for index, entry in enumerate(entries):
+        here = entry_location(entry, (*at, index))
+        if isinstance(entry, Repeat):
+            yield from _loop_problems(entry, (*here, "over"), scope)
+            yield from _scope_problems(entry.steps, (*here, "steps"), (*scope, *entry.over))
+            continue
+        for key, name in entry.variables().items():
+            if name not in scope:
+                defined = ", ".join(f"${known}" for known in scope) or "none"
+                yield Problem(
+                    (*here, key), f"no variable ${name}{hint(name, scope)}; defined here: {defined}"
+                )
+
+
+def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterator[Problem]:
+    used = _variables_in(loop.steps)
+    for name, values in loop.over.items():
+        if name in scope:
+            yield Problem(
+                (*at, name), f"{name} already is a variable of an enclosing repeat; take another name"
+            )
+        # A name of its own may just count repetitions; the name of a key was meant to be used.
+        if name in _STEP_KEYS and name not in used:
+            yield Problem((*at, name), f"the loop goes over {name}, but no step in it uses ${name}")
+        for index, value in enumerate(values):
+            if name == "cycle" and (not isinstance(value, int) or value < 1):
+                yield Problem(
+                    (*at, name, index), f"cycles are whole numbers from 1; found {json.dumps(value)}"
+                )
+            if name == "position" and index and value == values[index - 1]:
+                yield Problem((*at, name, index), f"the position {value} stands twice in succession")
+
+
+def _variables_in(entries: Sequence[StepTemplate | Repeat]) -> set[str]:
+    names: set[str] = set()
+    for entry in entries:
+        names |= _variables_in(entry.steps) if isinstance(entry, Repeat) else {*entry.variables().values()}
+    return names

@@ -1,0 +1,99 @@
+"""What the planner expects the bench to be like at each moment of a plan."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class ThermalEstimate:
+    """How the planner takes the gyros to follow the chamber: a lag of first order.
+
+    Parameters
+    ----------
+    time_constant_s : float
+        Time in which the gyros make up 63 % of their distance to a new temperature.
+    self_heating_c : float
+        How much warmer than the chamber they end up when the INS is on.
+    air_lag_s : float
+        How far the chamber's air stays behind its ramping set point.
+    room_c : float
+        Temperature of the bench before the chamber runs and after it is switched off.
+    """
+
+    time_constant_s: float = 2400.0
+    self_heating_c: float = 15.0
+    air_lag_s: float = 120.0
+    room_c: float = 23.0
+
+
+@dataclass(frozen=True)
+class BenchEstimate:
+    """The expected state of the bench at one moment.
+
+    Attributes
+    ----------
+    powered, aligned : bool
+        Whether the INS is on; whether it has aligned since it last moved other than by a turn.
+    position, azimuth_deg : str or None, float
+        Where the table stands; None until it was sent to a position.
+    set_point_c, ramp_c_per_s : float or None, float
+        Where the chamber goes and how fast; None while nobody controls it.
+    chamber_c : float
+        The ramped set point.
+    gyro_c : float
+        Temperature of the gyros.
+    """
+
+    thermal: ThermalEstimate
+    chamber_c: float
+    gyro_c: float
+    powered: bool = False
+    aligned: bool = False
+    position: str | None = None
+    azimuth_deg: float = 0.0
+    set_point_c: float | None = None
+    ramp_c_per_s: float = 0.0
+
+    @classmethod
+    def at_rest(cls, thermal: ThermalEstimate | None = None) -> BenchEstimate:
+        """Everything off and at room temperature."""
+        thermal = thermal or ThermalEstimate()
+        return cls(thermal, chamber_c=thermal.room_c, gyro_c=thermal.room_c)
+
+    def ramp_left_s(self) -> float:
+        """Time until the chamber's ramp reaches its set point."""
+        if self.set_point_c is None or self.ramp_c_per_s == 0.0:
+            return 0.0
+        return abs(self.set_point_c - self.chamber_c) / self.ramp_c_per_s
+
+    def passed(self, duration_s: float) -> BenchEstimate:
+        """Return the bench after some time in which nobody commands anything."""
+        tau_s, heating_c = self.thermal.time_constant_s, self._heating_c()
+        slope_c_per_s, ramp_s = self._slope_c_per_s(), min(duration_s, self.ramp_left_s())
+        chamber_c = self.chamber_c + slope_c_per_s * ramp_s
+        ramped_c = lagged(self.gyro_c, self.chamber_c + heating_c, slope_c_per_s, tau_s, ramp_s)
+        held_c = lagged(ramped_c, chamber_c + heating_c, 0.0, tau_s, duration_s - ramp_s)
+        return replace(self, chamber_c=chamber_c, gyro_c=held_c)
+
+    def time_until_gyro_rate_s(self, rate_c_per_h: float) -> float:
+        """Time until the gyros change by less than ``rate_c_per_h``, the chamber held where it is."""
+        gap_c = self.chamber_c + self._heating_c() - self.gyro_c
+        rate_now_c_per_h = 3600.0 * abs(gap_c) / self.thermal.time_constant_s
+        return self.thermal.time_constant_s * math.log(max(1.0, rate_now_c_per_h / rate_c_per_h))
+
+    def _heating_c(self) -> float:
+        return self.thermal.self_heating_c if self.powered else 0.0
+
+    def _slope_c_per_s(self) -> float:
+        if self.set_point_c is None:
+            return 0.0
+        return math.copysign(self.ramp_c_per_s, self.set_point_c - self.chamber_c)
+
+
+def lagged(value: float, goal: float, slope_per_s: float, tau_s: float, duration_s: float) -> float:
+    """Follow a goal that moves at a constant slope, as a lag of first order with time constant ``tau_s``."""
+    behind = slope_per_s * tau_s
+    steady = goal + slope_per_s * duration_s - behind
+    return steady + (value - goal + behind) * math.exp(-duration_s / tau_s)

@@ -1,0 +1,207 @@
+"""From a procedure to its plan: the loops unrolled into one flat list of timed steps."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from bench.documents import Document, Location
+from bench.procedure.document import Procedure
+from bench.procedure.estimate import BenchEstimate
+from bench.procedure.resolve import ResolvedStep, resolve
+from bench.procedure.step import Step
+from bench.procedure.steps import Align, Navigate, Turn, Wait
+
+
+class Phase(StrEnum):
+    """What a step is to the dwell that it belongs to."""
+
+    ALIGN = "align"
+    BEFORE = "before"
+    TURN = "turn"
+    AFTER = "after"
+    PAUSE = "pause"
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """A step with its place in time.
+
+    Attributes
+    ----------
+    number : int
+        From 1, in the order of the plan.
+    location : Location
+        Where the keys of the step stand in the procedure file.
+    step : Step
+        What to do, variables resolved.
+    cycle : int
+        Pass of the temperature profile: the loop variable ``cycle``, or 1.
+    stop : str
+        Which part of the procedure this is, for people: "cycle 1, 60 degC".
+    start_s, duration_s : float
+        Expected start and duration; time zero is the start of the plan.
+    timeout_s : float
+        Time after which the step has failed.
+    before : BenchEstimate
+        Expected state of the bench when the step starts.
+    dwell : int or None
+        Number of the dwell that the step belongs to, from 1. A dwell is an alignment with the
+        navigations before and after the turns that follow it.
+    phase : Phase or None
+        Role in the dwell.
+    window : int or None
+        Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
+    value_places : mapping
+        Where the values stand that came from loop variables, by their keys.
+    """
+
+    number: int
+    location: Location
+    step: Step
+    cycle: int
+    stop: str
+    start_s: float
+    duration_s: float
+    timeout_s: float
+    before: BenchEstimate
+    dwell: int | None = None
+    phase: Phase | None = None
+    window: int | None = None
+    value_places: Mapping[str, Location] = field(default_factory=dict, repr=False)
+
+    @property
+    def end_s(self) -> float:
+        """Expected end."""
+        return self.start_s + self.duration_s
+
+    @property
+    def after(self) -> BenchEstimate:
+        """Expected state of the bench when the step ends."""
+        return self.step.after(self.before, self.duration_s)
+
+    @property
+    def label(self) -> str:
+        """Where the run is, for people: "cycle 1, 60 degC, z_up"."""
+        position = self.after.position if self.in_position else None
+        return ", ".join(part for part in (self.stop, position) if part)
+
+    @property
+    def in_position(self) -> bool:
+        """Whether the step belongs to one position rather than to the temperature as a whole."""
+        return self.step.at_position or self.dwell is not None
+
+    def place_of(self, key: str) -> Location:
+        """Where the value of a key stands: in the step, or in the list that its loop goes over."""
+        return self.value_places.get(key, (*self.location, key))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All steps of a procedure in order, with their times."""
+
+    procedure: Procedure
+    steps: tuple[PlannedStep, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Expected duration of the whole."""
+        return self.steps[-1].end_s
+
+    @property
+    def dwell_count(self) -> int:
+        """How many dwells it measures."""
+        return max((step.dwell or 0 for step in self.steps), default=0)
+
+
+def expand(document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
+    """Unroll a procedure.
+
+    Parameters
+    ----------
+    document : Document
+        The file that the procedure was read from; it tells the places of mistakes.
+    procedure : Procedure
+        What :func:`bench.procedure.document.load_procedure` made of it.
+    bench : BenchEstimate, optional
+        Bench at the start; at rest at room temperature if not given.
+
+    Raises
+    ------
+    DocumentError
+        The loops give too many steps, or a variable has a value that its step can't take.
+    """
+    timed = list(_timed(resolve(document, procedure), bench or BenchEstimate.at_rest()))
+    return Plan(procedure, tuple(_with_dwells(timed)))
+
+
+def _timed(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[PlannedStep]:
+    start_s = 0.0
+    for number, resolved in enumerate(steps, start=1):
+        step = resolved.step
+        duration_s = step.expected_s(bench)
+        after = step.after(bench, duration_s)
+        yield PlannedStep(
+            number=number,
+            location=resolved.location,
+            step=step,
+            cycle=resolved.cycle or 1,
+            stop=_stop(resolved.cycle, after),
+            start_s=start_s,
+            duration_s=duration_s,
+            timeout_s=step.time_limit_s(duration_s),
+            before=bench,
+            value_places=resolved.value_places,
+        )
+        start_s += duration_s
+        bench = after
+
+
+def _stop(cycle: int | None, bench: BenchEstimate) -> str:
+    of_cycle = None if cycle is None else f"cycle {cycle}"
+    of_chamber = None if bench.set_point_c is None else f"{bench.set_point_c:g} degC"
+    return ", ".join(part for part in (of_cycle, of_chamber) if part)
+
+
+def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
+    """Give a number to each dwell: what runs from an alignment over turns to the last navigation."""
+    dwells = itertools.count(1)
+    for group in _groups(steps):
+        end = max((index for index, step in enumerate(group) if isinstance(step.step, Navigate)), default=0)
+        kinds = [type(step.step) for step in group[:end]]
+        if Turn in kinds and Navigate in kinds[: kinds.index(Turn)]:
+            yield from _as_dwell(group[: end + 1], next(dwells))
+            yield from group[end + 1 :]
+        else:
+            yield from group
+
+
+def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
+    """Cut before each alignment and around everything that can't belong to a dwell."""
+    group: list[PlannedStep] = []
+    for step in steps:
+        if group and not (isinstance(group[0].step, Align) and isinstance(step.step, Navigate | Turn | Wait)):
+            yield group
+            group = []
+        group.append(step)
+    if group:
+        yield group
+
+
+def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
+    windows = itertools.count()
+    for step in group:
+        window = next(windows) if isinstance(step.step, Navigate) else None
+        yield replace(step, dwell=dwell, phase=_phase(step.step, window), window=window)
+
+
+def _phase(step: Step, window: int | None) -> Phase:
+    if isinstance(step, Align):
+        return Phase.ALIGN
+    if isinstance(step, Turn):
+        return Phase.TURN
+    if window is None:
+        return Phase.PAUSE
+    return Phase.AFTER if window else Phase.BEFORE

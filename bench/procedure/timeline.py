@@ -1,0 +1,124 @@
+"""A plan for people: its rows, its temperatures and its positions over time."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.steps import GoTo
+
+_MOST_SAMPLES = 200
+
+
+@dataclass(frozen=True)
+class TimelineRow:
+    """Steps that are done together: at one temperature of one cycle, on the way to it or in its positions.
+
+    Attributes
+    ----------
+    start_s, duration_s : float
+        Expected start, from the start of the plan, and duration.
+    what : str
+        What is done, each different step once.
+    where : str
+        Cycle, temperature and positions in order.
+    dwells : int
+        Number of dwells measured.
+    """
+
+    start_s: float
+    duration_s: float
+    what: str
+    where: str
+    dwells: int
+
+    @property
+    def start(self) -> str:
+        """Start as h:mm."""
+        return hours_minutes(self.start_s)
+
+    @property
+    def duration(self) -> str:
+        """Duration as h:mm."""
+        return hours_minutes(self.duration_s)
+
+
+def hours_minutes(time_s: float) -> str:
+    """Write a time as h:mm, to the nearest minute."""
+    minutes = round(time_s / 60.0)
+    return f"{minutes // 60}:{minutes % 60:02d}"
+
+
+def timeline_rows(plan: Plan) -> list[TimelineRow]:
+    """One row for the way to each temperature, one for all its positions."""
+    return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _stop_and_part)]
+
+
+def temperature_profile(
+    plan: Plan, interval_s: float = 60.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Predict the temperatures over a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan to follow.
+    interval_s : float
+        Spacing of the samples; wider in very long steps.
+
+    Returns
+    -------
+    time_s, chamber_c, gyro_c : ndarray, shape (n,)
+        Time from the start of the plan, the chamber's ramped set point, and the predicted
+        temperature of the gyros. Time repeats at the borders of steps.
+    """
+    rows = [row for planned in plan.steps for row in _samples(planned, interval_s)]
+    time_s, chamber_c, gyro_c = np.array(rows).T
+    return time_s, chamber_c, gyro_c
+
+
+def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
+    """Start, end and name of each stay in a position, from its go_to to the last step that belongs to it."""
+    visits = itertools.accumulate(int(isinstance(planned.step, GoTo)) for planned in plan.steps)
+    of_position = [pair for pair in zip(visits, plan.steps, strict=True) if pair[1].in_position]
+    spans = []
+    for _, pairs in itertools.groupby(of_position, key=lambda pair: pair[0]):
+        stay = [planned for _, planned in pairs]
+        position = stay[0].after.position
+        if position is not None:
+            spans.append((stay[0].start_s, stay[-1].end_s, position))
+    return spans
+
+
+def _stop_and_part(planned: PlannedStep) -> tuple[str, bool]:
+    return planned.stop, planned.in_position
+
+
+def _row(group: Sequence[PlannedStep]) -> TimelineRow:
+    first, last = group[0], group[-1]
+    moves = [planned.step for planned in group if isinstance(planned.step, GoTo)]
+    others = [planned.step for planned in group if not isinstance(planned.step, GoTo)]
+    what = [step.describe() for step in others or moves]
+    where = [first.stop, *(move.position for move in moves)]
+    return TimelineRow(
+        start_s=first.start_s,
+        duration_s=last.end_s - first.start_s,
+        what="; ".join(dict.fromkeys(what)),
+        where=", ".join(part for part in where if part),
+        dwells=len({planned.dwell for planned in group} - {None}),
+    )
+
+
+def _samples(planned: PlannedStep, interval_s: float) -> list[tuple[float, float, float]]:
+    count = min(1 + math.ceil(planned.duration_s / interval_s), _MOST_SAMPLES)
+    samples = []
+    for elapsed_s in np.linspace(0.0, planned.duration_s, count):
+        bench = planned.step.after(planned.before, float(elapsed_s))
+        samples.append((planned.start_s + float(elapsed_s), bench.chamber_c, bench.gyro_c))
+    return samples

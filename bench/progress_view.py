@@ -1,0 +1,77 @@
+"""What a person sees of a run in the terminal: a line for each dwell, and where the run is now."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.status import Status
+
+from bench.bias.dwell_table import DwellRow
+from bench.engine.live_bench import LiveBench
+from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.timeline import hours_minutes
+
+_UPDATE_EVERY_TICKS = 50
+_HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z     left h"
+
+
+class ProgressView:
+    """Prints each dwell as soon as it is measured; on a terminal also a line that says where it is.
+
+    Parameters
+    ----------
+    console : Console
+        Where to print.
+    plan : Plan
+        What is being run.
+    """
+
+    def __init__(self, console: Console, plan: Plan) -> None:
+        self._console = console
+        self._plan = plan
+        self._ticks = 0
+        self._left_s = plan.duration_s
+        self._step = ""
+        self._status: Status | None = None
+
+    def __enter__(self) -> ProgressView:
+        self._console.print(
+            f"{self._plan.procedure.procedure}: {len(self._plan.steps)} steps, "
+            f"{self._plan.dwell_count} dwells, {hours_minutes(self._plan.duration_s)} h planned"
+        )
+        self._console.print("Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC.")
+        self._console.print(_HEAD, highlight=False)
+        if self._console.is_terminal:
+            self._status = self._console.status("starting")
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status:
+            self._status.stop()
+
+    def step_started(self, planned: PlannedStep, late_s: float) -> None:  # noqa: ARG002
+        """Show the step."""
+        self._step = f"{planned.label}: {planned.step.describe()}"
+        self._ticks = 0
+
+    def ticked(self, bench: LiveBench, left_s: float) -> None:
+        """Show temperatures and time left, now and then."""
+        self._left_s = left_s
+        self._ticks += 1
+        if self._status and self._ticks % _UPDATE_EVERY_TICKS == 1:
+            optics = bench.readings.ins.optics_c
+            gyro = f"gyro {optics[0]:.1f} degC, " if optics[0] == optics[0] else ""
+            chamber = f"chamber {bench.readings.chamber_c:.1f} degC"
+            self._status.update(f"{self._step} | {chamber}, {gyro}{hours_minutes(left_s)} h left")
+
+    def dwell_measured(self, row: DwellRow) -> None:
+        """Print a dwell."""
+        head = f"{row.dwell:3d}/{self._plan.dwell_count:<3d} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
+        if row.flags:
+            self._console.print(f"{head}  flagged: {row.flags}", soft_wrap=True, highlight=False)
+            return
+        values = " ".join(
+            f"{bias * 1e3:+7.2f} ±{sigma * 1e3:<4.2f}"
+            for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
+        )
+        self._console.print(f"{head} {values} {hours_minutes(self._left_s):>6s}", highlight=False)

@@ -1,0 +1,116 @@
+"""All that a run folder holds, read with patience: a run that was cut off has a report as well."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
+from bench.bias.dwell_table import DwellRow, read_dwells
+from bench.documents import read_document
+from bench.errors import GyrobenchError
+from bench.run_store.folder import RunFolder
+from bench.run_store.journal import read_journal
+from bench.run_store.provenance import read_provenance
+from bench.run_store.telemetry import read_telemetry
+
+T = TypeVar("T")
+Entry = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class RunContent:
+    """What was found in a run folder.
+
+    Attributes
+    ----------
+    name : str
+        Name of the folder.
+    journal : list of mapping
+        Its entries, up to the first damaged one.
+    provenance, procedure, station : mapping
+        Content of these files; empty where missing.
+    dwells, bins, telemetry
+        Content of the tables; empty where missing. Bins are worked out from the dwells where
+        only their own file is missing.
+    problems : list of str
+        What is missing or can't be read.
+    """
+
+    name: str
+    journal: list[Entry]
+    provenance: Entry
+    procedure: Entry
+    station: Entry
+    dwells: list[DwellRow]
+    bins: list[BiasBin]
+    telemetry: Mapping[str, NDArray[np.float64]]
+    problems: list[str] = field(default_factory=list)
+
+    def entries(self, event: str) -> list[Entry]:
+        """Entries of the journal that tell of one kind of event, in order."""
+        return [entry for entry in self.journal if entry.get("event") == event]
+
+    def last(self, event: str) -> Entry:
+        """Return the last entry of one kind; empty where there is none."""
+        return next(iter(reversed(self.entries(event))), {})
+
+
+def read_run(folder: RunFolder) -> RunContent:
+    """Read a run folder; what is missing or damaged is noted, not raised."""
+    problems: list[str] = []
+    journal: list[Entry] = []
+    nothing: Entry = {}
+    no_dwells: list[DwellRow] = []
+    no_bins: list[BiasBin] = []
+    no_readings: Mapping[str, NDArray[np.float64]] = {}
+
+    def read(path: Path, reader: Callable[[], T], missing: T) -> T:
+        if not path.exists():
+            problems.append(f"{path.name} is missing.")
+            return missing
+        try:
+            return reader()
+        except (GyrobenchError, json.JSONDecodeError) as error:
+            problems.append(f"{path.name} can't be used: {error}")
+            return missing
+
+    read(folder.journal, lambda: journal.extend(_entries(folder.journal)), None)
+    procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
+    dwells = read(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
+    bins = read(folder.bias_bins, lambda: read_bins(folder.bias_bins), no_bins)
+    return RunContent(
+        name=folder.path.resolve().name,
+        journal=journal,
+        provenance=read(folder.provenance, lambda: read_provenance(folder), nothing),
+        procedure=procedure,
+        station=read(folder.station, lambda: _mapping(folder.station), nothing),
+        dwells=dwells,
+        bins=bins or _bins(dwells, procedure, problems),
+        telemetry=read(folder.telemetry, lambda: read_telemetry(folder.telemetry), no_readings),
+        problems=problems,
+    )
+
+
+def _entries(path: Path) -> Iterator[Entry]:
+    return (entry for entry in read_journal(path) if isinstance(entry, dict))
+
+
+def _mapping(path: Path) -> Entry:
+    data = read_document(path).data
+    return data if isinstance(data, dict) else {}
+
+
+def _bins(dwells: Sequence[DwellRow], procedure: Entry, problems: list[str]) -> list[BiasBin]:
+    width_c = procedure.get("bin_width_c", DEFAULT_WIDTH_C)
+    try:
+        return bin_biases([row for row in dwells if not row.flags], float(width_c))
+    except (GyrobenchError, TypeError, ValueError) as error:
+        problems.append(f"The dwells can't be sorted into temperature bins: {error}")
+        return []

@@ -1,0 +1,145 @@
+"""The report of a run: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from bench.navigation.positions import AXES
+from bench.procedure.timeline import hours_minutes
+from bench.report.content import Entry, RunContent, read_run
+from bench.report.durations import clock_time, durations_by_kind, took_in_journal
+from bench.report.figures import save_figures
+from bench.report.tables import dwell_table, gyro_part, measured_positions
+from bench.report.wording import position_label
+from bench.run_store.folder import RunFolder, write_whole
+
+_TEMPLATE = "report.html.j2"
+_PROGRAMS = ("gyrobench", "python", "platform")
+_CUT_OFF = "It was killed or cut off, or has not ended yet: the journal does not tell of its end."
+
+
+def write_report(folder: RunFolder) -> Path:
+    """Write ``report.html`` and the figures of a run, from what its folder holds.
+
+    Parts that are missing, because the run failed or was cut off, are named in the report.
+
+    Returns
+    -------
+    Path
+        The report.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be written.
+    """
+    content = read_run(folder)
+    figures = save_figures(folder, content.telemetry, content.dwells, content.bins)
+    write_whole(folder.report, render(content, figures).encode())
+    return folder.report
+
+
+def render(content: RunContent, figures: Iterable[Path]) -> str:
+    """Give the report as HTML text.
+
+    Parameters
+    ----------
+    content : RunContent
+        What the run left.
+    figures : iterable of Path
+        PNG files, by the names of :func:`bench.report.figures.save_figures`.
+    """
+    environment = Environment(
+        loader=PackageLoader("bench.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["data_uri"] = _data_uri
+    environment.filters["position"] = position_label
+    return environment.get_template(_TEMPLATE).render(
+        run=content,
+        figures={path.stem: path for path in figures},
+        unit=_unit(content),
+        facts=_facts(content),
+        ending=_ending(content),
+        instruments=_instruments(content),
+        versions=_versions(content.provenance),
+        positions=measured_positions(content.bins),
+        gyros=[gyro_part(gyro, content.bins) for gyro in AXES],
+        dwells=dwell_table(content.dwells),
+        durations=durations_by_kind(took_in_journal(content.journal)),
+        clock_time=clock_time,
+    )
+
+
+def _data_uri(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def _unit(content: RunContent) -> str:
+    units = {row.unit for row in content.dwells if row.unit}
+    return ", ".join(sorted(units))
+
+
+def _facts(content: RunContent) -> dict[str, str]:
+    started = content.last("run_started")
+    flagged = sum(bool(row.flags) for row in content.dwells)
+    end_s = max((entry.get("time_s", 0.0) for entry in content.journal), default=0.0)
+    options = {**content.provenance.get("options", {}), **started.get("options", {})}
+    facts = {
+        "unit": _unit(content) or "serial number not known",
+        "procedure": started.get("procedure") or content.procedure.get("procedure"),
+        "purpose": content.procedure.get("description"),
+        "station": started.get("station") or content.station.get("station"),
+        "started (UTC)": _to_the_second(content.provenance.get("started_utc") or started.get("utc") or ""),
+        "duration": f"{hours_minutes(end_s)} h" if end_s else None,
+        "dwells": f"{len(content.dwells)} measured, {flagged} of them flagged" if content.dwells else "none",
+        "options": ", ".join(f"{name} {value}" for name, value in options.items()),
+    }
+    return {name: str(value) for name, value in facts.items() if value}
+
+
+def _to_the_second(iso_time: str) -> str:
+    return iso_time[: len("2000-01-01T00:00:00")].replace("T", " ")
+
+
+def _ending(content: RunContent) -> Entry:
+    """How the run ended: word, reason, the step that did not end, safe state."""
+    end = content.last("run_ended")
+    ended = str(end.get("ended", "not ended"))
+    return {
+        "word": ended,
+        "reason": end.get("reason") or ("" if end else _CUT_OFF),
+        "step": "" if ended == "finished" else _open_step(content),
+        "safe_state": end.get("safe_state") or [],
+    }
+
+
+def _open_step(content: RunContent) -> str:
+    """Say which step had begun and not ended; empty where none had."""
+    steps = [entry for entry in content.journal if entry.get("event") in ("step_started", "step_finished")]
+    if not steps or steps[-1]["event"] == "step_finished":
+        return ""
+    last = steps[-1]
+    where = f" ({last['label']})" if last.get("label") else ""
+    return f"step {last.get('step', '?')}, {last.get('what', 'of unknown kind')}{where}"
+
+
+def _instruments(content: RunContent) -> dict[str, str]:
+    known = dict(content.provenance.get("instruments", {}))
+    identity = content.last("ins_identified").get("identity")
+    if isinstance(identity, Mapping):
+        identity = ", ".join(f"{name} {value}" for name, value in identity.items())
+    return known | ({"INS": identity} if identity else {})
+
+
+def _versions(provenance: Entry) -> dict[str, Any]:
+    own = {name: provenance[name] for name in _PROGRAMS if name in provenance}
+    return {**own, **provenance.get("packages", {})}

@@ -1,0 +1,135 @@
+"""How the figures look: size, colours, markers; and figures as PNG files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import matplotlib.style
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from bench.run_store.folder import write_whole
+
+#: Width of all figures, inch: the text of an A4 page.
+WIDTH_IN = 7.2
+#: Below this temperature of the gyros the paper's positions part.
+PAPER_LIMIT_C = 50.0
+
+#: Decorator for all that draws, so that neither a matplotlibrc nor other code has a say.
+house_style = matplotlib.style.context(
+    [
+        "default",
+        {
+            "figure.dpi": 100,
+            "savefig.dpi": 160,
+            "font.size": 9,
+            "axes.titlesize": 11,
+            "axes.titleweight": "bold",
+            "axes.titlelocation": "left",
+            "axes.grid": True,
+            "axes.axisbelow": True,
+            "grid.color": "#dddddd",
+            "grid.linewidth": 0.6,
+            "axes.edgecolor": "#666666",
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "legend.frameon": False,
+            "legend.fontsize": 8,
+            "lines.linewidth": 1.2,
+        },
+    ]
+)
+
+
+@dataclass(frozen=True)
+class PositionStyle:
+    """Look of a position; marker and fill tell it without the colour."""
+
+    colour: str
+    marker: str
+    is_filled: bool
+
+    @property
+    def line(self) -> str:
+        """Line style."""
+        return "-" if self.is_filled else "--"
+
+    @property
+    def face(self) -> str:
+        """Colour inside the marker."""
+        return self.colour if self.is_filled else "white"
+
+
+#: Colours of Okabe and Ito; the marker tells the vertical axis, a filled one that it points up.
+POSITION_STYLES: Mapping[str, PositionStyle] = MappingProxyType(
+    {
+        "z_up": PositionStyle("#0072B2", "o", True),
+        "z_down": PositionStyle("#56B4E9", "o", False),
+        "y_up": PositionStyle("#D55E00", "^", True),
+        "y_down": PositionStyle("#E69F00", "^", False),
+        "x_up": PositionStyle("#009E73", "s", True),
+        "x_down": PositionStyle("#CC79A7", "s", False),
+    }
+)
+
+#: Colour, line and marker of each gyro, where several are in one figure.
+GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
+    {"x": ("#882255", "-", "o"), "y": ("#332288", "--", "^"), "z": ("#117733", "-.", "s")}
+)
+
+
+def new_figure(height_in: float) -> Figure:
+    """Make an empty figure that is drawn without a display."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def say_empty(axes: Axes, message: str) -> None:
+    """Write into axes why nothing is drawn in them."""
+    axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", va="center", color="#666666")
+
+
+def mark_paper_limit(axes: Axes, along: Literal["x", "y"]) -> None:
+    """Mark 50 degC on a temperature axis; one that is far from it is not stretched for that."""
+    low, high = axes.get_xlim() if along == "x" else axes.get_ylim()
+    if not low < PAPER_LIMIT_C < high:
+        return
+    line = axes.axvline(PAPER_LIMIT_C) if along == "x" else axes.axhline(PAPER_LIMIT_C)
+    line.set(color="#444444", linewidth=0.9, linestyle=(0, (6, 3)), zorder=1.5)
+    at, offset = ((PAPER_LIMIT_C, 1.0), (2, -8)) if along == "x" else ((1.0, PAPER_LIMIT_C), (-2, 2))
+    axes.annotate(
+        f"{PAPER_LIMIT_C:g} °C",
+        at,
+        offset,
+        xycoords=axes.get_xaxis_transform() if along == "x" else axes.get_yaxis_transform(),
+        textcoords="offset points",
+        horizontalalignment="left" if along == "x" else "right",
+        color="#444444",
+        fontsize=7,
+    )
+
+
+@house_style
+def png_bytes(figure: Figure) -> bytes:
+    """Draw a figure; equal figures give equal bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as a PNG file.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    write_whole(path, png_bytes(figure))

@@ -1,0 +1,139 @@
+"""Temperatures over time with the positions taken: of a run and of a plan.
+
+Counterparts of the paper's Fig. 7.
+
+References
+----------
+Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
+Navigation System Based on Ring Laser Gyroscope", section 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from bench.bias.dwell_table import DwellRow
+from bench.navigation.positions import POSITIONS
+from bench.procedure.plan import Plan
+from bench.procedure.timeline import position_spans, temperature_profile
+from bench.report.style import (
+    GYRO_STYLES,
+    POSITION_STYLES,
+    house_style,
+    mark_paper_limit,
+    new_figure,
+    say_empty,
+)
+from bench.report.wording import gyro_label, position_label
+
+#: Column name to values, as :func:`bench.run_store.telemetry.read_telemetry` gives them.
+Readings = Mapping[str, NDArray[np.float64]]
+
+_SHORT_RUN_S = 7200.0
+_SHORTEST_AXIS_S = 60.0
+
+
+@dataclass(frozen=True)
+class _Stay:
+    """Time spent in one position."""
+
+    start_s: float
+    end_s: float
+    position: str
+    is_flagged: bool = False
+
+
+@house_style
+def temperature_figure(telemetry: Readings, dwells: Iterable[DwellRow]) -> Figure:
+    """Draw the temperatures of a run over time, and its dwells: what the paper's Fig. 7 plans, measured.
+
+    Parameters
+    ----------
+    telemetry : mapping
+        Columns of the telemetry; those that are missing or all NaN are left out.
+    dwells : iterable of DwellRow
+        Where the bands are; dwells with flags are drawn hollow in the lower panel.
+    """
+    stays = [_Stay(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
+    time_s = telemetry.get("time_s", np.empty(0))
+    figure = new_figure(4.8)
+    axes, unit_s = _time_axes(figure, "Temperatures and positions", [*time_s[-1:], *(s.end_s for s in stays)])
+    _draw_stays(figure, stays, unit_s)
+    time = time_s / unit_s
+
+    def draw(column: str, label: str, **look: Any) -> None:
+        values = telemetry.get(column, np.empty(0))
+        if np.isfinite(values).any():
+            axes.plot(time, values, label=label, **look)
+
+    draw("chamber_set_c", "chamber, set point", color="black", linestyle=":", linewidth=1.0)
+    draw("chamber_c", "chamber, air", color="#777777", linewidth=1.6)
+    for gyro, (colour, line, _) in GYRO_STYLES.items():
+        draw(f"gyro_{gyro}_c", f"{gyro_label(gyro)}, optics", color=colour, linestyle=line)
+        draw(
+            f"board_{gyro}_c", f"{gyro_label(gyro)}, electronics", color=colour, linestyle=line, linewidth=0.5
+        )
+    _finish_temperatures(figure, axes)
+    return figure
+
+
+@house_style
+def plan_figure(plan: Plan) -> Figure:
+    """Draw the temperatures and positions that a plan expects: the counterpart of the paper's Fig. 7."""
+    time_s, chamber_c, gyro_c = temperature_profile(plan)
+    figure = new_figure(4.8)
+    axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s])
+    _draw_stays(figure, [_Stay(*span) for span in position_spans(plan)], unit_s)
+    axes.plot(time_s / unit_s, chamber_c, label="chamber, ramped set point", color="#777777", linewidth=1.6)
+    axes.plot(time_s / unit_s, gyro_c, label="gyros, predicted", color=GYRO_STYLES["x"][0])
+    _finish_temperatures(figure, axes)
+    return figure
+
+
+def _time_axes(figure: Figure, title: str, ends_s: Sequence[float]) -> tuple[Axes, float]:
+    """Temperature above, positions below; returns the upper axes and the seconds in a unit of time."""
+    end_s = max(ends_s, default=0.0)
+    unit_s, unit = (60.0, "min") if end_s < _SHORT_RUN_S else (3600.0, "h")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4.2, 1.0])
+    upper.set(title=title, ylabel="temperature / °C")
+    lower.set(xlabel=f"time / {unit}", ylim=(len(POSITIONS) - 0.5, -0.5))
+    lower.set_yticks(range(len(POSITIONS)), [position_label(name) for name in POSITIONS], fontsize=7)
+    lower.grid(False)
+    lower.set_xlim(0.0, max(end_s, _SHORTEST_AXIS_S) / unit_s)
+    return upper, unit_s
+
+
+def _draw_stays(figure: Figure, stays: Iterable[_Stay], unit_s: float) -> None:
+    """Bands across the temperatures, bars in the row of the position below."""
+    upper, lower = figure.axes
+    rows = list(POSITIONS)
+    for stay in stays:
+        start, width = stay.start_s / unit_s, (stay.end_s - stay.start_s) / unit_s
+        colour = POSITION_STYLES[stay.position].colour
+        upper.axvspan(start, start + width, color=colour, alpha=0.18, linewidth=0.0)
+        lower.add_patch(
+            Rectangle(
+                (start, rows.index(stay.position) - 0.38),
+                width,
+                0.76,
+                facecolor="none" if stay.is_flagged else colour,
+                edgecolor=colour,
+                linewidth=0.8,
+            )
+        )
+
+
+def _finish_temperatures(figure: Figure, axes: Axes) -> None:
+    if axes.lines:
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+        mark_paper_limit(axes, along="y")
+    else:
+        say_empty(axes, "no temperatures recorded")

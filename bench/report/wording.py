@@ -1,0 +1,165 @@
+"""Numbers and findings as people read them, the same in figures, report and terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from bench.bias.bins import BiasBin
+from bench.bias.equality import PositionComparison
+
+#: Positions count as different where chance alone would show this in one of a hundred gyros.
+SIGNIFICANCE = 0.01
+
+_SMALLEST_P = 1e-9
+_PLAIN_P = 0.001
+_LARGE_BIAS_DPH = 1.0
+_MOST_DECIMALS = 4
+_MOST_DECIMALS_DPH = 7
+
+
+@dataclass(frozen=True)
+class BiasScale:
+    """Unit and number of decimals in which some biases are read best.
+
+    Attributes
+    ----------
+    factor : float
+        What to multiply a bias in deg/h by.
+    unit : str
+        The unit of the product.
+    decimals : int
+        So many that the smallest uncertainty shows one digit, or two if it begins with 1 or 2.
+    """
+
+    factor: float
+    unit: str
+    decimals: int
+
+    @classmethod
+    def of(cls, bias_dph: Iterable[float], sigma_dph: Iterable[float]) -> BiasScale:
+        """Choose for these biases and uncertainties; NaN among them is passed over."""
+        largest = max((abs(value) for value in bias_dph if math.isfinite(value)), default=0.0)
+        factor, unit = (1.0, "deg/h") if largest >= _LARGE_BIAS_DPH else (1000.0, "0.001 deg/h")
+        smallest = min((value for value in sigma_dph if value > 0.0), default=1.0)
+        return cls(factor, unit, _decimals(smallest * factor, _MOST_DECIMALS))
+
+    def text(self, value_dph: float) -> str:
+        """Write a bias, without its unit."""
+        return f"{value_dph * self.factor:.{self.decimals}f}"
+
+    def with_sigma(self, value_dph: float, sigma_dph: float, between: str = " ± ") -> str:
+        """Write a bias with its uncertainty, without their unit."""
+        return f"{self.text(value_dph)}{between}{self.text(sigma_dph)}"
+
+
+def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:
+    """Choose unit and decimals for the biases of some bins."""
+    filled = [each for each in bins if not each.is_empty]
+    return BiasScale.of([each.bias_dph for each in filled], [each.sigma_dph for each in filled])
+
+
+def position_label(name: str) -> str:
+    """Name of a position as the paper writes it: "Z-Up" for "z_up"."""
+    return "-".join(part.capitalize() for part in name.split("_"))
+
+
+def gyro_label(gyro: str) -> str:
+    """Name of a gyro as the paper writes it: "X gyro" for "x"."""
+    return f"{gyro.upper()} gyro"
+
+
+def p_text(p_value: float) -> str:
+    """Write a p-value in seven characters at most; empty for NaN."""
+    if math.isnan(p_value):
+        return ""
+    if p_value < _SMALLEST_P:
+        return f"<{_SMALLEST_P:.0e}"
+    return f"{p_value:.3f}" if p_value >= _PLAIN_P else f"{p_value:.0e}"
+
+
+def differing(comparisons: Iterable[PositionComparison]) -> list[PositionComparison]:
+    """Comparisons that show a difference of positions.
+
+    Every bin is one more chance for noise to look like a difference, so the significance is
+    divided by the number of bins of the gyro (Bonferroni).
+    """
+    comparisons = list(comparisons)
+    gyros = [each.gyro for each in comparisons]
+    return [each for each in comparisons if each.p_value < SIGNIFICANCE / gyros.count(each.gyro)]
+
+
+def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
+    """Say in plain words what the comparisons of one gyro's positions show."""
+    if not comparisons:
+        return "Nothing to compare: no temperature bin holds dwells of two positions."
+    count = len(comparisons)
+    allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
+    different = differing(comparisons)
+    if not different:
+        where = temperature_ranges(comparisons)
+        return f"No difference between positions found from {where} (no p < {SIGNIFICANCE:g}, {allowing})."
+    worst = max(different, key=lambda each: each.largest_difference_dph)
+    high, low = map(position_label, worst.largest_pair)
+    sigma_dph = worst.largest_difference_sigma_dph
+    decimals = _decimals(sigma_dph, _MOST_DECIMALS_DPH)
+    difference = f"{worst.largest_difference_dph:.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
+    return (
+        f"The bias differs between positions in {len(different)} of {count} bins: from "
+        f"{temperature_ranges(different)} (p < {SIGNIFICANCE:g}, {allowing}). Most from "
+        f"{temperature_ranges([worst])}: {high} above {low} by {difference}."
+    )
+
+
+def scatter_sentence(bins: Iterable[BiasBin]) -> str:
+    """Say where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
+    tested = [each for each in bins if each.count > 1]
+    wide = [each for each in tested if each.spread_p_value < SIGNIFICANCE / len(tested)]
+    if not wide:
+        return ""
+    places = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in wide)
+    return (
+        "Dwells of the same position and bin scatter more than their uncertainties explain, so the "
+        f"uncertainty of the mean and the p-value are too small here: {places}."
+    )
+
+
+def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
+    """Write the range of a bin, without its unit."""
+    return f"{low_c:g}{between}{high_c:g}"
+
+
+def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, list[BiasBin]]]:
+    """Lower and upper end of each bin of one gyro, and its positions.
+
+    Neighbours that are empty in all positions come as one range without positions.
+    """
+    groups: dict[tuple[float, float], list[BiasBin]] = {}
+    for each in sorted(bins, key=lambda one: one.bin_low_c):
+        groups.setdefault((each.bin_low_c, each.bin_high_c), []).append(each)
+    result: list[tuple[float, float, list[BiasBin]]] = []
+    for (low, high), members in groups.items():
+        if any(not each.is_empty for each in members):
+            result.append((low, high, members))
+        elif result and not result[-1][2]:
+            result[-1] = (result[-1][0], high, [])
+        else:
+            result.append((low, high, []))
+    return result
+
+
+def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
+    """Write the ranges of some bins, those that meet as one: "-20 to 5 °C and 10 to 15 °C"."""
+    ranges: list[tuple[float, float]] = []
+    for low, high in sorted({(each.bin_low_c, each.bin_high_c) for each in bins}):
+        if ranges and math.isclose(ranges[-1][1], low, abs_tol=1e-6):
+            ranges[-1] = (ranges[-1][0], high)
+        else:
+            ranges.append((low, high))
+    labels = [f"{bin_label(low, high)} °C" for low, high in ranges]
+    return " and ".join([", ".join(labels[:-1]), labels[-1]] if len(labels) > 1 else labels)
+
+
+def _decimals(sigma: float, most: int) -> int:
+    return min(max(-math.floor(math.log10(sigma / 3.0)), 0), most)

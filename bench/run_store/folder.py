@@ -1,0 +1,137 @@
+"""The run folder: making one, and the paths in it."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.errors import RunFolderError
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of everything in a run folder."""
+
+    path: Path
+
+    @property
+    def procedure(self) -> Path:
+        """The procedure as run."""
+        return self.path / "procedure.yaml"
+
+    @property
+    def station(self) -> Path:
+        """The station as run."""
+        return self.path / "station.yaml"
+
+    @property
+    def provenance(self) -> Path:
+        """Versions, identities, hashes, options."""
+        return self.path / "provenance.json"
+
+    @property
+    def journal(self) -> Path:
+        """What was done."""
+        return self.path / "journal.jsonl"
+
+    @property
+    def can(self) -> Path:
+        """Folder of the raw CAN log."""
+        return self.path / "can"
+
+    @property
+    def telemetry(self) -> Path:
+        """Folder of the bench's readings."""
+        return self.path / "telemetry"
+
+    @property
+    def dwells(self) -> Path:
+        """The dwell table."""
+        return self.path / "dwells.csv"
+
+    @property
+    def bias_bins(self) -> Path:
+        """Bias per gyro, position and temperature bin."""
+        return self.path / "bias_bins.csv"
+
+    @property
+    def figures(self) -> Path:
+        """Folder of the figures."""
+        return self.path / "figures"
+
+    @property
+    def report(self) -> Path:
+        """The report."""
+        return self.path / "report.html"
+
+
+def create_run_folder(out: Path | None, name: str) -> RunFolder:
+    """Make a run folder.
+
+    Parameters
+    ----------
+    out : Path or None
+        The folder, which must be absent or empty; None for a new one under ``runs/``.
+    name : str
+        Name of the procedure, for a folder under ``runs/``.
+
+    Raises
+    ------
+    RunFolderError
+        The folder can't be made, or something is in it.
+    """
+    if out is not None:
+        _make(out)
+        if any(out.iterdir()):
+            raise RunFolderError(f"{out}: is not empty. Give another --out, or none for a new folder.")
+        return RunFolder(out)
+    safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
+    for number in itertools.count(1):
+        candidate = Path("runs") / f"{safe_name}-{number:03d}"
+        if not candidate.exists():
+            _make(candidate)
+            return RunFolder(candidate)
+    raise AssertionError  # the count never ends
+
+
+def open_run_folder(path: Path) -> RunFolder:
+    """Find an existing run folder.
+
+    Raises
+    ------
+    RunFolderError
+        There is none at that path.
+    """
+    folder = RunFolder(path)
+    if not folder.journal.is_file():
+        raise RunFolderError(f"{path}: is no run folder (it has no {folder.journal.name})")
+    return folder
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it is there whole or not at all, also after a power cut.
+
+    Raises
+    ------
+    RunFolderError
+        It can't be written.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        with temporary.open("wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise RunFolderError(f"{path}: can't be written: {error.strerror}. Is the disk full?") from error
+
+
+def _make(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(f"{path}: can't be made: {error.strerror}") from error

@@ -1,0 +1,65 @@
+"""Provenance: with what, on what and by which files a run was made."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import bench
+from bench.run_store.folder import RunFolder, write_whole
+
+_PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
+
+
+def write_provenance(
+    folder: RunFolder, started: datetime, identities: Mapping[str, str], options: Mapping[str, Any]
+) -> None:
+    """Write provenance.json.
+
+    Parameters
+    ----------
+    started : datetime
+        Calendar time of the run's clock at its start.
+    identities : mapping
+        What each instrument said it is.
+    options : mapping
+        Options of the command that decide what was run.
+    """
+    content = {
+        "gyrobench": bench.__version__,
+        "started_utc": started.isoformat(),
+        "instruments": dict(identities),
+        "options": dict(options),
+        "files_sha256": {
+            path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in _inputs(folder)
+        },
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+    write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def read_provenance(folder: RunFolder) -> dict[str, Any]:
+    """Content of provenance.json; empty where there is none."""
+    if not folder.provenance.is_file():
+        return {}
+    content: dict[str, Any] = json.loads(folder.provenance.read_text(encoding="utf-8"))
+    return content
+
+
+def _inputs(folder: RunFolder) -> list[Path]:
+    return [folder.procedure, folder.station, *sorted(folder.path.glob("*.dbc"))]
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,182 @@
+"""The station file's model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from bench.documents import Document, StrictModel, read_document, validate
+from drivers.ins.command_map import CommandMap
+from drivers.ins.signal_map import SignalMap
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Direction = Literal["east", "north", "up", "west", "south", "down"]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Location(StrictModel):
+    """Where the bench stands."""
+
+    latitude_deg: float = Field(gt=-90.0, lt=90.0, description="geodetic latitude, deg")
+    height_m: float = Field(default=0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
+
+
+class Mounting(StrictModel):
+    """Where each body axis of the unit points with both table angles at zero."""
+
+    x: Direction
+    y: Direction
+    z: Direction
+
+
+class TableLimits(StrictModel):
+    """What the table may do."""
+
+    rate_dps: Positive = Field(description="fastest turn of either axis, deg/s")
+    acceleration_dps2: Positive = Field(description="largest acceleration, deg/s2")
+    jerk_dps3: Positive = Field(description="largest jerk, deg/s3")
+    outer_deg: Range = Field(description="lowest and highest angle of the outer axis, deg")
+    inner_deg: Range = Field(description="lowest and highest angle of the inner axis, deg")
+
+
+class RateTableSection(StrictModel):
+    """The rate table."""
+
+    dialect: Literal["acutrol3000"] = Field(description="command language")
+    port: str = Field(min_length=1, description="serial device or pyserial URL")
+    baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
+    outer_axis_number: int = Field(
+        default=1, ge=1, le=9, description="the controller's number of the outer axis"
+    )
+    inner_axis_number: int = Field(
+        default=2, ge=1, le=9, description="the controller's number of the inner axis"
+    )
+    outer_axis: Direction = Field(description="where the outer axis points, angles at zero")
+    inner_axis: Direction = Field(description="where the inner axis points, angles at zero")
+    mounting: Mounting = Field(description="where the unit's body axes point, angles at zero")
+    limits: TableLimits
+
+    @model_validator(mode="after")
+    def _two_axes(self) -> Self:
+        if self.outer_axis_number == self.inner_axis_number:
+            raise ValueError("outer_axis_number and inner_axis_number must differ")
+        return self
+
+
+class ChamberLimits(StrictModel):
+    """What the chamber may do."""
+
+    low_c: float = Field(description="lowest set point, degC")
+    high_c: float = Field(description="highest set point, degC")
+    ramp_c_per_min: Positive = Field(description="fastest ramp, degC/min")
+
+
+class ChamberSection(StrictModel):
+    """The thermal chamber."""
+
+    dialect: Literal["watlow_f4"] = Field(description="protocol")
+    port: str = Field(min_length=1, description="serial device or pyserial URL")
+    baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
+    address: int = Field(default=1, ge=1, le=247, description="Modbus address")
+    limits: ChamberLimits
+
+
+class InsNoise(StrictModel):
+    """Noise of the INS's sensors, from its data sheet or an Allan deviation."""
+
+    angle_random_walk_deg_per_sqrt_h: Positive
+    velocity_random_walk_ug_per_sqrt_hz: NotNegative = 0.0
+
+
+class InsSection(StrictModel):
+    """The INS and its CAN bus."""
+
+    interface: str = Field(
+        min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
+    )
+    channel: str = Field(min_length=1, description="python-can channel")
+    bitrate: int | None = Field(default=None, gt=0, description="bit/s, where the interface sets it")
+    options: dict[str, str | int | float | bool] = Field(
+        default={}, description="further options of the python-can interface"
+    )
+    dbc: str = Field(min_length=1, description="DBC file beside the station file, or a shipped one's name")
+    signals: SignalMap
+    commands: CommandMap = CommandMap()
+    noise: InsNoise
+
+
+class ThermalEstimateSection(StrictModel):
+    """How the gyros follow the chamber; for estimates of duration only."""
+
+    time_constant_s: Positive = 2400.0
+    self_heating_c: float = 15.0
+    room_c: float = 23.0
+
+
+class UnitSection(StrictModel):
+    """The unit under test on this bench."""
+
+    power: Literal["chamber_event", "operator", "always_on"] = Field(description="what switches its supply")
+    power_event: int = Field(default=2, ge=1, le=8, description="event output of the chamber's controller")
+    thermal: ThermalEstimateSection = ThermalEstimateSection()
+
+
+def _off(value: Any) -> Any:
+    return None if value == "off" else value
+
+
+class SafeState(StrictModel):
+    """What the bench is left in at any end."""
+
+    chamber_c: Annotated[float | None, BeforeValidator(_off)] = Field(
+        description="safe set point, degC, or off"
+    )
+    unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
+
+
+class StationFile(StrictModel):
+    """A station file."""
+
+    station: str = Field(pattern="^[A-Za-z0-9_-]{1,80}$", description="name of the bench")
+    description: str = ""
+    clock: Literal["wall", "virtual"] = Field(
+        default="wall", description="virtual: time passes as fast as the work allows; for emulated benches"
+    )
+    location: Location
+    tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(
+        default=1.0, description="period of the engine, s"
+    )
+    poll_period_s: Annotated[float, Field(ge=0.01, le=10.0)] = Field(
+        default=0.1, description="how often the CAN bus is emptied, s"
+    )
+    instruments_period_s: Annotated[float, Field(ge=0.5, le=60.0)] = Field(
+        default=5.0, description="how often table, chamber and INS status are read, s"
+    )
+    rate_table: RateTableSection
+    chamber: ChamberSection
+    ins: InsSection
+    unit: UnitSection
+    safe_state: SafeState
+
+    @model_validator(mode="after")
+    def _virtual_only_where_emulated(self) -> Self:
+        ports = (self.rate_table.port, self.chamber.port)
+        emulated = self.ins.interface == "emulator" and all(port.startswith("emulator://") for port in ports)
+        if self.clock == "virtual" and not emulated:
+            raise ValueError("clock: virtual needs every instrument emulated; real ones need clock: wall")
+        return self
+
+
+def load_station_file(path: Path) -> tuple[Document, StationFile]:
+    """Read and check a station file.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything wrong with it, with places.
+    """
+    document = read_document(path)
+    return document, validate(document, StationFile)

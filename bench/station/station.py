@@ -1,0 +1,164 @@
+"""What follows from a station file: kinematics, limits, measurement set-up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.bias.noise import NoiseModel
+from bench.documents import Problem
+from bench.errors import DocumentError
+from bench.limits import StationLimits
+from bench.navigation.earth import gravity
+from bench.navigation.positions import POSITIONS
+from bench.navigation.table_axes import Angles, TwoAxisTable
+from bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from bench.station.document import Direction, SafeState, UnitSection, load_station_file
+from drivers import ins
+
+_DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
+    "east": (1.0, 0.0, 0.0),
+    "north": (0.0, 1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+    "west": (-1.0, 0.0, 0.0),
+    "south": (0.0, -1.0, 0.0),
+    "down": (0.0, 0.0, -1.0),
+}
+
+
+class Station:
+    """A bench as its file describes it.
+
+    Attributes
+    ----------
+    file : StationFile
+        The file's content.
+    path : Path
+        Where it was read from; names of other files in it are relative to its folder.
+    table : TwoAxisTable
+        Kinematics of the table with the unit on it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        document, self.file = load_station_file(path)
+        try:
+            self.table = self._table()
+        except DocumentError as error:
+            raise document.error([Problem(("rate_table",), str(error))]) from error
+
+    @property
+    def tick_s(self) -> float:
+        """Period of the engine."""
+        return self.file.tick_s
+
+    @property
+    def poll_period_s(self) -> float:
+        """How often the CAN bus is emptied."""
+        return self.file.poll_period_s
+
+    @property
+    def instruments_period_s(self) -> float:
+        """How often table, chamber and the INS's status are read."""
+        return self.file.instruments_period_s
+
+    @property
+    def unit(self) -> UnitSection:
+        """The unit under test."""
+        return self.file.unit
+
+    @property
+    def safe_state(self) -> SafeState:
+        """What the bench is left in."""
+        return self.file.safe_state
+
+    @cached_property
+    def gravity(self) -> float:
+        """Gravity at the bench, m/s2."""
+        place = self.file.location
+        return gravity(np.deg2rad(place.latitude_deg), place.height_m)
+
+    @cached_property
+    def dbc_path(self) -> Path:
+        """The DBC file: beside the station file, or shipped with the INS driver.
+
+        Raises
+        ------
+        DocumentError
+            There is no such file.
+        """
+        name = self.file.ins.dbc
+        for folder in (self.path.parent, Path(ins.__file__).parent):
+            if (folder / name).is_file():
+                return folder / name
+        raise DocumentError(f"{self.path}: no DBC file {name!r} beside the station file, and none shipped")
+
+    def noise(self, velocity_lsb_mps: float, heading_lsb_rad: float) -> NoiseModel:
+        """Declared noise of the INS, with the output's resolution."""
+        declared = self.file.ins.noise
+        return NoiseModel.from_datasheet(
+            declared.angle_random_walk_deg_per_sqrt_h,
+            declared.velocity_random_walk_ug_per_sqrt_hz,
+            velocity_lsb_mps,
+            heading_lsb_rad,
+        )
+
+    def bench_at_rest(self) -> BenchEstimate:
+        """The bench before a run, for estimates of duration."""
+        thermal = self.file.unit.thermal
+        return BenchEstimate.at_rest(
+            ThermalEstimate(
+                time_constant_s=thermal.time_constant_s,
+                self_heating_c=thermal.self_heating_c,
+                room_c=thermal.room_c,
+            )
+        )
+
+    def limits(self) -> StationLimits:
+        """Limits that a plan must keep."""
+        chamber = self.file.chamber.limits
+        return StationLimits(
+            chamber_low_c=chamber.low_c,
+            chamber_high_c=chamber.high_c,
+            ramp_max_c_per_min=chamber.ramp_c_per_min,
+            table_rate_max_dps=self.file.rate_table.limits.rate_dps,
+            reachable=self._why_unreachable,
+        )
+
+    def by_axis_number(self, angles: Angles) -> dict[int, float]:
+        """Outer and inner angle by the controller's axis numbers."""
+        section = self.file.rate_table
+        return {section.outer_axis_number: angles[0], section.inner_axis_number: angles[1]}
+
+    def table_axes_of(self, values: Sequence[float]) -> Angles:
+        """Outer and inner value of two that come in the order of the controller's axis numbers."""
+        section = self.file.rate_table
+        first, second = values
+        return (first, second) if section.outer_axis_number < section.inner_axis_number else (second, first)
+
+    def _why_unreachable(self, position: str, azimuth_deg: float) -> str | None:
+        try:
+            self.table.angles(POSITIONS[position].C_nb(np.deg2rad(azimuth_deg)))
+        except DocumentError as error:
+            return str(error)
+        return None
+
+    def _table(self) -> TwoAxisTable:
+        section = self.file.rate_table
+        mounting = section.mounting
+        low_high = [(low, high) for low, high in (section.limits.outer_deg, section.limits.inner_deg)]
+        return TwoAxisTable(
+            outer_axis_enu=_vector(section.outer_axis),
+            inner_axis_enu=_vector(section.inner_axis),
+            C_mount=np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1),
+            outer_limits_deg=low_high[0],
+            inner_limits_deg=low_high[1],
+        )
+
+
+def _vector(direction: Direction) -> NDArray[np.float64]:
+    return np.array(_DIRECTIONS[direction])

@@ -1,0 +1,147 @@
+"""Emulated INS on CAN: the frames of gyrobench_ins.dbc, sent and understood.
+
+Each navigation epoch is three frames (velocity, roll and pitch, heading with the epoch counter);
+each whole second begins with the time, status and temperature frames. They are packed here by
+hand, in the byte layout that the DBC describes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import can
+import numpy as np
+
+from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from drivers.emulators.world.strapdown import euler_output
+from drivers.emulators.world.world import World
+
+SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
+INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
+INS_COMMAND, COMPENSATION_COEFFICIENT = 0x200, 0x201
+
+_MAX_DEGREE, _LOW_INDEX, _HIGH_INDEX = 5, 6, 7
+_FIRMWARE, _HARDWARE = 103, 1
+_FRAME_S = 0.00025
+_TWO_INTS = struct.Struct("<ii")
+_TWO_WORDS = struct.Struct("<II")
+_HEADING = struct.Struct("<iHBB")
+_STATUS = struct.Struct("<BBHBBH")
+_IDENTITY = struct.Struct("<IHH")
+_OPTICS = struct.Struct("<hhhH")
+_ELECTRONICS = struct.Struct("<hhhh")
+_OUTPUT_SCALES = np.array([1e4, 1e4, np.degrees(1e6), np.degrees(1e6), np.degrees(1e6)])
+_FULL_TURN = 360_000_000
+
+
+class CanInsEmulator:
+    """The INS at its CAN connector.
+
+    Parameters
+    ----------
+    world : World
+        Its unit is this INS; the world must be advanced by whoever waits for frames.
+    epoch_unix_s : float
+        Calendar time at world time zero, for the frames' time stamps.
+
+    Attributes
+    ----------
+    listeners : list of callable
+        Each is called with the messages of every stretch of time that the world advances.
+    """
+
+    def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:
+        self._world = world
+        self._epoch_unix_s = epoch_unix_s
+        self._epoch_counter = 0
+        self._status_counter = 0
+        self.listeners: list[Callable[[list[can.Message]], None]] = []
+        world.on_epochs = self._send_epochs
+
+    def receive(self, message: can.Message) -> None:
+        """Take a frame from the bus; ones that are not meant for this INS change nothing."""
+        if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+            return
+        data = bytes(message.data)
+        if message.arbitration_id == INS_COMMAND and len(data) >= 2:
+            self._command(data[0], data[1])
+        elif message.arbitration_id == COMPENSATION_COEFFICIENT and len(data) == 8:
+            self._coefficient(*struct.unpack("<BBxxf", data))
+
+    def _command(self, command: int, argument: int) -> None:
+        unit = self._world.unit
+        match command:
+            case 1:
+                unit.standby()
+            case 2:
+                unit.align()
+            case 3:
+                unit.navigate()
+            case 4 if argument in (0, 1):
+                unit.pitch_first = argument == 1
+            case 5:
+                unit.compensation = type(unit.compensation).none()
+            case 6:
+                unit.compensation.applied = True
+
+    def _coefficient(self, axis: int, index: int, value: float) -> None:
+        compensation = self._world.unit.compensation
+        if axis > 2 or not np.isfinite(value):
+            return
+        if index <= _MAX_DEGREE:
+            compensation.coefficients[axis, index] = value
+        elif index == _LOW_INDEX:
+            compensation.low_c[axis] = value
+        elif index == _HIGH_INDEX:
+            compensation.high_c[axis] = value
+
+    def _send_epochs(self, epochs: Epochs) -> None:
+        scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
+        valid = 1 if epochs.mode is Mode.NAVIGATE or epochs.alignment else 0
+        messages: list[can.Message] = []
+        rows: list[list[int]] = scaled.astype(np.int64).tolist()
+        for sample, (north, east, roll, pitch, heading) in zip(epochs.sample.tolist(), rows, strict=True):
+            time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
+            if sample % SAMPLE_RATE_HZ == 0:
+                self._append_slow(messages, time_s, sample // SAMPLE_RATE_HZ, epochs)
+                time_s += 6 * _FRAME_S
+            counter = self._epoch_counter
+            self._epoch_counter = (counter + 1) & 0xFFFF
+            heading_data = _HEADING.pack(heading % _FULL_TURN, counter, epochs.alignment, valid)
+            messages += (
+                _message(time_s, VELOCITY_NE, _TWO_INTS.pack(_clamp(north), _clamp(east))),
+                _message(time_s + _FRAME_S, ROLL_PITCH, _TWO_INTS.pack(roll, pitch)),
+                _message(time_s + 2 * _FRAME_S, HEADING, heading_data),
+            )
+        for listener in self.listeners:
+            listener(messages)
+
+    def _append_slow(self, messages: list[can.Message], time_s: float, second: int, epochs: Epochs) -> None:
+        unit, file = self._world.unit, self._world.file
+        centidegrees = np.rint(100.0 * self._world.temperatures_c()).clip(-32768, 32767)
+        case, *gyros = centidegrees.astype(int).tolist()
+        counter = self._status_counter
+        self._status_counter = (counter + 1) & 0xFFFF
+        height = _clamp(round(file.height_m * 1e4))
+        align_s = min(int(unit.align_time_s), 0xFFFF)
+        compensated = 1 if unit.compensation.applied else 0
+        status = (epochs.mode, int(unit.pitch_first), align_s, compensated, 0, counter)
+        slow = (
+            (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),
+            (HEIGHT_VELOCITY_D, _TWO_INTS.pack(height, 0)),
+            (INS_STATUS, _STATUS.pack(*status)),
+            (INS_IDENTITY, _IDENTITY.pack(file.ins.serial_number, _FIRMWARE, _HARDWARE)),
+            (OPTICS_TEMPERATURE, _OPTICS.pack(*gyros[:3], counter)),
+            (ELECTRONICS_TEMPERATURE, _ELECTRONICS.pack(*gyros[3:], case)),
+        )
+        for position, (identifier, data) in enumerate(slow):
+            messages.append(_message(time_s + position * _FRAME_S, identifier, data))
+
+
+def _message(time_s: float, identifier: int, data: bytes) -> can.Message:
+    return can.Message(timestamp=time_s, arbitration_id=identifier, data=data, is_extended_id=False)
+
+
+def _clamp(value: int) -> int:
+    return max(-(2**31), min(2**31 - 1, value))

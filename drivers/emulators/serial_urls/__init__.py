@@ -1,0 +1,1 @@
+"""pyserial URL handlers; pyserial looks for a module named after the scheme."""

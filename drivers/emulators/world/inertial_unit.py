@@ -1,0 +1,206 @@
+"""The simulated INS: boots, levels, gyrocompasses, navigates, applies a compensation.
+
+Self-alignment lets the first seconds at rest pass, then averages the sensors' output: the mean
+specific force is Up and the part of the mean rotation across it is North. So it starts with the
+attitude errors that its own sensor errors cause (tilt from accelerometer bias, heading from the
+east gyro).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.emulators.world.document import InsBehaviour
+from drivers.emulators.world.strapdown import STATE_SIZE, gyrocompass, navigate
+
+Array = NDArray[np.float64]
+
+#: Samples of the inertial sensors in a second.
+SAMPLE_RATE_HZ = 100
+_DT_S = 1.0 / SAMPLE_RATE_HZ
+#: Rotation that counts as motion: this rate over a stretch of samples, beyond a few pulses.
+_MOTION_RADPS = np.radians(0.02)
+_PULSES_RAD = np.radians(2.0 / 3600.0)
+_MAX_DEGREE = 6
+
+
+class Mode(IntEnum):
+    """What the INS is doing."""
+
+    OFF = 0
+    STANDBY = 1
+    ALIGN = 2
+    NAVIGATE = 3
+
+
+class Alignment(IntEnum):
+    """How far self-alignment has come."""
+
+    INVALID = 0
+    COARSE = 1
+    FINE = 2
+
+
+@dataclass(frozen=True)
+class Epochs:
+    """Navigation output at the INS's epochs.
+
+    Attributes
+    ----------
+    sample : ndarray of int64, shape (n,)
+        Sample index since the world began (time = sample / 100 s).
+    states : ndarray, shape (n, 8)
+        Quaternion body to ENU, velocity east and north, latitude, longitude.
+    """
+
+    sample: NDArray[np.int64]
+    states: Array
+    mode: Mode
+    alignment: Alignment
+
+
+@dataclass
+class Compensation:
+    """Polynomial gyro biases over optics temperature, clamped to a range of temperatures."""
+
+    coefficients: Array
+    low_c: Array
+    high_c: Array
+    applied: bool = False
+
+    @classmethod
+    def none(cls) -> Compensation:
+        """Nothing loaded."""
+        return cls(np.zeros((3, _MAX_DEGREE)), np.full(3, -100.0), np.full(3, 150.0))
+
+    def bias(self, optics_c: Array) -> Array:
+        """What is subtracted from each gyro, in the coefficients' unit, shape (3,)."""
+        if not self.applied:
+            return np.zeros(3)
+        clamped = np.clip(optics_c, self.low_c, self.high_c)
+        return np.asarray(np.sum(self.coefficients * clamped[:, None] ** np.arange(_MAX_DEGREE), axis=1))
+
+
+class InertialUnit:
+    """State of the INS.
+
+    Parameters
+    ----------
+    behaviour : InsBehaviour
+        From the world file.
+    latitude, height : float
+        Where the bench stands, rad and m.
+    """
+
+    def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
+        self._behaviour = behaviour
+        self._latitude = latitude + np.radians(behaviour.latitude_error_arcmin / 60.0)
+        self._height = height
+        self._every = round(behaviour.epoch_period_s * SAMPLE_RATE_HZ)
+        self._state = np.zeros(STATE_SIZE)
+        self._sums = np.zeros((2, 3))
+        self._aligned_samples = 0
+        self._boot_samples = 0
+        self.powered = False
+        self.mode = Mode.OFF
+        self.alignment = Alignment.INVALID
+        self.pitch_first = False
+        self.compensation = Compensation.none()
+        self._reset_state()
+
+    @property
+    def senses(self) -> bool:
+        """Whether the inertial sensors' output is used at present."""
+        return self.mode in (Mode.ALIGN, Mode.NAVIGATE)
+
+    @property
+    def align_time_s(self) -> float:
+        """Time at rest that the present alignment has used."""
+        return self._aligned_samples * _DT_S
+
+    def power(self, on: bool) -> None:
+        """Switch the unit on (it boots) or off; what was loaded is lost."""
+        if on != self.powered:
+            self.powered = on
+            self._boot_samples = round(self._behaviour.boot_s * SAMPLE_RATE_HZ)
+            self.mode = Mode.OFF
+            self.pitch_first = False
+            self.compensation = Compensation.none()
+            self._reset_state()
+
+    def standby(self) -> None:
+        """Stop aligning or navigating."""
+        if self.mode is not Mode.OFF:
+            self.mode = Mode.STANDBY
+            self._reset_state()
+
+    def align(self) -> None:
+        """Begin self-alignment afresh."""
+        if self.mode is not Mode.OFF:
+            self.mode = Mode.ALIGN
+            self._reset_state()
+
+    def navigate(self) -> None:
+        """Go from alignment to navigation; nothing happens before coarse alignment is done."""
+        if self.mode is Mode.ALIGN and self.alignment >= Alignment.COARSE:
+            self.mode = Mode.NAVIGATE
+
+    def advance(self, first_sample: int, rotation: Array, velocity: Array) -> Epochs | None:
+        """Take the next sensor samples.
+
+        Parameters
+        ----------
+        first_sample : int
+            Index of the first sample; sample k ends at time (k + 1) / 100 s.
+        rotation, velocity : ndarray, shape (n, 3)
+            Measured increments, rad and m/s, compensation already subtracted.
+
+        Returns
+        -------
+        Epochs or None
+            The epochs that ended within these samples; None while the unit is off or boots.
+        """
+        n = len(rotation)
+        if self.mode is Mode.OFF:
+            self._boot_samples -= n
+            if self.powered and self._boot_samples <= 0:
+                self.mode = Mode.STANDBY
+            return None
+        first = (-(first_sample + 1)) % self._every
+        samples = np.arange(first_sample + 1 + first, first_sample + 1 + n, self._every)
+        if self.mode is Mode.NAVIGATE:
+            states = navigate(self._state, rotation, velocity, _DT_S, self._height, first, self._every)
+        else:
+            if self.mode is Mode.ALIGN:
+                self._accumulate(rotation, velocity)
+            states = np.repeat(self._state[None], len(samples), axis=0)
+        return Epochs(samples, states, self.mode, self.alignment)
+
+    def _reset_state(self) -> None:
+        self._sums[:] = 0.0
+        self._aligned_samples = 0
+        self._levelling_samples = round(self._behaviour.levelling_s * SAMPLE_RATE_HZ)
+        self.alignment = Alignment.INVALID
+        self._state[:] = 0.0
+        self._state[0] = 1.0
+        self._state[6] = self._latitude
+
+    def _accumulate(self, rotation: Array, velocity: Array) -> None:
+        total = rotation.sum(axis=0)
+        if np.abs(total).max() > _MOTION_RADPS * _DT_S * len(rotation) + _PULSES_RAD:
+            self._reset_state()
+            return
+        self._levelling_samples -= len(rotation)
+        if self._levelling_samples > 0:
+            return
+        self._sums[0] += total
+        self._sums[1] += velocity.sum(axis=0)
+        self._aligned_samples += len(rotation)
+        if self.align_time_s >= self._behaviour.coarse_alignment_s:
+            fine = self.align_time_s >= self._behaviour.fine_alignment_s
+            self.alignment = Alignment.FINE if fine else Alignment.COARSE
+            self._state[:4] = gyrocompass(self._sums[0], self._sums[1])

@@ -1,0 +1,322 @@
+"""Numba kernels of the simulated INS: what the sensors feel, and strapdown navigation with it.
+
+The mechanisation is the full nonlinear one in the local-level frame (attitude quaternion,
+transport rate and Earth rate, Coriolis, ellipsoid, gravity over latitude) with fixed altitude:
+Titterton and Weston, Strapdown Inertial Navigation Technology, chapters 3 and 11. Body
+increments enter as exact rotation vectors, so there is no coning error.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.emulators.world.earth import EARTH_RATE, normal_gravity, principal_radii
+
+Array = NDArray[np.float64]
+
+#: Layout of the navigation state: quaternion body to ENU (w, x, y, z), velocity east and north
+#: in m/s, latitude and longitude in rad.
+STATE_SIZE = 8
+
+
+@numba.njit(cache=True)
+def _axis_rotation(axis: Array, angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    x, y, z = axis
+    return np.array(
+        (
+            (c + x * x * (1 - c), x * y * (1 - c) - z * s, x * z * (1 - c) + y * s),
+            (y * x * (1 - c) + z * s, c + y * y * (1 - c), y * z * (1 - c) - x * s),
+            (z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)),
+        )
+    )
+
+
+@numba.njit(cache=True)
+def table_attitude(
+    outer_axis: Array, inner_axis: Array, mounting: Array, outer: float, inner: float
+) -> Array:
+    """True ``C_nb`` (3, 3) of the unit on the table at two axis angles in rad."""
+    return _axis_rotation(outer_axis, outer) @ _axis_rotation(inner_axis, inner) @ mounting
+
+
+@numba.njit(cache=True)
+def _rotation_vector(C: Array) -> Array:
+    half = 0.5 * np.array((C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]))
+    sine = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    if sine < 1e-12:
+        return half
+    return half * (math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine)
+
+
+@numba.njit(cache=True)
+def true_increments(
+    outer_axis: Array, inner_axis: Array, mounting: Array, outer: Array, inner: Array,
+    latitude: float, height: float, dt: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """What ideal sensors at the table's centre feel.
+
+    Parameters
+    ----------
+    outer, inner : ndarray, shape (n + 1,)
+        Axis angles in rad at the edges of the n samples.
+
+    Returns
+    -------
+    rotation : ndarray, shape (n, 3)
+        Rotation vector of the body against inertial space in each sample, rad, body axes.
+    velocity : ndarray, shape (n, 3)
+        Integral of the specific force over each sample, m/s, body axes.
+    """
+    n = outer.size - 1
+    rotation = np.empty((n, 3))
+    velocity = np.empty((n, 3))
+    earth = EARTH_RATE * np.array((0.0, math.cos(latitude), math.sin(latitude)))
+    step = _axis_rotation(earth / EARTH_RATE, EARTH_RATE * dt)
+    lift = np.array((0.0, 0.0, normal_gravity(latitude, height) * dt))
+    before = table_attitude(outer_axis, inner_axis, mounting, outer[0], inner[0])
+    for k in range(n):
+        if outer[k + 1] == outer[k] and inner[k + 1] == inner[k]:
+            if k > 0 and outer[k] == outer[k - 1] and inner[k] == inner[k - 1]:
+                rotation[k] = rotation[k - 1]
+                velocity[k] = velocity[k - 1]
+            else:
+                rotation[k] = before.T @ (earth * dt)
+                velocity[k] = before.T @ lift
+        else:
+            after = table_attitude(outer_axis, inner_axis, mounting, outer[k + 1], inner[k + 1])
+            rotation[k] = _rotation_vector(before.T @ step @ after)
+            velocity[k] = 0.5 * (before.T @ lift + after.T @ lift)
+            before = after
+    return rotation, velocity
+
+
+@numba.njit(cache=True)
+def sense(
+    true: Array, error_matrix: Array, bias: Array, noise: Array, dt: float, pulse: float, remainder: Array
+) -> Array:
+    """Sensor output for true increments, the paper's (1) or (2) integrated over each sample.
+
+    Parameters
+    ----------
+    true, noise : ndarray, shape (n, 3)
+        True increments, and random ones to add (same unit).
+    error_matrix : ndarray, shape (3, 3)
+        Scale factor errors on the diagonal, misalignments beside it.
+    bias : ndarray, shape (3,)
+        Bias, unit of the increment per second.
+    pulse : float
+        Size of one output pulse; 0 for none. What is left over stays in ``remainder`` (3,).
+    """
+    n = true.shape[0]
+    out = np.empty((n, 3))
+    for k in range(n):
+        for i in range(3):
+            value = true[k, i] + bias[i] * dt + noise[k, i]
+            for j in range(3):
+                value += error_matrix[i, j] * true[k, j]
+            if pulse > 0.0:
+                value += remainder[i]
+                whole = math.floor(value / pulse + 0.5) * pulse
+                remainder[i] = value - whole
+                value = whole
+            out[k, i] = value
+    return out
+
+
+@numba.njit(cache=True)
+def _times(a: Array, b: Array) -> Array:
+    return np.array(
+        (
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        )
+    )
+
+
+@numba.njit(cache=True)
+def _quaternion_of(v0: float, v1: float, v2: float) -> Array:
+    square = v0 * v0 + v1 * v1 + v2 * v2
+    if square < 1e-6:  # series: exact to double precision for angles below 1 mrad
+        scale = 0.5 - square / 48.0
+        return np.array((1.0 - square / 8.0 + square * square / 384.0, scale * v0, scale * v1, scale * v2))
+    angle = math.sqrt(square)
+    scale = math.sin(0.5 * angle) / angle
+    return np.array((math.cos(0.5 * angle), scale * v0, scale * v1, scale * v2))
+
+
+@numba.njit(cache=True)
+def matrix_of(q: Array) -> Array:
+    """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return np.array(
+        (
+            (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
+        )
+    )
+
+
+@numba.njit(cache=True)
+def gyrocompass(rotation: Array, velocity: Array) -> Array:
+    """Attitude from rotation and velocity summed up at rest.
+
+    Parameters
+    ----------
+    rotation, velocity : ndarray, shape (3,)
+        Sums of the measured increments, body axes: their directions are the Earth's rotation and Up.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Unit quaternion body to ENU (w, x, y, z).
+    """
+    up = velocity / math.sqrt((velocity**2).sum())
+    east = np.array(
+        (
+            rotation[1] * up[2] - rotation[2] * up[1],
+            rotation[2] * up[0] - rotation[0] * up[2],
+            rotation[0] * up[1] - rotation[1] * up[0],
+        )
+    )
+    east /= math.sqrt((east**2).sum())
+    C = np.empty((3, 3))
+    C[0], C[2] = east, up
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        C[1, i] = up[j] * east[k] - up[k] * east[j]
+    return _quaternion_of_matrix(C)
+
+
+@numba.njit(cache=True)
+def _quaternion_of_matrix(C: Array) -> Array:
+    squares = np.array(
+        (
+            1.0 + C[0, 0] + C[1, 1] + C[2, 2],
+            1.0 + C[0, 0] - C[1, 1] - C[2, 2],
+            1.0 - C[0, 0] + C[1, 1] - C[2, 2],
+            1.0 - C[0, 0] - C[1, 1] + C[2, 2],
+        )
+    )
+    q = np.empty(4)
+    largest = int(np.argmax(squares))  # the component that loses no digits
+    if largest == 0:
+        q[:] = squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[0], q[1 + i] = C[k, j] - C[j, k], squares[largest]
+        q[1 + j], q[1 + k] = C[j, i] + C[i, j], C[k, i] + C[i, k]
+    return q / math.sqrt((q**2).sum())
+
+
+@numba.njit(cache=True)
+def navigate(
+    state: Array, rotation: Array, velocity: Array, dt: float, height: float, first: int, every: int
+) -> Array:
+    """Strapdown navigation at fixed altitude; ``state`` is changed in place.
+
+    Parameters
+    ----------
+    state : ndarray, shape (8,)
+        See :data:`STATE_SIZE`.
+    rotation, velocity : ndarray, shape (n, 3)
+        Measured increments, body axes, rad and m/s.
+    first, every : int
+        A copy of the state is kept after sample ``first`` and each ``every``-th one after it.
+
+    Returns
+    -------
+    ndarray, shape (m, 8)
+        The copies.
+    """
+    n = rotation.shape[0]
+    kept = np.empty((max(0, (n - 1 - first) // every + 1) if first < n else 0, STATE_SIZE))
+    row = 0
+    for k in range(n):
+        v_east, v_north, latitude = state[4], state[5], state[6]
+        meridian, across = principal_radii(latitude)
+        per_meridian, per_across = 1.0 / (meridian + height), 1.0 / (across + height)
+        sine, cosine = math.sin(latitude), math.cos(latitude)
+        earth_n, earth_u = EARTH_RATE * cosine, EARTH_RATE * sine
+
+        # Velocity increment in the body frame at the start of the sample, then in ENU.
+        a0, a1, a2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
+        b0, b1, b2 = velocity[k, 0], velocity[k, 1], velocity[k, 2]
+        f0 = b0 + 0.5 * (a1 * b2 - a2 * b1)
+        f1 = b1 + 0.5 * (a2 * b0 - a0 * b2)
+        f2 = b2 + 0.5 * (a0 * b1 - a1 * b0)
+        C = matrix_of(state[:4])
+        d0 = C[0, 0] * f0 + C[0, 1] * f1 + C[0, 2] * f2
+        d1 = C[1, 0] * f0 + C[1, 1] * f1 + C[1, 2] * f2
+        d2 = C[2, 0] * f0 + C[2, 1] * f1 + C[2, 2] * f2
+
+        # Half of the navigation frame's own turn in the sample, and Coriolis. Gravity has no level part.
+        transport_u = v_east * per_across * sine / cosine
+        z0 = -v_north * per_meridian * dt
+        z1 = (earth_n + v_east * per_across) * dt
+        z2 = (earth_u + transport_u) * dt
+        coriolis = (2.0 * earth_u + transport_u) * dt
+        state[4] = v_east + d0 - 0.5 * (z1 * d2 - z2 * d1) + coriolis * v_north
+        state[5] = v_north + d1 - 0.5 * (z2 * d0 - z0 * d2) - coriolis * v_east
+
+        # Attitude and position with the mean velocity of the sample.
+        mean_e, mean_n = 0.5 * (v_east + state[4]), 0.5 * (v_north + state[5])
+        frame = _quaternion_of(
+            mean_n * per_meridian * dt,
+            -(earth_n + mean_e * per_across) * dt,
+            -(earth_u + mean_e * per_across * sine / cosine) * dt,
+        )
+        q = _times(_times(frame, state[:4]), _quaternion_of(a0, a1, a2))
+        state[:4] = q / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+        state[6] = latitude + mean_n * per_meridian * dt
+        state[7] += mean_e * per_across / cosine * dt
+        if k >= first and (k - first) % every == 0:
+            kept[row] = state
+            row += 1
+    return kept
+
+
+@numba.njit(cache=True)
+def euler_angles(C: Array, pitch_first: bool) -> tuple[float, float, float]:
+    """Roll, pitch and heading (clockwise from north) in rad of one attitude.
+
+    Sequence RPY(321), ``C = Rz(yaw) Rx(pitch) Ry(roll)``, or with ``pitch_first`` PRY(231),
+    ``C = Rz(yaw) Ry(roll) Rx(pitch)``; heading is minus yaw.
+    """
+    if pitch_first:
+        roll = math.asin(max(-1.0, min(1.0, -C[2, 0])))
+        return roll, math.atan2(C[2, 1], C[2, 2]), -math.atan2(C[1, 0], C[0, 0])
+    pitch = math.asin(max(-1.0, min(1.0, C[2, 1])))
+    return math.atan2(-C[2, 0], C[2, 2]), pitch, -math.atan2(-C[0, 1], C[1, 1])
+
+
+@numba.njit(cache=True)
+def euler_output(states: Array, pitch_first: bool) -> Array:
+    """Velocity and Euler angles of navigation states.
+
+    Parameters
+    ----------
+    states : ndarray, shape (n, 8)
+        See :data:`STATE_SIZE`.
+    pitch_first : bool
+        See :func:`euler_angles`.
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        Velocity north and east in m/s; roll, pitch and heading in rad, heading in [0, 2 pi).
+    """
+    out = np.empty((states.shape[0], 5))
+    for k in range(states.shape[0]):
+        roll, pitch, heading = euler_angles(matrix_of(states[k, :4]), pitch_first)
+        out[k, 0], out[k, 1] = states[k, 5], states[k, 4]
+        out[k, 2], out[k, 3], out[k, 4] = roll, pitch, heading % (2.0 * math.pi)
+    return out

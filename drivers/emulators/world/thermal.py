@@ -1,0 +1,97 @@
+"""Lumped thermal network of the unit: case, and for each gyro its electronics and optics.
+
+Heat flows by conduction, and by convection that gravity helps or hinders: a conductance
+``g (1 + s u)``, where ``u`` is the upward part of the direction from electronics to optics.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.emulators.world.document import GyroThermal, Thermal
+
+Array = NDArray[np.float64]
+
+
+class ThermalNetwork:
+    """Temperatures of the unit over time.
+
+    Attributes
+    ----------
+    nodes_c : ndarray, shape (7,)
+        All temperatures: case, then optics and electronics of the x, y and z gyro.
+    case_c : float
+        Temperature of the case.
+    optics_c, electronics_c : ndarray, shape (3,)
+        Temperatures of each gyro's optics and electronics.
+    convected_w : ndarray, shape (3,)
+        The part of the heat flow from electronics to optics that depends on attitude.
+    powered : bool
+        Whether the unit's electronics dissipate.
+    """
+
+    def __init__(self, thermal: Thermal, start_c: float) -> None:
+        gyros = (thermal.x, thermal.y, thermal.z)
+        self.powered = False
+        self._case = np.array([thermal.case_j_per_k, thermal.case_to_air_w_per_k])
+        self._gyro = np.array([_row(gyro) for gyro in gyros])
+        paths = np.array([gyro.heat_path for gyro in gyros])
+        self._paths = paths / np.linalg.norm(paths, axis=1, keepdims=True)
+        self.nodes_c = np.full(7, float(start_c))
+        self.convected_w = np.zeros(3)
+
+    @property
+    def case_c(self) -> float:
+        """Temperature of the case."""
+        return float(self.nodes_c[0])
+
+    @property
+    def optics_c(self) -> Array:
+        """Temperature of each gyro's optics, shape (3,)."""
+        return self.nodes_c[1:4]
+
+    @property
+    def electronics_c(self) -> Array:
+        """Temperature of each gyro's electronics, shape (3,)."""
+        return self.nodes_c[4:7]
+
+    def step(self, dt_s: float, air_c: float, up_body: Array) -> None:
+        """Go on by ``dt_s`` (a second or so) in air of that temperature; ``up_body`` (3,) is Up."""
+        _step(self.nodes_c, self.convected_w, self._case, self._gyro, self._paths, up_body, air_c,
+              1.0 if self.powered else 0.0, dt_s)  # fmt: skip
+
+
+def _row(gyro: GyroThermal) -> list[float]:
+    return [
+        gyro.optics_j_per_k,
+        gyro.electronics_j_per_k,
+        gyro.optics_power_w,
+        gyro.electronics_power_w,
+        gyro.optics_to_case_w_per_k,
+        gyro.electronics_to_case_w_per_k,
+        gyro.electronics_to_optics_w_per_k,
+        gyro.convection_w_per_k,
+        gyro.convection_gravity_share,
+    ]
+
+
+@numba.njit(cache=True)
+def _step(
+    nodes: Array, convected: Array, case: Array, gyro: Array, paths: Array, up: Array,
+    air_c: float, power: float, dt: float,
+) -> None:  # fmt: skip
+    case_c = nodes[0]
+    into_case = case[1] * (air_c - case_c)
+    for i in range(3):
+        optics, electronics = nodes[1 + i], nodes[4 + i]
+        c_optics, c_electronics, p_optics, p_electronics, g_oc, g_ec, g_eo, g_conv, share = gyro[i]
+        upward = paths[i, 0] * up[0] + paths[i, 1] * up[1] + paths[i, 2] * up[2]
+        convected[i] = g_conv * share * upward * (electronics - optics)
+        to_optics = (g_eo + g_conv) * (electronics - optics) + convected[i]
+        optics_loss, electronics_loss = g_oc * (optics - case_c), g_ec * (electronics - case_c)
+        nodes[1 + i] += dt / c_optics * (power * p_optics + to_optics - optics_loss)
+        nodes[4 + i] += dt / c_electronics * (power * p_electronics - to_optics - electronics_loss)
+        into_case += optics_loss + electronics_loss
+    nodes[0] += dt / case[0] * into_case

@@ -1,0 +1,185 @@
+"""The simulated bench as a whole, brought to any later time on request."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
+from drivers.emulators.world.document import TableGeometry, WorldFile
+from drivers.emulators.world.effects import undeclared_bias
+from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
+from drivers.emulators.world.sensor_errors import ARCSEC, DPH, TriadErrors, accelerometer_errors, gyro_errors
+from drivers.emulators.world.strapdown import sense, table_attitude, true_increments
+from drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from drivers.emulators.world.thermal import ThermalNetwork
+
+Array = NDArray[np.float64]
+
+OUTER, INNER = 1, 2
+_DT_S = 1.0 / SAMPLE_RATE_HZ
+_OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
+_INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
+
+
+class World:
+    """The one truth behind the emulated instruments.
+
+    Parameters
+    ----------
+    file : WorldFile
+        What the bench is like.
+    seed : int
+        Everything random comes from it.
+
+    Attributes
+    ----------
+    axes : dict of int to TableAxis
+        The table's axes: 1 outer, 2 inner.
+    air : ChamberAir
+        The chamber.
+    unit : InertialUnit
+        The INS.
+    on_epochs : callable
+        Called with the navigation epochs as they come about.
+    """
+
+    def __init__(self, file: WorldFile, seed: int) -> None:
+        self.file = file
+        self._random = np.random.default_rng(seed)
+        self._latitude = math.radians(file.latitude_deg)
+        self._geometry = _Geometry(file.table)
+        self.axes = {number: TableAxis(_axis_parameters(file.table)) for number in (OUTER, INNER)}
+        self.air = ChamberAir(
+            ChamberParameters(
+                heating_limit_c_per_min=file.chamber.heating_limit_c_per_min,
+                cooling_limit_c_per_min=file.chamber.cooling_limit_c_per_min,
+                control_time_constant_s=file.chamber.control_time_constant_s,
+                ambient_c=file.chamber.ambient_c,
+            )
+        )
+        self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
+        self.unit = InertialUnit(file.ins, self._latitude, file.height_m)
+        self.on_epochs: Callable[[Epochs], None] | None = None
+        self._gyro = gyro_errors(file.gyro)
+        self._accelerometer = accelerometer_errors(file.accelerometer)
+        self._power_on_bias = np.zeros(3)
+        self._remainders = np.zeros((2, 3))
+        self._sample = 0
+        self._errors_now = self._sensor_errors()
+
+    def power_unit(self, on: bool) -> None:
+        """Switch the unit's supply; each power-on has gyro biases a little different."""
+        if on and not self.thermal.powered:
+            spread = self.file.gyro.power_on_repeatability_dph * DPH
+            self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
+        self.thermal.powered = on
+        self.unit.power(on)
+
+    def temperatures_c(self) -> Array:
+        """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
+        noise = self._random.standard_normal(7)
+        return self.thermal.nodes_c + self.file.thermal.sensor_noise_c * noise
+
+    def true_gyro_bias(self) -> Array:
+        """The gyro biases at this moment in rad/s, shape (3,): the truth that tests compare with."""
+        return self._gyro_bias()[0]
+
+    def attitude(self) -> Array:
+        """True ``C_nb`` (3, 3) at this moment."""
+        time_s = np.array([self._sample * _DT_S])
+        outer, inner = (np.radians(self.axes[n].position_deg(time_s))[0] for n in (OUTER, INNER))
+        geometry = self._geometry
+        return np.asarray(
+            table_attitude(geometry.outer_axis, geometry.inner_axis, geometry.mounting, outer, inner)
+        )
+
+    def advance(self, time_s: float) -> None:
+        """Bring everything to ``time_s``; an earlier time changes nothing."""
+        end = math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
+        while self._sample < end:
+            into_second = self._sample % SAMPLE_RATE_HZ
+            count = min(end - self._sample, SAMPLE_RATE_HZ - into_second)
+            if into_second == 0:
+                self._slow_second()
+            self._fast_samples(count)
+
+    def _slow_second(self) -> None:
+        self.air.step(1.0)
+        self.thermal.step(1.0, self.air.air_c, self.attitude()[2])
+        if self.unit.senses:
+            self._errors_now = self._sensor_errors()
+
+    def _fast_samples(self, count: int) -> None:
+        rotation = velocity = np.empty((count, 3))
+        if self.unit.senses:
+            rotation, velocity = self._measured(count)
+        first = self._sample
+        self._sample += count
+        epochs = self.unit.advance(first, rotation, velocity)
+        if epochs is not None and len(epochs.sample) and self.on_epochs:
+            self.on_epochs(epochs)
+
+    def _measured(self, count: int) -> tuple[Array, Array]:
+        edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
+        outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
+        geometry = self._geometry
+        true = true_increments(
+            geometry.outer_axis, geometry.inner_axis, geometry.mounting, outer, inner,
+            self._latitude, self.file.height_m, _DT_S,
+        )  # fmt: skip
+        noise = self._random.standard_normal((2, count, 3)) * math.sqrt(_DT_S)
+        gyro, accelerometer = self._errors_now
+        compensation = self.unit.compensation.bias(self.thermal.optics_c) * DPH
+        return (
+            _sensed(true[0], gyro, compensation, noise[0], self._gyro, self._remainders[0]),
+            _sensed(true[1], accelerometer, np.zeros(3), noise[1], self._accelerometer, self._remainders[1]),
+        )
+
+    def _sensor_errors(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        case_c = np.full(3, self.thermal.case_c - self.file.reference_temperature_c)
+        return self._gyro_bias(), self._accelerometer.at(case_c)
+
+    def _gyro_bias(self) -> tuple[Array, Array]:
+        bias, matrix = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
+        return bias + self._power_on_bias + undeclared_bias(
+            self.file.undeclared_effects, self.thermal
+        ), matrix
+
+
+class _Geometry:
+    """True axes of the table in ENU, and the unit's mounting, with their small errors."""
+
+    def __init__(self, table: TableGeometry) -> None:
+        tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()
+        self.outer_axis: Array = tilt @ np.array(_OUTER_AXES[table.outer_axis])
+        self.inner_axis: Array = tilt @ np.array(_INNER_AXES[table.outer_axis])
+        error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
+        self.mounting: Array = np.ascontiguousarray(tilt @ error)
+
+
+def _axis_parameters(table: TableGeometry) -> AxisParameters:
+    return AxisParameters(
+        rate_limit_dps=table.rate_limit_dps,
+        acceleration_limit_dps2=table.acceleration_limit_dps2,
+        jerk_limit_dps3=table.jerk_limit_dps3,
+        position_error_arcsec=table.position_error_arcsec,
+    )
+
+
+def _sensed(
+    true: Array,
+    errors: tuple[Array, Array],
+    compensation: Array,
+    noise: Array,
+    triad: TriadErrors,
+    remainder: Array,
+) -> Array:
+    bias, matrix = errors
+    return np.asarray(
+        sense(true, matrix, bias - compensation, noise * triad.random_walk, _DT_S, triad.pulse, remainder)
+    )

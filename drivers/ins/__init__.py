@@ -1,0 +1,44 @@
+"""The INS on CAN: any that a DBC file describes.
+
+Frames come in by :class:`CanIns` and are decoded by :func:`decode_navigation`, live or out of the
+raw log, to the same numbers. The station file says which signals and commands mean what
+(:class:`SignalMap`, :class:`CommandMap`); :func:`resolution_report` says whether they are fine
+enough.
+"""
+
+from drivers.ins.attitude import EulerSequence
+from drivers.ins.bound_signals import bind_signals, check_signals
+from drivers.ins.can_bus import open_bus
+from drivers.ins.can_ins import CanIns, InsHealth
+from drivers.ins.command_map import CommandMap, check_commands
+from drivers.ins.dbc_codec import DbcCodec, load_dbc
+from drivers.ins.frames import FrameBlock, concatenate
+from drivers.ins.ins_status import InsStatus
+from drivers.ins.navigation_data import NavigationData, Temperatures, decode_navigation
+from drivers.ins.readout import Alignment, InsMode
+from drivers.ins.resolution import ResolutionLimit, resolution_report
+from drivers.ins.signal_map import SignalMap
+
+__all__ = [
+    "Alignment",
+    "CanIns",
+    "CommandMap",
+    "DbcCodec",
+    "EulerSequence",
+    "FrameBlock",
+    "InsHealth",
+    "InsMode",
+    "InsStatus",
+    "NavigationData",
+    "ResolutionLimit",
+    "SignalMap",
+    "Temperatures",
+    "bind_signals",
+    "check_commands",
+    "check_signals",
+    "concatenate",
+    "decode_navigation",
+    "load_dbc",
+    "open_bus",
+    "resolution_report",
+]

@@ -1,0 +1,290 @@
+"""The INS on its CAN bus: frames as they arrive, its present state, commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import can
+from cantools.database import Database
+
+from bench.clock import Clock, Deadline
+from bench.errors import (
+    ConnectionFailedError,
+    DocumentError,
+    FaultError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from drivers.ins.attitude import EulerSequence
+from drivers.ins.bound_signals import bind_signals
+from drivers.ins.can_bus import INSTRUMENT
+from drivers.ins.command_map import Command, CommandMap, check_commands
+from drivers.ins.dbc_codec import DbcCodec
+from drivers.ins.ins_status import InsStatus, NewestFrames
+from drivers.ins.readout import InsMode
+from drivers.ins.signal_map import SignalMap
+
+#: The status comes once a second or so, and the INS needs its time for a command.
+REPLY_TIMEOUT_S = 5.0
+
+_SEND_TIMEOUT_S = 1.0
+_POLL_PERIOD_S = 0.05
+
+
+@dataclass(frozen=True)
+class InsHealth:
+    """Counts since the bus was opened; error frames include remote frames."""
+
+    frames: int
+    error_frames: int
+    commands: int
+
+
+class CanIns:
+    """An INS that a DBC file, a signal map and a command map describe.
+
+    Parameters
+    ----------
+    bus : can.BusABC
+        An open bus, from :func:`~drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
+    on_frames : callable, optional
+        Gets every batch of frames as it is polled, also while a command waits.
+
+    Raises
+    ------
+    DocumentError
+        A map does not fit the DBC.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        signal_map: SignalMap,
+        database: Database,
+        clock: Clock,
+        commands: CommandMap | None = None,
+        on_frames: Callable[[list[can.Message]], None] | None = None,
+    ) -> None:
+        self.codec = DbcCodec(database)
+        self.signal_map = signal_map
+        self._signals = bind_signals(signal_map, self.codec)
+        self._commands = commands or CommandMap()
+        problems = check_commands(self._commands, self.codec)
+        if problems:
+            lines = (f"ins.commands.{'.'.join(map(str, p.location))}: {p.message}" for p in problems)
+            raise DocumentError("\n".join(lines))
+        self._bus = bus
+        self._clock = clock
+        self.on_frames = on_frames
+        self._newest = NewestFrames(self.codec)
+        self._frames = self._error_frames = self._sent = 0
+
+    def close(self) -> None:
+        """Leave the bus; a second call does nothing."""
+        self._bus.shutdown()
+
+    def poll(self) -> list[can.Message]:
+        """Take all frames that have arrived, in order.
+
+        Raises
+        ------
+        ConnectionFailedError
+            The bus went away. Frames that came before were given to ``on_frames``.
+        ReplyError
+            The adapter sent something that is no frame.
+        """
+        messages: list[can.Message] = []
+        try:
+            # extend() keeps what came before an exception.
+            messages.extend(iter(partial(self._bus.recv, 0.0), None))
+        except (can.CanError, OSError) as error:
+            raise self._gone(error) from error
+        except ValueError as error:
+            raise ReplyError(INSTRUMENT, f"{self._bus}: what arrived is no CAN frame: {error}") from error
+        finally:
+            if messages:
+                self._take(messages)
+        return messages
+
+    def _take(self, messages: list[can.Message]) -> None:
+        data_frames = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
+        self._frames += len(data_frames)
+        self._error_frames += len(messages) - len(data_frames)
+        if data_frames:
+            self._newest.take(data_frames, self._clock.now())
+        if self.on_frames is not None:
+            self.on_frames(messages)
+
+    def status(self) -> InsStatus:
+        """Read the present state out of the newest frames; does not poll."""
+        now_s = self._clock.now()
+        snapshot = self._newest.snapshot(now_s)
+        return InsStatus(snapshot, self._newest.age_s(now_s), self.signal_map, self._signals)
+
+    def health(self) -> InsHealth:
+        """Count frames and commands so far."""
+        return InsHealth(self._frames, self._error_frames, self._sent)
+
+    def identity(self, timeout_s: float = REPLY_TIMEOUT_S) -> dict[str, int]:
+        """Wait for the numbers that say which INS this is; empty if the map has none.
+
+        Raises
+        ------
+        NoReplyError
+            They did not come in time.
+        """
+        self._wait(
+            lambda status: len(status.identity) == len(self.signal_map.identity), "identity", timeout_s
+        )
+        return self.status().identity
+
+    def identify(self, timeout_s: float = REPLY_TIMEOUT_S) -> str:
+        """Say which INS this is, for people; raises as :meth:`identity`."""
+        numbers = self.identity(timeout_s)
+        if not numbers:
+            return f"INS on {self._bus.channel_info}, DBC version '{self.codec.database.version or ''}'"
+        return ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in numbers.items())
+
+    def supports(self, command: str) -> bool:
+        """Tell whether the station gives a command of that name."""
+        return getattr(self._commands, command) is not None
+
+    def align(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Begin self-alignment, and wait until the INS says that it has begun.
+
+        Where the map has no signal that would say so, the command is sent and not confirmed.
+
+        Raises
+        ------
+        RefusedError
+            The INS has no such command.
+        NoReplyError
+            The INS did not confirm in time.
+        FaultError
+            The INS reports a fault.
+        ConnectionFailedError
+            The bus went away.
+        """
+        self._command("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
+
+    def navigate(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Begin to navigate; waits and raises as :meth:`align`."""
+        self._command("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
+
+    def standby(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Stop aligning or navigating; waits and raises as :meth:`align`."""
+        self._command("standby", "mode", lambda status: status.mode is InsMode.STANDBY, timeout_s)
+
+    def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Choose the sequence of the Euler angles; waits and raises as :meth:`align`."""
+        command = self._commands.set_euler_sequence
+        given = {"$sequence": float(command.number(sequence))} if command is not None else {}
+        path = "attitude.euler.sequence"
+        self._command(
+            "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, timeout_s, given
+        )
+
+    def clear_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Have the INS forget its compensation; waits and raises as :meth:`align`."""
+        self._command(
+            "clear_compensation", "compensation", lambda status: status.compensation is False, timeout_s
+        )
+
+    def apply_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Have the INS use the compensation that was loaded; waits and raises as :meth:`align`."""
+        self._command(
+            "apply_compensation", "compensation", lambda status: status.compensation is True, timeout_s
+        )
+
+    def load_compensation(
+        self, axis: int, coefficients: Sequence[float], lowest_c: float, highest_c: float
+    ) -> None:
+        """Load the bias polynomial of one gyro, for :meth:`apply_compensation` to bring into use.
+
+        Parameters
+        ----------
+        axis : int
+            0, 1, 2 for the gyro along body x, y, z.
+        coefficients : sequence of float
+            From degree 0 up, in the temperature of the gyro's optics, degrees Celsius; in the
+            unit that the DBC gives.
+        lowest_c, highest_c : float
+            Temperatures between which the polynomial holds.
+
+        Raises
+        ------
+        RefusedError
+            The INS has no such command, or takes fewer coefficients.
+        ConnectionFailedError
+            The bus went away.
+        """
+        command = self._commands.load_compensation
+        if command is None:
+            raise self._unknown("load_compensation")
+        if len(coefficients) > command.coefficients:
+            raise RefusedError(
+                INSTRUMENT, f"takes {command.coefficients} coefficients for a gyro, not {len(coefficients)}"
+            )
+        numbers = dict.fromkeys(range(command.coefficients), 0.0) | dict(enumerate(coefficients))
+        numbers |= command.limits(lowest_c, highest_c)
+        for index, value in numbers.items():
+            self._send(command, {"$axis": axis, "$index": index, "$value": value})
+
+    def _command(
+        self,
+        name: str,
+        path: str,
+        confirmed: Callable[[InsStatus], bool],
+        timeout_s: float,
+        given: dict[str, float] | None = None,
+    ) -> None:
+        """Send a command and wait for a later frame, with the quantity of that path, that confirms."""
+        command: Command | None = getattr(self._commands, name)
+        if command is None:
+            raise self._unknown(name)
+        self.poll()
+        self._send(command, given or {})
+        if path in self._signals:
+            self._newest.forget(self._signals[path].message)
+            self._wait(
+                lambda status: _no_fault(status, name) and confirmed(status), f"sign of '{name}'", timeout_s
+            )
+
+    def _wait(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> None:
+        deadline = Deadline(self._clock, timeout_s)
+        while True:
+            self.poll()
+            status = self.status()
+            if condition(status):
+                return
+            if deadline.expired():
+                raise NoReplyError(
+                    INSTRUMENT,
+                    f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
+                    f"its mode is {status.mode.name}. Check its power, the bus and the DBC.",
+                )
+            self._clock.sleep(_POLL_PERIOD_S)
+
+    def _send(self, command: Command, given: dict[str, float]) -> None:
+        try:
+            self._bus.send(command.frame(self.codec, given), timeout=_SEND_TIMEOUT_S)
+        except (can.CanError, OSError) as error:
+            raise self._gone(error) from error
+        self._sent += 1
+
+    def _gone(self, error: Exception) -> ConnectionFailedError:
+        return ConnectionFailedError(INSTRUMENT, f"{self._bus} went away: {error}. Check adapter and cable.")
+
+    def _unknown(self, name: str) -> RefusedError:
+        return RefusedError(INSTRUMENT, f"has no command '{name}'; the station file's ins.commands lacks it")
+
+
+def _no_fault(status: InsStatus, command: str) -> bool:
+    if status.mode is InsMode.FAULT:
+        raise FaultError(
+            INSTRUMENT, f"reports a fault after '{command}'. Read its fault code; switch it off and on."
+        )
+    return True

@@ -1,0 +1,242 @@
+"""Navigation epochs found in a block of frames, and their time on the clock of the INS.
+
+The frames of one epoch arrive in a row. Their order of arrival and the epoch counter say which
+belong together and which epochs are missing; the time stamps of the CAN interface, which jitter,
+only tell a pause from a restart of the INS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ins.bound_signals import BlockReader
+from drivers.ins.readout import Readout
+
+Float64 = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+#: A counter that runs ahead of the arrival by more epochs than this has been set anew.
+_JUMP = 300.0
+_LATE_PERIODS = 2.0
+_TIME_DECIMALS = 9
+_STAMP_DECIMALS = 6
+
+
+@dataclass(frozen=True)
+class EpochCounts:
+    """What was not as it should be.
+
+    Attributes
+    ----------
+    lost : int
+        Epochs that are missing or lack a frame; what the block's edges cut off does not count.
+    repeated : int
+        Epochs with the number of the one before; dropped.
+    late : int
+        Epochs that arrived more than two periods later than the quickest before them. Over many
+        hours the drift between the two clocks looks the same.
+    restarts : int
+        Times that the clock or the counter of the INS was set anew.
+    untimed : int
+        Epochs whose INS time can't be told; dropped.
+    """
+
+    lost: int = 0
+    repeated: int = 0
+    late: int = 0
+    restarts: int = 0
+    untimed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Epochs:
+    """Complete epochs in order of arrival.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n,)
+        Where in the block the last frame of each epoch stands.
+    arrival_s : ndarray, shape (n,)
+        Time stamp of its first navigation frame.
+    ins_time_s : ndarray, shape (n,)
+        Time on the clock of the INS.
+    segment : ndarray of int64, shape (n,)
+        Counts the restarts of the INS; times of different segments have nothing in common.
+    """
+
+    rows: Rows
+    arrival_s: Float64
+    ins_time_s: Float64
+    segment: NDArray[np.int64]
+    counts: EpochCounts
+
+
+def find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
+    """Find the epochs and their times; see :class:`Epochs`."""
+    groups, incomplete = _group_frames(reader, readout)
+    period_s = readout.map.epoch_period_s
+    if readout.map.epoch_counter is not None:
+        numbers, modulus = readout.value("epoch_counter", groups.rows), _modulus(readout, "epoch_counter")
+    elif readout.map.time_s is not None:
+        numbers, modulus = readout.time_s(groups.rows) / period_s, _modulus(readout, "time_s") / period_s
+    else:
+        times_s = np.round(groups.arrival_s, _STAMP_DECIMALS)
+        one_segment = np.zeros(len(times_s), np.int64)
+        return Epochs(groups.rows, groups.arrival_s, times_s, one_segment, EpochCounts(lost=incomplete))
+    finite = np.isfinite(numbers)
+    numbers, groups = numbers[finite], groups.take(finite)
+    steps, jumped = _follow(numbers, modulus, np.diff(groups.arrival_s) / period_s)
+    new = steps != 0.0
+    position = np.cumsum(steps)[new]
+    groups = groups.take(new)
+    restart = jumped[new]
+    lost = int(np.sum(np.rint(np.diff(position)[~restart[1:]]) - 1.0))
+    times_s = _times(readout, groups, position, restart)
+    timed = ~np.isnan(times_s)
+    groups, times_s, segment = groups.take(timed), times_s[timed], np.cumsum(restart)[timed]
+    counts = EpochCounts(
+        lost=lost,
+        repeated=int(np.sum(~new)),
+        late=_count_late(groups.arrival_s - times_s, segment, _LATE_PERIODS * period_s),
+        restarts=int(np.sum(restart)),
+        untimed=int(np.sum(~timed)),
+    )
+    return Epochs(groups.rows, groups.arrival_s, times_s, segment, counts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Groups:
+    """Complete groups of frames: last row, arrival, row of the time frame among them or -1."""
+
+    rows: Rows
+    arrival_s: Float64
+    time_rows: Rows
+
+    def take(self, chosen: NDArray[np.bool_]) -> _Groups:
+        return _Groups(self.rows[chosen], self.arrival_s[chosen], self.time_rows[chosen])
+
+
+def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
+    """Collect groups, and count how many between the first and the last lack a frame."""
+    names = _messages_in_order(reader, readout)
+    required = np.array([name in readout.map.messages_of_epoch() for name in names])
+    stamps_s = reader.block.timestamp_s
+    place = np.full(len(stamps_s), -1, np.int8)
+    for index, name in enumerate(names):
+        place[reader.rows(name)] = index
+    rows = np.flatnonzero(place >= 0)
+    order = place[rows]
+    # A new epoch: the order begins again, or what should have come in a row did not.
+    begins = (np.diff(order) <= 0) | (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
+    group = np.cumsum(np.concatenate([[True], begins]))[: len(rows)] - 1
+    table = np.full((int(group.max(initial=-1)) + 1, len(names)), -1, np.int64)
+    table[group, order] = rows
+    complete = np.all(table[:, required] >= 0, axis=1)
+    whole = table[complete]
+    of_time = [name == _time_message(readout) for name in names]
+    groups = _Groups(
+        rows=whole.max(axis=1, initial=-1),
+        arrival_s=stamps_s[whole[:, int(np.argmax(required))]],
+        time_rows=whole[:, of_time].max(axis=1, initial=-1),
+    )
+    return groups, int(np.sum(~complete[1:-1]))
+
+
+def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
+    """List the messages of an epoch, and that of the time, as they follow each other.
+
+    Frames that are ready at once leave in the order of their identifiers, so this is the order
+    unless the map gives another.
+    """
+    members = readout.map.messages_of_epoch()
+    time_message = _time_message(readout)
+    if time_message is not None:
+        members.add(time_message)
+    if readout.map.epoch_messages is None:
+        return sorted(members, key=reader.codec.arbitration_id)
+    first = members - set(readout.map.epoch_messages)
+    return [*first, *(name for name in readout.map.epoch_messages if name in members)]
+
+
+def _time_message(readout: Readout) -> str | None:
+    return readout.signals["time_s"].message if "time_s" in readout.signals else None
+
+
+def _modulus(readout: Readout, path: str) -> float:
+    """Tell what a quantity wraps at; infinite if it does not."""
+    return readout.signals[path].modulus if path in readout.signals else np.inf
+
+
+def _follow(numbers: Float64, modulus: float, passed: Float64) -> tuple[Float64, NDArray[np.bool_]]:
+    """Find the steps from number to number (the first is 1), and where the numbering was set anew.
+
+    ``passed`` is the number of epochs that the arrival says have passed in each step.
+    """
+    steps = _nearest(np.diff(numbers), modulus, passed)
+    jump = min(_JUMP, modulus / 4.0)
+    jumped = (steps < 0.0) | (steps - passed > jump)
+    count = len(numbers)
+    return np.concatenate([[1.0], steps])[:count], np.concatenate([[False], jumped])[:count]
+
+
+def _nearest(steps: Float64, modulus: float, expected: Float64 | float) -> Float64:
+    """Take from each step the wraps that bring it nearest to what is expected."""
+    return steps if np.isinf(modulus) else steps + modulus * np.rint((expected - steps) / modulus)
+
+
+def _times(readout: Readout, groups: _Groups, position: Float64, restart: NDArray[np.bool_]) -> Float64:
+    """INS time of each epoch, NaN where it can't be told.
+
+    Where two times of the INS contradict the count of epochs between them, its clock was set
+    anew somewhere there: those epochs have no time and ``restart`` is marked at the second.
+    """
+    period_s = readout.map.epoch_period_s
+    if readout.map.time_s is not None:
+        known = np.flatnonzero(groups.time_rows >= 0)
+        known_s = readout.time_s(groups.time_rows[known])
+        known, known_s = known[np.isfinite(known_s)], known_s[np.isfinite(known_s)]
+    else:
+        known = np.flatnonzero(np.concatenate([[True], restart[1:]])[: len(restart)])
+        known_s = np.round(groups.arrival_s[known], _STAMP_DECIMALS)
+    offsets_s = known_s - position[known] * period_s
+    continuous = np.diff(np.cumsum(restart)[known]) == 0
+    changes_s = np.where(
+        continuous, _nearest(np.diff(offsets_s), _modulus(readout, "time_s"), 0.0), np.diff(offsets_s)
+    )
+    offsets_s[1:] = offsets_s[:1] + np.cumsum(changes_s)
+    contradicted = continuous & (np.abs(changes_s) > period_s / 2.0)
+    restart[known[1:][contradicted]] = True
+    times_s = position * period_s + _interpolated(position, np.cumsum(restart), known, offsets_s)
+    for first, second in zip(known[:-1][contradicted], known[1:][contradicted], strict=True):
+        times_s[first + 1 : second] = np.nan
+    return np.round(times_s, _TIME_DECIMALS)
+
+
+def _interpolated(position: Float64, segment: NDArray[np.int64], known: Rows, offsets_s: Float64) -> Float64:
+    """Offsets at every position from those at the known ones of the same segment."""
+    result = np.full(len(position), np.nan)
+    for run in _runs(segment):
+        inside = slice(*np.searchsorted(known, (run.start, run.stop)))
+        if inside.start < inside.stop:
+            result[run] = np.interp(position[run], position[known[inside]], offsets_s[inside])
+    return result
+
+
+def _count_late(delays_s: Float64, segment: NDArray[np.int64], tolerance_s: float) -> int:
+    late = 0
+    for run in _runs(segment):
+        late += int(np.sum(delays_s[run] - np.minimum.accumulate(delays_s[run]) > tolerance_s))
+    return late
+
+
+def _runs(segment: NDArray[np.int64]) -> Iterator[slice]:
+    """Stretches of equal segment number."""
+    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
+    for start, stop in pairwise(edges):
+        if start < stop:
+            yield slice(start, stop)

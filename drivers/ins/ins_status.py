@@ -1,0 +1,160 @@
+"""Present state of the INS, read out of the newest frame of each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ins.attitude import EulerSequence
+from drivers.ins.bound_signals import BoundSignal
+from drivers.ins.dbc_codec import DbcCodec
+from drivers.ins.frames import EXTENDED_ID
+from drivers.ins.readout import Alignment, InsMode, Readout
+from drivers.ins.signal_map import SignalMap
+
+#: Values older than this are not known any more.
+STALE_S = 5.0
+
+Float64 = NDArray[np.float64]
+
+_NOW = np.zeros(1, np.int64)
+
+
+class NewestFrames:
+    """The newest data frame of each identifier, with its age.
+
+    Ages are told by the clock of the run and, between frames, by the time stamps of the CAN
+    interface, which may count from anywhere.
+    """
+
+    def __init__(self, codec: DbcCodec) -> None:
+        self._codec = codec
+        self._frames: dict[int, can.Message] = {}
+        self._heard_s = -np.inf
+        self._stamp_s = 0.0
+
+    def take(self, frames: Sequence[can.Message], now_s: float) -> None:
+        """Remember frames that have just arrived, in order; there must be one at least."""
+        self._heard_s, self._stamp_s = now_s, frames[-1].timestamp
+        # An identifier of 29 bits is kept as its complement: the cheapest way to tell the two kinds apart.
+        self._frames.update(
+            {(~m.arbitration_id if m.is_extended_id else m.arbitration_id): m for m in frames}
+        )
+
+    def forget(self, message_name: str) -> None:
+        """Drop the frame of a message."""
+        self._frames.pop(_key(self._codec.arbitration_id(message_name)), None)
+
+    def age_s(self, now_s: float) -> float:
+        """Tell the time since anything arrived."""
+        return float(now_s - self._heard_s)
+
+    def snapshot(self, now_s: float) -> Snapshot:
+        """Keep the present frames that are not stale."""
+        oldest_s = self._stamp_s + self.age_s(now_s) - STALE_S
+        fresh = {key: frame for key, frame in self._frames.items() if frame.timestamp >= oldest_s}
+        return Snapshot(fresh, self._codec)
+
+
+class Snapshot:
+    """Values of the newest frames at one moment; each is decoded when it is first asked for."""
+
+    def __init__(self, frames: Mapping[int, can.Message], codec: DbcCodec) -> None:
+        self._frames = frames
+        self._codec = codec
+        self._decoded: dict[str, dict[str, float]] = {}
+
+    def held(self, bound: BoundSignal, rows: NDArray[np.int64]) -> Float64:  # noqa: ARG002 - only now
+        """Value of a signal, shape (1,); NaN if its frame is not there."""
+        if bound.message not in self._decoded:
+            frame = self._frames.get(_key(self._codec.arbitration_id(bound.message)))
+            self._decoded[bound.message] = (
+                {} if frame is None else self._codec.decode_one(frame.data, bound.message)
+            )
+        value = self._decoded[bound.message].get(bound.signal.name, np.nan)
+        return np.array([value * bound.gain + bound.offset])
+
+
+def _key(arbitration_id: int) -> int:
+    return ~(arbitration_id & ~EXTENDED_ID) if arbitration_id & EXTENDED_ID else arbitration_id
+
+
+class InsStatus:
+    """State of the INS at one moment; what is not mapped, or too old, is NaN, None or ``UNKNOWN``.
+
+    Attributes
+    ----------
+    age_s : float
+        Time since anything arrived; infinite if nothing ever did.
+    """
+
+    def __init__(
+        self, snapshot: Snapshot, age_s: float, signal_map: SignalMap, signals: Mapping[str, BoundSignal]
+    ) -> None:
+        self.age_s = age_s
+        self._readout = Readout(snapshot, signal_map, signals)
+
+    @cached_property
+    def mode(self) -> InsMode:
+        """What the INS is doing."""
+        return InsMode(int(self._readout.mode(_NOW)[0]))
+
+    @cached_property
+    def alignment(self) -> Alignment:
+        """How far self-alignment has come."""
+        return Alignment(int(self._readout.alignment(_NOW)[0]))
+
+    @cached_property
+    def euler_sequence(self) -> EulerSequence | None:
+        """Sequence of the Euler angles that the INS puts out."""
+        index = int(self._readout.euler_sequence(_NOW)[0])
+        return list(EulerSequence)[index] if index >= 0 else None
+
+    @cached_property
+    def compensation(self) -> bool | None:
+        """Whether a compensation is in use."""
+        value = self._number("compensation")
+        return None if np.isnan(value) else value != 0.0
+
+    @cached_property
+    def ins_time_s(self) -> float:
+        """Time on the clock of the INS."""
+        return float(self._readout.time_s(_NOW)[0])
+
+    @cached_property
+    def velocity_enu_mps(self) -> Float64:
+        """Velocity, shape (3,)."""
+        return np.asarray(self._readout.velocity_enu_mps(_NOW)[0])
+
+    @cached_property
+    def attitude(self) -> Float64:
+        """``C_nb``, shape (3, 3)."""
+        return np.asarray(self._readout.attitude(_NOW)[0])
+
+    @cached_property
+    def optics_c(self) -> Float64:
+        """Temperature of each gyro's optics by body axis, shape (3,)."""
+        return np.asarray(self._readout.axes("gyro_optics_temperature", _NOW)[0])
+
+    @cached_property
+    def electronics_c(self) -> Float64:
+        """Temperature of each gyro's electronics by body axis, shape (3,)."""
+        return np.asarray(self._readout.axes("gyro_electronics_temperature", _NOW)[0])
+
+    @cached_property
+    def case_c(self) -> float:
+        """Temperature of the case."""
+        return self._number("case_temperature")
+
+    @cached_property
+    def identity(self) -> dict[str, int]:
+        """The numbers of the signal map's ``identity`` that have arrived."""
+        numbers = {name: self._number(f"identity.{name}") for name in self._readout.map.identity}
+        return {name: int(number) for name, number in numbers.items() if np.isfinite(number)}
+
+    def _number(self, path: str) -> float:
+        return float(self._readout.value(path, _NOW)[0])

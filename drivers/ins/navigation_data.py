@@ -1,0 +1,121 @@
+"""Navigation data out of recorded frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ins.bound_signals import BlockReader, bind_signals
+from drivers.ins.dbc_codec import DbcCodec
+from drivers.ins.epochs import EpochCounts, Epochs, find_epochs
+from drivers.ins.frames import FrameBlock
+from drivers.ins.readout import Readout
+from drivers.ins.signal_map import SignalMap
+
+Float64 = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_TEMPERATURES = ("gyro_optics_temperature", "gyro_electronics_temperature", "case_temperature")
+
+
+@dataclass(frozen=True, eq=False)
+class Temperatures:
+    """Temperatures inside the INS, degrees Celsius; NaN where the INS does not tell them.
+
+    Attributes
+    ----------
+    ins_time_s : ndarray, shape (m,)
+        Time of the epoch that they were sent with.
+    optics_c, electronics_c : ndarray, shape (m, 3)
+        Of each gyro, by body axis.
+    case_c : ndarray, shape (m,)
+        Of the case.
+    """
+
+    ins_time_s: Float64
+    optics_c: Float64
+    electronics_c: Float64
+    case_c: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class NavigationData:
+    """What the INS put out, epoch by epoch.
+
+    Attributes
+    ----------
+    ins_time_s : ndarray, shape (n,)
+        Time on the clock of the INS; increases within a segment.
+    timestamp_s : ndarray, shape (n,)
+        Time of arrival as the CAN interface stamped it.
+    segment : ndarray of int64, shape (n,)
+        Counts the restarts of the INS.
+    velocity_enu_mps : ndarray, shape (n, 3)
+        Velocity; Up is the last value known, and NaN where none is.
+    attitude : ndarray, shape (n, 3, 3)
+        ``C_nb``; NaN where the INS says that it is not valid and as long as a block has not told
+        which Euler sequence applies.
+    mode, alignment : ndarray of int8, shape (n,)
+        :class:`~drivers.ins.readout.InsMode` and :class:`~drivers.ins.readout.Alignment`, the last
+        known.
+    temperatures : Temperatures
+        On their own, slower time line.
+    counts : EpochCounts
+        What was lost on the way.
+    short_frames : int
+        Frames with fewer bytes than the DBC says; left out.
+    """
+
+    ins_time_s: Float64
+    timestamp_s: Float64
+    segment: NDArray[np.int64]
+    velocity_enu_mps: Float64
+    attitude: Float64
+    mode: NDArray[np.int8]
+    alignment: NDArray[np.int8]
+    temperatures: Temperatures
+    counts: EpochCounts
+    short_frames: int
+
+
+def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
+    """Decode one uninterrupted recording; the same frames always give the same numbers.
+
+    Raises
+    ------
+    DocumentError
+        The signal map does not fit the DBC.
+    """
+    reader = BlockReader(block, codec)
+    readout = Readout(reader, signal_map, bind_signals(signal_map, codec))
+    epochs = find_epochs(reader, readout)
+    messages = {bound.message for bound in readout.signals.values()}
+    return NavigationData(
+        ins_time_s=epochs.ins_time_s,
+        timestamp_s=epochs.arrival_s,
+        segment=epochs.segment,
+        velocity_enu_mps=readout.velocity_enu_mps(epochs.rows),
+        attitude=readout.attitude(epochs.rows),
+        mode=readout.mode(epochs.rows),
+        alignment=readout.alignment(epochs.rows),
+        temperatures=_temperatures(reader, readout, epochs),
+        counts=epochs.counts,
+        short_frames=sum(codec.count_short(block, message) for message in messages),
+    )
+
+
+def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temperatures:
+    """One row for each frame of the last of the temperature messages."""
+    messages = {b.message for path, b in readout.signals.items() if path.startswith(_TEMPERATURES)}
+    rows = np.zeros(0, np.int64)
+    if messages and len(epochs.rows):
+        rows = reader.rows(max(messages, key=reader.codec.arbitration_id))
+    following = np.minimum(np.searchsorted(epochs.rows, rows), len(epochs.rows) - 1)
+    return Temperatures(
+        ins_time_s=epochs.ins_time_s[following],
+        optics_c=readout.axes("gyro_optics_temperature", rows),
+        electronics_c=readout.axes("gyro_electronics_temperature", rows),
+        case_c=readout.value("case_temperature", rows),
+    )

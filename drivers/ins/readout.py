@@ -1,0 +1,150 @@
+"""What the INS says at given moments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ins.attitude import EulerSequence, QuaternionFrames, attitude_matrices, quaternion_matrices
+from drivers.ins.bound_signals import BoundSignal
+from drivers.ins.signal_map import EulerMap, SignalMap
+
+Float64 = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+class InsMode(IntEnum):
+    """What the INS is doing."""
+
+    UNKNOWN = -1
+    BOOT = 0
+    STANDBY = 1
+    ALIGN = 2
+    NAVIGATE = 3
+    FAULT = 4
+
+
+class Alignment(IntEnum):
+    """How far self-alignment has come."""
+
+    UNKNOWN = -1
+    NONE = 0
+    COARSE = 1
+    FINE = 2
+
+
+class Reader(Protocol):
+    """Where the values of bound signals come from."""
+
+    def held(self, bound: BoundSignal, rows: Rows) -> Float64:
+        """Last value that had arrived at each of those moments, NaN before the first."""
+        ...
+
+
+class Readout:
+    """Quantities of a signal map: the last values that had arrived at given moments.
+
+    Each method takes the moments, shape (n,), as the reader counts them (rows of a block), and
+    returns values in SI or degrees Celsius, NaN or ``UNKNOWN`` where nothing had arrived yet or
+    nothing is mapped.
+    """
+
+    def __init__(self, reader: Reader, signal_map: SignalMap, signals: Mapping[str, BoundSignal]) -> None:
+        self.map = signal_map
+        self.signals = signals
+        self._reader = reader
+
+    def value(self, path: str, rows: Rows) -> Float64:
+        """Read one quantity by its path, shape (n,)."""
+        if path not in self.signals:
+            return np.full(len(rows), np.nan)
+        return self._reader.held(self.signals[path], rows)
+
+    def values(self, paths: Sequence[str], rows: Rows) -> Float64:
+        """Read several quantities side by side, shape (n, number of paths)."""
+        return np.stack([self.value(path, rows) for path in paths], axis=-1)
+
+    def velocity_enu_mps(self, rows: Rows) -> Float64:
+        """Read the velocity, shape (n, 3)."""
+        return self.values(("velocity_east", "velocity_north", "velocity_up"), rows)
+
+    def axes(self, name: str, rows: Rows) -> Float64:
+        """Read a quantity of the three body axes, shape (n, 3)."""
+        return self.values([f"{name}.{axis}" for axis in "xyz"], rows)
+
+    def time_s(self, rows: Rows) -> Float64:
+        """Read the clock of the INS, shape (n,)."""
+        seconds = self.value("time_s", rows)
+        return seconds + self.value("time_ns", rows) if "time_ns" in self.signals else seconds
+
+    def mode(self, rows: Rows) -> NDArray[np.int8]:
+        """Read the :class:`InsMode`, shape (n,)."""
+        if self.map.mode is None:
+            return np.full(len(rows), InsMode.UNKNOWN, np.int8)
+        mapped = self.map.mode
+        codes: dict[int, list[int]] = {
+            InsMode.STANDBY: mapped.standby,
+            InsMode.ALIGN: mapped.align,
+            InsMode.NAVIGATE: mapped.navigate,
+            InsMode.FAULT: mapped.fault,
+        }
+        return _coded(self.value("mode", rows), codes, InsMode.BOOT)
+
+    def alignment(self, rows: Rows) -> NDArray[np.int8]:
+        """Read the :class:`Alignment`, shape (n,)."""
+        if self.map.alignment is None:
+            return np.full(len(rows), Alignment.UNKNOWN, np.int8)
+        codes: dict[int, list[int]] = {
+            Alignment.COARSE: self.map.alignment.coarse,
+            Alignment.FINE: self.map.alignment.fine,
+        }
+        return _coded(self.value("alignment", rows), codes, Alignment.NONE)
+
+    def attitude(self, rows: Rows) -> Float64:
+        """Read ``C_nb``, shape (n, 3, 3)."""
+        if self.map.attitude.euler is not None:
+            matrices = self._from_euler(self.map.attitude.euler, rows)
+        else:
+            matrices = self._from_quaternion(rows)
+        if "attitude.valid" in self.signals:
+            matrices[self.value("attitude.valid", rows) == 0.0] = np.nan
+        return matrices
+
+    def euler_sequence(self, rows: Rows) -> NDArray[np.int8]:
+        """Read the index into ``list(EulerSequence)``; -1 where it is not known or there is none."""
+        euler = self.map.attitude.euler
+        sequences = list(EulerSequence)
+        if euler is not None and euler.sequence.fixed is not None:
+            return np.full(len(rows), sequences.index(EulerSequence(euler.sequence.fixed)), np.int8)
+        codes = (
+            {index: [getattr(euler.sequence, name)] for index, name in enumerate(sequences)} if euler else {}
+        )
+        return _coded(self.value("attitude.euler.sequence", rows), codes, -1)
+
+    def _from_euler(self, euler: EulerMap, rows: Rows) -> Float64:
+        roll, pitch, yaw = self.values([f"attitude.euler.{n}" for n in ("roll", "pitch", "yaw")], rows).T
+        if euler.yaw_positive == "down":
+            yaw = -yaw
+        matrices = np.full((len(rows), 3, 3), np.nan)
+        sequence = self.euler_sequence(rows)
+        for index, name in enumerate(EulerSequence):
+            chosen = sequence == index
+            matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
+        return matrices
+
+    def _from_quaternion(self, rows: Rows) -> Float64:
+        assert self.map.attitude.quaternion is not None  # noqa: S101 - the map has one of the two
+        frames = QuaternionFrames(self.map.attitude.quaternion.frames)
+        return quaternion_matrices(frames, *self.values([f"attitude.quaternion.{n}" for n in "wxyz"], rows).T)
+
+
+def _coded(values: Float64, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
+    codes = np.full(len(values), other, np.int8)
+    for code, raw in meanings.items():
+        codes[np.isin(values, raw)] = code
+    codes[np.isnan(values)] = -1
+    return codes

@@ -1,0 +1,244 @@
+"""Which signal of the DBC carries which quantity: the station file's ``ins.signals``.
+
+A source is ``MESSAGE.SIGNAL``, or a mapping with that under ``signal`` and what has to be done to
+it (``sign``, ``scale``, ``unit``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from bench.documents import Location, StrictModel
+
+
+class Dimension(StrEnum):
+    """What a quantity measures, and so which units its signal may have."""
+
+    TIME = "time"
+    SPEED = "speed"
+    ANGLE = "angle"
+    TEMPERATURE = "temperature"
+    NUMBER = "number"
+
+
+def _is_signal_name(value: str) -> str:
+    message, dot, signal = value.partition(".")
+    if not (message and dot and signal) or "." in signal:
+        raise ValueError("expected MESSAGE.SIGNAL as the DBC file names them")
+    return value
+
+
+def _signal_alone(value: Any) -> Any:
+    return {"signal": value} if isinstance(value, str) else value
+
+
+def _sequence_alone(value: Any) -> Any:
+    return {"fixed": value} if value in ("rpy_321", "pry_231") else _signal_alone(value)
+
+
+def _value_alone(value: Any) -> Any:
+    return [value] if isinstance(value, int) else value
+
+
+SignalName = Annotated[str, AfterValidator(_is_signal_name)]
+#: One raw value or several that mean the same.
+Values = Annotated[list[int], BeforeValidator(_value_alone)]
+
+
+class SignalSource(StrictModel):
+    """A signal and what turns it into the quantity."""
+
+    signal: SignalName
+    sign: Literal[1, -1] = 1
+    scale: float = 1.0
+    #: Unit to take instead of the DBC's.
+    unit: str | None = None
+
+
+Source = Annotated[SignalSource, BeforeValidator(_signal_alone)]
+
+
+class AxesMap(StrictModel):
+    """One signal for each body axis."""
+
+    x: Source
+    y: Source
+    z: Source
+
+
+class SequenceMap(StrictModel):
+    """The Euler sequence: fixed, or a signal with the values that stand for each."""
+
+    fixed: Literal["rpy_321", "pry_231"] | None = None
+    signal: SignalName | None = None
+    rpy_321: int = 0
+    pry_231: int = 1
+
+    @model_validator(mode="after")
+    def _either(self) -> SequenceMap:
+        if (self.fixed is None) == (self.signal is None):
+            raise ValueError("expected rpy_321, pry_231 or the signal that tells")
+        return self
+
+
+class EulerMap(StrictModel):
+    """Euler angles; :mod:`drivers.ins.attitude` says what they mean."""
+
+    roll: Source
+    pitch: Source
+    yaw: Source
+    sequence: Annotated[SequenceMap, BeforeValidator(_sequence_alone)]
+    #: ``up``: counter-clockwise seen from above. ``down``: a heading, clockwise.
+    yaw_positive: Literal["up", "down"]
+
+
+class QuaternionMap(StrictModel):
+    """A unit quaternion that turns body vectors into the navigation frame."""
+
+    w: Source
+    x: Source
+    y: Source
+    z: Source
+    frames: Literal["rfu_to_enu", "frd_to_ned"]
+
+
+class AttitudeMap(StrictModel):
+    """Attitude in one of its forms, and the signal that is zero where it means nothing."""
+
+    euler: EulerMap | None = None
+    quaternion: QuaternionMap | None = None
+    valid: SignalName | None = None
+
+    @model_validator(mode="after")
+    def _one_form(self) -> AttitudeMap:
+        if (self.euler is None) == (self.quaternion is None):
+            raise ValueError("expected one of: euler, quaternion")
+        return self
+
+
+class ModeMap(StrictModel):
+    """What the INS is doing, by raw value; others count as booting."""
+
+    signal: SignalName
+    standby: Values = Field(default_factory=list)
+    align: Values = Field(default_factory=list)
+    navigate: Values
+    fault: Values = Field(default_factory=list)
+
+
+class AlignmentMap(StrictModel):
+    """How far alignment has come, by raw value; others count as none."""
+
+    signal: SignalName
+    coarse: Values = Field(default_factory=list)
+    fine: Values
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A mapped quantity: where in the map it stands and what it measures."""
+
+    location: Location
+    source: SignalSource
+    dimension: Dimension
+
+
+class SignalMap(StrictModel):
+    """Signals of the INS's output."""
+
+    #: Time on the clock of the INS; ``time_ns`` is added to ``time_s``. Without an epoch counter it
+    #: has to come with every epoch.
+    time_s: Source | None = None
+    time_ns: Source | None = None
+    epoch_counter: Source | None = None
+    epoch_period_s: float = Field(gt=0.0, le=10.0)
+    #: Messages of one epoch in the order in which they are sent; by identifier if not given.
+    epoch_messages: list[str] | None = None
+    velocity_east: Source
+    velocity_north: Source
+    velocity_up: Source | None = None
+    attitude: AttitudeMap
+    gyro_optics_temperature: AxesMap | None = None
+    gyro_electronics_temperature: AxesMap | None = None
+    case_temperature: Source | None = None
+    mode: ModeMap | None = None
+    alignment: AlignmentMap | None = None
+    #: Not zero where a compensation is in use.
+    compensation: SignalName | None = None
+    #: Numbers that say which INS this is, by name, such as ``serial_number``.
+    identity: dict[str, SignalName] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _whole_seconds(self) -> SignalMap:
+        if self.time_ns is not None and self.time_s is None:
+            raise ValueError("time_ns is added to time_s, which is missing")
+        return self
+
+    @model_validator(mode="after")
+    def _whole_epochs(self) -> SignalMap:
+        absent = self.messages_of_epoch() - set(self.epoch_messages or self.messages_of_epoch())
+        if absent:
+            raise ValueError(f"epoch_messages lacks {', '.join(sorted(absent))}")
+        return self
+
+    def messages_of_epoch(self) -> set[str]:
+        """Messages without which an epoch is not complete."""
+        angles = self.attitude.euler or self.attitude.quaternion
+        sources = [self.velocity_east, self.velocity_north, self.epoch_counter or self.time_s]
+        sources += [source for _, source in angles or () if isinstance(source, SignalSource)]
+        return {source.signal.partition(".")[0] for source in sources if source is not None}
+
+    def quantities(self) -> dict[str, Quantity]:
+        """Every mapped quantity by its path, such as ``attitude.euler.roll``."""
+        return {".".join(map(str, found.location)): found for found in self._all()}
+
+    def _all(self) -> Iterator[Quantity]:
+        for name, dimension in _PLAIN.items():
+            yield from _quantities(getattr(self, name), (name,), dimension)
+        euler, quaternion = self.attitude.euler, self.attitude.quaternion
+        if euler is not None:
+            for name in ("roll", "pitch", "yaw"):
+                yield Quantity(("attitude", "euler", name), getattr(euler, name), Dimension.ANGLE)
+            yield from _states(euler.sequence.signal, ("attitude", "euler", "sequence"))
+        if quaternion is not None:
+            for name in "wxyz":
+                yield Quantity(("attitude", "quaternion", name), getattr(quaternion, name), Dimension.NUMBER)
+        yield from _states(self.attitude.valid, ("attitude", "valid"))
+        yield from _states(self.mode.signal if self.mode else None, ("mode",))
+        yield from _states(self.alignment.signal if self.alignment else None, ("alignment",))
+        yield from _states(self.compensation, ("compensation",))
+        for name, signal in self.identity.items():
+            yield from _states(signal, ("identity", name))
+
+
+_PLAIN = {
+    "time_s": Dimension.TIME,
+    "time_ns": Dimension.TIME,
+    "epoch_counter": Dimension.NUMBER,
+    "velocity_east": Dimension.SPEED,
+    "velocity_north": Dimension.SPEED,
+    "velocity_up": Dimension.SPEED,
+    "gyro_optics_temperature": Dimension.TEMPERATURE,
+    "gyro_electronics_temperature": Dimension.TEMPERATURE,
+    "case_temperature": Dimension.TEMPERATURE,
+}
+
+
+def _quantities(
+    mapped: SignalSource | AxesMap | None, location: Location, dimension: Dimension
+) -> Iterator[Quantity]:
+    if isinstance(mapped, AxesMap):
+        for axis in "xyz":
+            yield Quantity((*location, axis), getattr(mapped, axis), dimension)
+    elif mapped is not None:
+        yield Quantity(location, mapped, dimension)
+
+
+def _states(signal: str | None, location: Location) -> Iterator[Quantity]:
+    if signal is not None:
+        yield Quantity(location, SignalSource(signal=signal), Dimension.NUMBER)

@@ -1,0 +1,183 @@
+"""Whatever ends a run, the bench is brought to its safe state and the journal says why."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from bench.documents import find_document
+from bench.engine.operator import ConsentingOperator
+from bench.engine.session import prepare_job, run_job
+from bench.errors import DocumentError
+from bench.run_store.journal import read_journal
+from bench.station.instruments import Emulation
+from drivers.emulators.acl_axis import SoftwareFault
+from drivers.emulators.bench import BenchAddress, emulated_bench
+
+
+class Meddler:
+    """Watches a run and does something to the emulated bench, once, in a step of some kind."""
+
+    def __init__(self, kind, deed):
+        self.kind = kind
+        self.deed = deed
+        self.done = False
+        self.now = ""
+        self.bench = None
+
+    def step_started(self, planned, late_s):
+        self.now = planned.step.name
+
+    def ticked(self, live, left_s):
+        clock = live.clock
+        world = str(find_document("worlds", "ideal"))
+        self.bench = emulated_bench(BenchAddress(clock.name, world, 0))
+        if self.now == self.kind and not self.done:
+            self.done = True
+            self.deed(self.bench, clock)
+
+    def dwell_measured(self, row):
+        pass
+
+
+class RefusingOperator(ConsentingOperator):
+    def ask(self, question, answers):
+        self._answer = answers[-1]
+
+
+def run_with(tmp_path, kind, deed, procedure="ten_minute_check"):
+    meddler = Meddler(kind, deed)
+    job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0))
+    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    assert meddler.done
+    return folder, outcome, meddler.bench
+
+
+def assert_safe(folder, outcome, bench):
+    assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
+    for axis in bench.world.axes.values():
+        assert not axis.is_moving(bench.clock.now() + 60.0)
+    assert bench.world.air.set_point_c == 23.0
+    last = list(read_journal(folder.journal))[-1]
+    assert (last["event"], last["reason"]) == ("run_ended", outcome.reason)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_stops_the_run_safely(tmp_path, number):
+    folder, outcome, bench = run_with(tmp_path, "navigate", lambda bench, clock: os.kill(os.getpid(), number))
+    assert outcome.ended == "stopped"
+    assert signal.Signals(number).name in outcome.reason
+    assert_safe(folder, outcome, bench)
+
+
+def test_a_trip_of_the_table_fails_the_run_safely(tmp_path):
+    def trip(bench, clock):
+        bench.serial["table"].trip(1, SoftwareFault.RATE_TRIP, clock.now())
+
+    folder, outcome, bench = run_with(tmp_path, "navigate", trip)
+    assert outcome.ended == "failed"
+    assert "rate trip" in outcome.reason
+    assert_safe(folder, outcome, bench)
+
+
+def test_an_interlock_that_opens_in_a_turn_fails_the_run_safely(tmp_path):
+    def open_door(bench, clock):
+        bench.serial["table"].open_interlock(2, clock.now())
+
+    folder, outcome, bench = run_with(tmp_path, "turn", open_door)
+    assert outcome.ended == "failed"
+    assert "rate table" in outcome.reason
+    assert_safe(folder, outcome, bench)
+
+
+def test_a_broken_chamber_sensor_fails_the_run(tmp_path):
+    def break_sensor(bench, clock):
+        bench.serial["chamber"].sensor_error = 1
+
+    _, outcome, _ = run_with(tmp_path, "align", break_sensor)
+    assert outcome.ended == "failed"
+    assert "INPUT_1_ERROR" in outcome.reason or "sensor" in outcome.reason
+
+
+def test_an_ins_that_loses_power_fails_the_step_in_its_time(tmp_path):
+    folder, outcome, bench = run_with(tmp_path, "align", lambda bench, clock: bench.world.power_unit(False))
+    assert outcome.ended == "failed"
+    assert outcome.rows == []
+    assert_safe(folder, outcome, bench)
+
+
+def test_a_chamber_switched_off_at_its_panel_fails_the_step_with_its_place_in_the_file(tmp_path):
+    path = tmp_path / "hot.yaml"
+    path.write_text(
+        "procedure: hot\nsteps:\n  - chamber: {temperature_c: 60, ramp_c_per_min: 4, timeout_s: 900}\n"
+    )
+
+    def switch_off(bench, clock):
+        bench.world.air.running = False
+
+    folder, outcome, bench = run_with(tmp_path, "chamber", switch_off, path)
+    assert outcome.ended == "failed"
+    assert "hot.yaml:3:" in outcome.reason
+    assert "not over after 900 s" in outcome.reason
+    assert_safe(folder, outcome, bench)
+
+
+def test_an_unexpected_exception_is_raised_once_the_bench_is_safe(tmp_path):
+    class SurpriseError(Exception):
+        pass
+
+    def fail(bench, clock):
+        raise SurpriseError("in a step")
+
+    meddler = Meddler("turn", fail)
+    job = prepare_job("ten_minute_check", "emulated", Emulation("ideal", 0))
+    with pytest.raises(SurpriseError):
+        run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    last = list(read_journal(tmp_path / "run" / "journal.jsonl"))[-1]
+    assert last["ended"] == "failed"
+    assert "Surprise" in last["reason"]
+    assert [action["problem"] for action in last["safe_state"]] == [""] * len(last["safe_state"])
+    assert meddler.bench.world.air.set_point_c == 23.0
+
+
+def test_nothing_moves_before_a_wrong_procedure_is_refused(tmp_path):
+    path = tmp_path / "wrong.yaml"
+    path.write_text("procedure: wrong\nsteps:\n  - chamber: {temperature_c: 90, ramp_c_per_min: 50}\n")
+    with pytest.raises(DocumentError) as caught:
+        prepare_job(str(path), "emulated")
+    assert str(caught.value).count("wrong.yaml:3:") == 2
+
+
+def test_an_operator_who_does_not_go_on_stops_the_run(tmp_path):
+    path = tmp_path / "ask.yaml"
+    path.write_text("procedure: ask\nsteps:\n  - ask_operator: {question: 'Is the door shut?'}\n")
+    job = prepare_job(str(path), "emulated")
+    watcher = Meddler("nothing", None)
+    _, outcome = run_job(job, tmp_path / "run", watcher, RefusingOperator())
+    assert outcome.ended == "stopped"
+    assert "Is the door shut?" in outcome.reason
+
+
+def test_the_dwell_table_holds_every_dwell_that_was_finished_before_the_end(tmp_path):
+    path = Path(tmp_path / "two.yaml")
+    path.write_text(
+        """procedure: two
+steps:
+  - power_on
+  - repeat:
+      over: {position: [z_up, z_down]}
+      steps:
+        - go_to: {position: $position}
+        - align: {duration_s: 60}
+        - navigate: {duration_s: 60}
+        - turn: {angle_deg: 180}
+        - navigate: {duration_s: 60}
+  - wait: {duration_s: 100}
+"""
+    )
+    folder, outcome, _ = run_with(
+        tmp_path, "wait", lambda bench, clock: os.kill(os.getpid(), signal.SIGTERM), path
+    )
+    assert outcome.ended == "stopped"
+    assert len(folder.dwells.read_text().splitlines()) == 3

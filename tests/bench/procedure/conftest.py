@@ -1,0 +1,40 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bench.documents import Document, parse_document
+from bench.limits import StationLimits
+from bench.procedure.document import checked_procedure
+from bench.procedure.plan import Plan, expand
+
+HEADER = "procedure: test\nsteps:\n"
+
+
+@pytest.fixture
+def planned() -> Callable[[str], tuple[Document, Plan]]:
+    """Plan the steps given as YAML; the first of them stands in line 3 of test.yaml."""
+
+    def plan_of(steps: str) -> tuple[Document, Plan]:
+        document = parse_document(HEADER + steps, Path("test.yaml"))
+        return document, expand(document, checked_procedure(document))
+
+    return plan_of
+
+
+@pytest.fixture
+def limits() -> StationLimits:
+    """A station with a chamber from -40 to 70 degC whose table can't stand in x_down or at 90 deg."""
+
+    def reachable(position: str, azimuth_deg: float) -> str | None:
+        if position == "x_down":
+            return "the mount is in the way"
+        return "outer axis level" if azimuth_deg % 180.0 else None
+
+    return StationLimits(-40.0, 70.0, 5.0, 60.0, reachable)
+
+
+@pytest.fixture
+def shipped() -> Path:
+    """Folder of the shipped procedures."""
+    return Path(__file__).parents[3] / "procedures"

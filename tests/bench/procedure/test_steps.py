@@ -1,0 +1,175 @@
+import math
+
+import pytest
+from pydantic import ValidationError
+
+from bench.navigation.positions import POSITIONS
+from bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from bench.procedure.step import Step, span
+from bench.procedure.steps import (
+    STEP_KINDS,
+    Align,
+    AskOperator,
+    Chamber,
+    ChamberOff,
+    GoTo,
+    Navigate,
+    PowerOff,
+    PowerOn,
+    Soak,
+    Turn,
+    Wait,
+)
+
+THERMAL = ThermalEstimate(time_constant_s=2000.0, self_heating_c=10.0, air_lag_s=100.0, room_c=20.0)
+ROOM = BenchEstimate.at_rest(THERMAL)
+
+EVERY_KIND: list[Step] = [
+    PowerOn(settle_s=120),
+    PowerOff(),
+    Chamber(temperature_c=60, ramp_c_per_min=1.0),
+    ChamberOff(),
+    Soak(for_s=3600),
+    Soak(until_gyro_rate_below_c_per_h=2.0, at_least_s=1800, at_most_s=5400),
+    GoTo(position="z_up"),
+    Align(duration_s=300),
+    Align(until_fine=True, at_most_s=900),
+    Navigate(duration_s=600),
+    Turn(angle_deg=180),
+    Wait(duration_s=10),
+    AskOperator(question="Is the cover closed?"),
+]
+
+
+def test_the_examples_cover_every_kind() -> None:
+    assert {type(step) for step in EVERY_KIND} == set(STEP_KINDS.values())
+
+
+@pytest.mark.parametrize("step", EVERY_KIND, ids=lambda step: step.describe())
+def test_every_step_has_a_description_and_a_time_limit_beyond_its_expected_end(step: Step) -> None:
+    expected_s = step.expected_s(ROOM)
+    assert 0.0 <= expected_s < step.time_limit_s(expected_s)
+    assert len(step.describe()) > 3
+    assert "\n" not in step.describe()
+
+
+@pytest.mark.parametrize("step", EVERY_KIND, ids=lambda step: step.describe())
+def test_a_timeout_of_the_procedure_replaces_the_usual_one(step: Step) -> None:
+    assert step.model_copy(update={"timeout_s": 7.0}).time_limit_s(step.expected_s(ROOM)) == 7.0
+
+
+@pytest.mark.parametrize("kind", STEP_KINDS.values(), ids=STEP_KINDS)
+def test_every_key_is_described(kind: type[Step]) -> None:
+    assert all(field.description for field in kind.model_fields.values())
+    assert kind.__doc__
+
+
+def test_chamber_takes_its_ramp_and_the_time_for_the_air_to_come_near() -> None:
+    step = Chamber(temperature_c=80, ramp_c_per_min=3.0, within_c=1.0)
+    # In the ramp the air is 3 degC/min * 100 s = 5 degC behind.
+    assert step.expected_s(ROOM) == pytest.approx(20.0 * 60.0 + 100.0 * math.log(5.0))
+
+
+def test_chamber_already_at_its_temperature_takes_no_time() -> None:
+    assert Chamber(temperature_c=20, ramp_c_per_min=1.0).expected_s(ROOM) == 0.0
+
+
+def test_chamber_half_way_is_half_way() -> None:
+    assert Chamber(temperature_c=80, ramp_c_per_min=1.0).after(ROOM, 1800.0).chamber_c == pytest.approx(50.0)
+
+
+def test_chamber_off_goes_back_to_room_temperature() -> None:
+    cold = Chamber(temperature_c=-40, ramp_c_per_min=1.0).after(ROOM, 4000.0)
+    off = ChamberOff().after(cold, 0.0)
+    assert off.set_point_c is None
+    assert off.passed(1e5).gyro_c == pytest.approx(20.0)
+
+
+def test_soak_lasts_until_the_gyros_settle_within_its_bounds() -> None:
+    hot = PowerOn().after(Chamber(temperature_c=80, ramp_c_per_min=100.0).after(ROOM, 36.0), 0.0)
+    settling_s = hot.time_until_gyro_rate_s(2.0)
+    assert 3600.0 < settling_s < 14_400.0
+    assert Soak(until_gyro_rate_below_c_per_h=2.0).expected_s(hot) == settling_s
+    assert Soak(until_gyro_rate_below_c_per_h=2.0, at_most_s=3600).expected_s(hot) == 3600.0
+    assert Soak(until_gyro_rate_below_c_per_h=2.0, at_least_s=14_400).expected_s(hot) == 14_400.0
+    assert Soak(for_s=100).expected_s(hot) == 100.0
+
+
+def test_soak_has_time_until_its_longest_duration() -> None:
+    step = Soak(until_gyro_rate_below_c_per_h=2.0, at_most_s=5000)
+    assert step.time_limit_s(step.expected_s(ROOM)) > 5000.0
+
+
+def test_power_on_and_align_and_go_to_tell_what_they_leave() -> None:
+    on = PowerOn().after(ROOM, 0.0)
+    there = GoTo(position="y_up", azimuth_deg=90).after(on, 20.0)
+    aligned = Align(duration_s=300).after(there, 300.0)
+    assert (aligned.powered, aligned.aligned, aligned.position, aligned.azimuth_deg) == (
+        True,
+        True,
+        "y_up",
+        90.0,
+    )
+    assert not GoTo(position="y_up").after(aligned, 0.0).aligned
+    assert not PowerOff().after(aligned, 0.0).aligned
+    assert not PowerOff().after(aligned, 0.0).powered
+
+
+def test_turn_keeps_the_alignment_and_moves_the_azimuth() -> None:
+    aligned = Align(duration_s=1).after(
+        GoTo(position="z_up", azimuth_deg=270).after(PowerOn().after(ROOM, 0), 0), 1
+    )
+    turned = Turn(angle_deg=180).after(aligned, 23.0)
+    assert turned.aligned
+    assert turned.azimuth_deg == pytest.approx(90.0)
+
+
+def test_turn_takes_its_angle_over_its_rate_and_settles() -> None:
+    assert Turn(angle_deg=-180, rate_dps=10, settle_s=5).expected_s(ROOM) == pytest.approx(23.0)
+
+
+@pytest.mark.parametrize("name", POSITIONS)
+def test_all_six_positions_are_known(name: str) -> None:
+    assert GoTo(position=name).position == name
+
+
+WRONG = [
+    (Soak, {}, "either for_s or until_gyro_rate_below_c_per_h"),
+    (Soak, {"for_s": 5, "until_gyro_rate_below_c_per_h": 2}, "either for_s or until"),
+    (Soak, {"for_s": 5, "at_most_s": 9}, "not with for_s"),
+    (Soak, {"until_gyro_rate_below_c_per_h": 2, "at_least_s": 9, "at_most_s": 8}, "below at_least_s"),
+    (Align, {}, "give duration_s"),
+    (Align, {"until_fine": True}, "go together"),
+    (Align, {"duration_s": 5, "at_most_s": 9}, "go together"),
+    (Align, {"duration_s": 9, "until_fine": True, "at_most_s": 5}, "below duration_s"),
+    (Align, {"duration_s": 9, "euler_sequence": "xyz"}, "rpy_321"),
+    (Turn, {"angle_deg": 0}, "turns nothing"),
+    (GoTo, {"position": "z_upp"}, "did you mean 'z_up'"),
+    (GoTo, {"position": "north"}, "z_up, z_down, y_up, y_down, x_up, x_down"),
+    (Navigate, {"duration_s": 0}, "greater than 0"),
+    (Navigate, {"duration_s": -5}, "greater than 0"),
+    (Navigate, {"duration_s": "600"}, "valid number"),
+    (Navigate, {"duration_s": 1e7}, "less than or equal to 604800"),
+    (Wait, {"duration_s": float("nan")}, "finite"),
+    (AskOperator, {"question": "", "answers": ["a"]}, "at least 1"),
+    (AskOperator, {"question": "?", "answers": ["a", "a"]}, "must differ"),
+    (AskOperator, {"question": "?", "answers": []}, "at least 1"),
+    (Chamber, {"temperature_c": -300, "ramp_c_per_min": 1}, "greater than -273.15"),
+    (Chamber, {"temperature_c": 20, "ramp_c_per_min": 0}, "greater than or equal to 0.001"),
+    (Wait, {"duration_s": 5, "timeout_s": 0}, "greater than 0"),
+]
+
+
+@pytest.mark.parametrize(("kind", "values", "message"), WRONG)
+def test_a_wrong_value_is_refused_with_what_is_allowed(
+    kind: type[Step], values: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValidationError, match=message):
+        kind.model_validate(values)
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "text"), [(45.0, "45 s"), (600.0, "10 min"), (9000.0, "2.5 h"), (0.0, "0 s")]
+)
+def test_durations_are_written_for_people(duration_s: float, text: str) -> None:
+    assert span(duration_s) == text

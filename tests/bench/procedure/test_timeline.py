@@ -1,0 +1,132 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.documents import Document
+from bench.navigation.positions import POSITIONS
+from bench.procedure.document import load_procedure
+from bench.procedure.plan import Plan, expand
+from bench.procedure.timeline import hours_minutes, position_spans, temperature_profile, timeline_rows
+
+PlanOf = Callable[[str], tuple[Document, Plan]]
+
+ONE_STOP = """\
+- power_on: {settle_s: 60}
+- chamber: {temperature_c: 53, ramp_c_per_min: 1}
+- soak: {for_s: 3600}
+- repeat:
+    over: {position: [z_up, x_down]}
+    steps:
+      - go_to: {position: $position, rate_dps: 10}
+      - align: {duration_s: 300}
+      - navigate: {duration_s: 600}
+      - turn: {angle_deg: 180, rate_dps: 10, settle_s: 5}
+      - wait: {duration_s: 60}
+      - navigate: {duration_s: 600}
+- power_off
+"""
+
+
+def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned: PlanOf) -> None:
+    _, plan = planned(ONE_STOP)
+    rows = timeline_rows(plan)
+    assert [(row.what, row.where, row.dwells) for row in rows] == [
+        ("power on, settle 60 s", "", 0),
+        ("chamber to 53 degC at 1 degC/min; soak 60 min", "53 degC", 0),
+        ("align 5 min; navigate 10 min; turn 180 deg; wait 60 s", "53 degC, z_up, x_down", 2),
+        ("power off", "53 degC", 0),
+    ]
+    assert [row.start for row in rows] == ["0:00", "0:01", "1:32", "2:26"]
+
+
+def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
+    _, plan = planned(ONE_STOP)
+    rows = timeline_rows(plan)
+    ends = [row.start_s + row.duration_s for row in rows]
+    assert [row.start_s for row in rows] == pytest.approx([0.0, *ends[:-1]])
+    assert ends[-1] == pytest.approx(plan.duration_s)
+
+
+def test_a_row_of_nothing_but_moves_tells_them(planned: PlanOf) -> None:
+    _, plan = planned("- go_to: {position: y_up}")
+    assert [(row.what, row.where) for row in timeline_rows(plan)] == [("go to y_up, azimuth 0 deg", "y_up")]
+
+
+def test_a_plan_of_two_days_stays_readable(shipped: Path) -> None:
+    rows = timeline_rows(expand(*load_procedure(shipped / "six_position_fig7.yaml")))
+    assert len(rows) < 30
+    assert sum(row.dwells for row in rows) == 60
+    assert all(len(row.what) < 100 and len(row.where) < 80 for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "text"),
+    [(0, "0:00"), (59, "0:01"), (3600, "1:00"), (3569, "0:59"), (3571, "1:00"), (216_000, "60:00")],
+)
+def test_times_are_hours_and_minutes(time_s: float, text: str) -> None:
+    assert hours_minutes(time_s) == text
+
+
+def test_temperatures_start_at_room_ramp_and_settle(planned: PlanOf) -> None:
+    _, plan = planned(ONE_STOP)
+    time_s, chamber_c, gyro_c = temperature_profile(plan)
+    assert time_s[0] == 0.0
+    assert time_s[-1] == pytest.approx(plan.duration_s)
+    assert np.all(np.diff(time_s) >= 0.0)
+    assert np.max(np.diff(time_s)) < 61.0
+    half_way = np.interp(60.0 + 900.0, time_s, chamber_c)
+    assert half_way == pytest.approx(23.0 + 15.0)
+    assert chamber_c[-1] == pytest.approx(53.0)
+    assert 65.0 < gyro_c[-1] < 68.0
+    assert np.all(np.abs(np.diff(gyro_c)) < 1.0)
+
+
+def test_gyros_of_the_paper_procedure_are_on_both_sides_of_50_degc_down_to_minus_20(shipped: Path) -> None:
+    plan = expand(*load_procedure(shipped / "six_position_fig7.yaml"))
+    means = [
+        0.5 * (one.before.gyro_c + one.after.gyro_c)
+        for one in plan.steps
+        if one.dwell and one.window is not None
+    ]
+    assert min(means) < -20.0
+    assert sum(mean > 52.0 for mean in means) >= 48
+    assert sum(mean < 48.0 for mean in means) >= 72
+
+
+def test_each_middle_temperature_of_the_paper_procedure_is_met_from_above_and_from_below(
+    shipped: Path,
+) -> None:
+    plan = expand(*load_procedure(shipped / "six_position_fig7.yaml"))
+    arrivals = [
+        (one.after.set_point_c, one.after.set_point_c > one.before.chamber_c)
+        for one in plan.steps
+        if one.step.name == "chamber"
+    ][:-1]
+    visited = {temperature for temperature, _ in arrivals}
+    for temperature in visited - {max(visited), min(visited)}:
+        assert {rising for reached, rising in arrivals if reached == temperature} == {True, False}
+
+
+def test_the_paper_procedure_measures_all_positions_at_every_temperature_of_both_cycles(
+    shipped: Path,
+) -> None:
+    plan = expand(*load_procedure(shipped / "six_position_fig7.yaml"))
+    cells = {(one.cycle, one.before.set_point_c, one.before.position) for one in plan.steps if one.dwell}
+    temperatures = {temperature for _, temperature, _ in cells}
+    assert cells == {(cycle, c, name) for cycle in (1, 2) for c in temperatures for name in POSITIONS}
+
+
+def test_positions_span_from_their_go_to_to_their_last_step(planned: PlanOf) -> None:
+    _, plan = planned(ONE_STOP)
+    (first_start_s, first_end_s, first), (second_start_s, second_end_s, second) = position_spans(plan)
+    assert (first, second) == ("z_up", "x_down")
+    assert first_end_s == second_start_s
+    assert first_end_s - first_start_s == pytest.approx(1606.0)
+    assert second_end_s - second_start_s == pytest.approx(1606.0)
+    assert second_end_s == pytest.approx(plan.duration_s)
+
+
+def test_a_plan_without_positions_has_no_spans(planned: PlanOf) -> None:
+    assert position_spans(planned("- wait: {duration_s: 5}")[1]) == []

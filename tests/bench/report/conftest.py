@@ -1,0 +1,198 @@
+"""A made-up run in six positions whose biases part below 50 degC, and what it leaves on disk."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.bias.bins import BiasBin, bin_biases, write_bins
+from bench.bias.dwell_table import DwellRow, Triple, write_dwells
+from bench.clock import VirtualClock
+from bench.navigation.positions import POSITIONS
+from bench.run_store.folder import RunFolder
+from bench.run_store.journal import Journal
+from bench.run_store.telemetry import COLUMNS, Telemetry
+
+CHAMBER_C = (62.0, 47.0, 22.0, 5.0, -8.0, -36.0)
+STOP_S = 13_500.0
+SIGMA_DPH = 0.0009
+SERIAL_NUMBER = "1001"
+
+
+def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow]:
+    """Six temperatures in each cycle, six positions at each; the biases part below 50 degC by so much."""
+    random = np.random.default_rng(1)
+    rows = []
+    for cycle in range(1, cycles + 1):
+        for stop, chamber_c in enumerate(CHAMBER_C if cycle % 2 else reversed(CHAMBER_C)):
+            for place, position in enumerate(POSITIONS):
+                start_s = ((cycle - 1) * len(CHAMBER_C) + stop) * STOP_S + 4500.0 + 1500.0 * place
+                gyro_c = [chamber_c + 14.0 + 0.4 * axis + random.normal(0.0, 0.1) for axis in range(3)]
+                part = [parting_dph * max(0.0, (50.0 - one) / 70.0) for one in gyro_c]
+                bias = [
+                    0.002 * (axis + 1) + 4e-5 * (gyro_c[axis] - 25.0) + (place - 2.5) / 2.5 * part[axis]
+                    for axis in range(3)
+                ]
+                rows.append(
+                    DwellRow(
+                        unit=SERIAL_NUMBER,
+                        run="1",
+                        dwell=len(rows) + 1,
+                        cycle=cycle,
+                        position=position,
+                        start_s=start_s,
+                        end_s=start_s + 1228.0,
+                        since_power_on_s=start_s - 60.0,
+                        gyro_c=_triple(gyro_c),
+                        gyro_rate_c_per_h=(0.5, 0.5, 0.5),
+                        bias_dph=_triple([one + random.normal(0.0, SIGMA_DPH) for one in bias]),
+                        sigma_dph=(SIGMA_DPH, SIGMA_DPH, 0.8 * SIGMA_DPH),
+                        chamber_set_c=chamber_c,
+                        chamber_c=chamber_c + 0.1,
+                        case_c=chamber_c + 6.0,
+                        board_c=_triple([one + 11.0 for one in gyro_c]),
+                        residual_ratio=1.0,
+                    )
+                )
+    return rows
+
+
+def flagged(row: DwellRow, reason: str) -> DwellRow:
+    """Make the dwell one that gave no bias."""
+    nothing: Triple = (math.nan, math.nan, math.nan)
+    return DwellRow(**{**vars(row), "bias_dph": nothing, "sigma_dph": nothing, "flags": reason})
+
+
+def made_up_telemetry(duration_s: float, step_s: float = 60.0) -> dict[str, np.ndarray]:
+    """A chamber that ramps from stop to stop, and gyros that follow."""
+    time_s = np.arange(0.0, duration_s, step_s)
+    temperatures = [*CHAMBER_C, *reversed(CHAMBER_C)]
+    set_c = np.array([temperatures[min(int(time // STOP_S), len(temperatures) - 1)] for time in time_s])
+    air, gyro = np.empty((2, len(time_s)))
+    air_c, gyro_c = 23.0, 23.0
+    for index, goal in enumerate(set_c):
+        air_c += np.clip(goal - air_c, -step_s / 60.0, step_s / 60.0)
+        gyro_c += (air_c + 14.0 - gyro_c) * step_s / 2400.0
+        air[index], gyro[index] = air_c, gyro_c
+    columns = {name: np.zeros(len(time_s)) for name in COLUMNS}
+    columns |= {"time_s": time_s, "chamber_set_c": set_c, "chamber_c": air, "case_c": gyro - 7.0}
+    for number, axis in enumerate("xyz"):
+        columns |= {f"gyro_{axis}_c": gyro + 0.4 * number, f"board_{axis}_c": gyro + 11.0 + 0.4 * number}
+    return columns
+
+
+def write_journal(folder: RunFolder, *, ended: str = "finished", reason: str = "", problem: str = "") -> None:
+    """Write a short journal with every kind of entry; without an end if ``ended`` is empty."""
+    clock = VirtualClock()
+    with Journal(folder.journal, clock) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated", options={"seed": 0})
+        journal.record("ins_identified", identity="made-up INS, serial number 1001")
+        journal.record("resolution", lines=["heading: 0.0001 deg a bit, enough for 0.001 deg/h"])
+        steps = [
+            ("power on, settle 2 min", 120.0, 131.0),
+            ("chamber to 62 degC at 1 degC/min", 2400.0, 2950.0),
+            ("chamber off", 0.0, 1.0),
+            ("navigate 10 min", 600.0, 600.0),
+            ("ask: ready?", 60.0, 5.0),
+        ]
+        for number, (what, planned_s, took_s) in enumerate(steps, start=1):
+            journal.record("step_started", step=number, what=what, label="cycle 1, 62 degC")
+            clock.sleep(took_s)
+            journal.record("step_finished", step=number, planned_s=planned_s, took_s=took_s)
+        journal.record("step_started", step=6, what="turn 180 deg", label="cycle 1, 62 degC, z_up")
+        if ended:
+            safe_state = [
+                {"what": "rate table stopped", "problem": problem},
+                {"what": "chamber switched off"},
+            ]
+            journal.record("run_ended", ended=ended, reason=reason, safe_state=safe_state)
+
+
+def write_run(folder: RunFolder, rows: list[DwellRow]) -> RunFolder:
+    """Write a whole run folder."""
+    folder.path.mkdir(parents=True, exist_ok=True)
+    write_journal(folder)
+    write_dwells(folder.dwells, rows)
+    write_bins(folder.bias_bins, bin_biases([row for row in rows if not row.flags]))
+    telemetry = Telemetry(folder.telemetry)
+    columns = made_up_telemetry(max((row.end_s for row in rows), default=3600.0))
+    for values in zip(*(columns[name] for name in COLUMNS), strict=True):
+        telemetry.add(values)
+    telemetry.flush()
+    folder.procedure.write_text(
+        "procedure: six_position_fig7\ndescription: biases in six positions\nassumptions:\n"
+        "  - ramp rates are <chosen> here\nbin_width_c: 5\nsteps: []\n",
+        encoding="utf-8",
+    )
+    provenance = {
+        "gyrobench": "0.1.0",
+        "started_utc": "2000-01-01T00:00:00+00:00",
+        "instruments": {"rate table": "Acutrol3000 rev 2.1", "chamber": "Watlow F4 1234"},
+        "options": {"seed": 0, "world": "gyro_a"},
+        "files_sha256": {"procedure.yaml": "ab" * 32},
+        "python": "3.11.7",
+        "platform": "Linux",
+        "packages": {"numpy": "2.1.0"},
+    }
+    folder.provenance.write_text(json.dumps(provenance), encoding="utf-8")
+    return folder
+
+
+def _triple(values: list[float]) -> Triple:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+@pytest.fixture(scope="session")
+def dwells() -> list[DwellRow]:
+    """A run whose positions part, its seventh dwell flagged."""
+    rows = made_up_dwells()
+    rows[6] = flagged(rows[6], "the INS left navigation during the dwell; chamber <door> open")
+    return rows
+
+
+@pytest.fixture(scope="session")
+def equal_dwells() -> list[DwellRow]:
+    """A run whose positions agree."""
+    return made_up_dwells(parting_dph=0.0)
+
+
+@pytest.fixture(scope="session")
+def bins(dwells: list[DwellRow]) -> list[BiasBin]:
+    """Bins of the run whose positions part."""
+    return bin_biases([row for row in dwells if not row.flags])
+
+
+@pytest.fixture(scope="session")
+def equal_bins(equal_dwells: list[DwellRow]) -> list[BiasBin]:
+    """Bins of the run whose positions agree."""
+    return bin_biases(equal_dwells)
+
+
+@pytest.fixture(scope="session")
+def telemetry() -> dict[str, np.ndarray]:
+    """Readings that go with the dwells."""
+    return made_up_telemetry(162_000.0)
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory, dwells: list[DwellRow]) -> RunFolder:
+    """A run folder with everything in it."""
+    return write_run(RunFolder(tmp_path_factory.mktemp("run") / "six_position_fig7-001"), dwells)
+
+
+@pytest.fixture
+def journal_writer() -> Callable[..., None]:
+    """``journal_writer(folder, ended="failed", reason="...", problem="...")``."""
+    return write_journal
+
+
+@pytest.fixture
+def empty_folder(tmp_path: Path) -> RunFolder:
+    """A run folder without anything."""
+    return RunFolder(tmp_path)

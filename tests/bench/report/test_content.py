@@ -1,0 +1,63 @@
+"""Reading whole and partial run folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bench.bias.bins import BiasBin
+from bench.bias.dwell_table import DwellRow, write_dwells
+from bench.report.content import read_run
+from bench.run_store.folder import RunFolder
+
+
+def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: list[BiasBin]) -> None:
+    content = read_run(run_folder)
+    assert content.problems == ["station.yaml is missing."]
+    assert content.name == "six_position_fig7-001"
+    assert len(content.dwells) == 72
+    assert len(content.bins) == len(bins)
+    assert content.procedure["assumptions"] == ["ramp rates are <chosen> here"]
+    assert len(content.telemetry["time_s"]) > 2000
+    assert content.last("run_ended")["ended"] == "finished"
+    assert len(content.entries("step_started")) == 6
+    assert content.last("no such event") == {}
+
+
+def test_empty_folder_gives_empty_content(empty_folder: RunFolder) -> None:
+    content = read_run(empty_folder)
+    assert (content.journal, content.dwells, content.bins) == ([], [], [])
+    assert len(content.problems) == 7
+
+
+def test_bins_are_worked_out_where_their_file_is_missing(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, dwells)
+    empty_folder.procedure.write_text("procedure: p\nbin_width_c: 10\n", encoding="utf-8")
+    bins = read_run(empty_folder).bins
+    assert {each.bin_high_c - each.bin_low_c for each in bins} == {10.0}
+    assert sum(each.count for each in bins if each.gyro == "x") == 71
+
+
+def test_damaged_files_are_named_and_the_rest_is_read(
+    empty_folder: RunFolder, journal_writer: Callable[..., None]
+) -> None:
+    journal_writer(empty_folder)
+    lines = empty_folder.journal.read_text(encoding="utf-8").splitlines()
+    empty_folder.journal.write_text("\n".join([*lines[:3], "{damaged", *lines[3:]]), encoding="utf-8")
+    empty_folder.dwells.write_text("unit,run\n", encoding="utf-8")
+    empty_folder.provenance.write_text("{", encoding="utf-8")
+    empty_folder.procedure.write_text("bin_width_c: wide\n", encoding="utf-8")
+    empty_folder.telemetry.mkdir()
+    (empty_folder.telemetry / "part-00001.parquet").write_bytes(b"PAR1")
+    content = read_run(empty_folder)
+    assert [entry["event"] for entry in content.journal] == ["run_started", "ins_identified", "resolution"]
+    said = "\n".join(content.problems)
+    for name in (
+        "journal.jsonl can't be used",
+        "dwells.csv can't",
+        "provenance.json can't",
+        "telemetry can't",
+    ):
+        assert name in said
+    assert "can't be sorted into temperature bins" in said

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from bench.errors import DocumentError
+from drivers.ins import DbcCodec, load_dbc
+from drivers.ins.bound_signals import BlockReader, bind_signals, check_signals
+
+
+@pytest.fixture
+def codec_with_units(tmp_path, dbc_path):
+    def make(changes):
+        text = dbc_path.read_text()
+        for old, new in changes.items():
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "changed.dbc"
+        path.write_text(text)
+        return DbcCodec(load_dbc(path))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new", "dbc_value", "expected"),
+    [
+        ("velocity_east", '"m/s"', '"kt"', 2.0, 2 * 1852 / 3600),
+        ("velocity_east", '"m/s"', '"km/h"', 3.6, 1.0),
+        ("velocity_up", '"m/s"', '"m/s"', 2.0, -2.0),
+        ("attitude.euler.roll", '"deg"', '"rad"', 0.5, 0.5),
+        ("attitude.euler.roll", '"deg"', '"deg"', 180.0, np.pi),
+        ("gyro_optics_temperature.x", '"degC"', '"K"', 300.0, 26.85),
+        ("gyro_optics_temperature.x", '"degC"', '"degF"', 212.0, 100.0),
+        ("time_ns", '"ns"', '"us"', 2e6, 2.0),
+        ("time_ns", '"ns"', '"ms"', 2e3, 2.0),
+    ],
+)
+def test_units_of_the_dbc_are_converted_to_si(
+    codec_with_units, signal_map, path, old, new, dbc_value, expected
+):
+    bound = bind_signals(signal_map, codec_with_units({old: new}))[path]
+    assert dbc_value * bound.gain + bound.offset == pytest.approx(expected)
+
+
+def test_a_unit_that_is_unknown_or_of_another_kind_is_an_error_with_the_allowed_ones(
+    codec_with_units, signal_map
+):
+    codec = codec_with_units({'"degC"': '""', '"m/s"': '"deg"'})
+    with pytest.raises(DocumentError) as error:
+        bind_signals(signal_map, codec)
+    text = str(error.value)
+    assert "VELOCITY_NE.VELOCITY_EAST has the unit 'deg', which is no speed; allowed: m/s" in text
+    assert "GYRO_OPTICS_TEMPERATURE.X has the unit ''" in text
+    assert len(text.splitlines()) == 3 + 7
+
+
+def test_a_unit_given_in_the_map_replaces_that_of_the_dbc(codec_with_units, make_signal_map):
+    codec = codec_with_units({'"m/s" BENCH\n SG_ VELOCITY_EAST': '"" BENCH\n SG_ VELOCITY_EAST'})
+    source = "{signal: VELOCITY_NE.VELOCITY_NORTH, unit: km/h, scale: 2}"
+    signal_map = make_signal_map({"velocity_north: VELOCITY_NE.VELOCITY_NORTH": f"velocity_north: {source}"})
+    assert bind_signals(signal_map, codec)["velocity_north"].gain == pytest.approx(2 / 3.6)
+
+
+def test_names_that_the_dbc_lacks_are_reported_at_their_place(codec, make_signal_map):
+    signal_map = make_signal_map(
+        {"HEADING.HEADING": "HEADINGS.HEADING", "ROLL_PITCH.ROLL\n": "ROLL_PITCH.ROL\n"}
+    )
+    problems = check_signals(signal_map, codec, ("ins", "signals"))
+    assert [problem.location for problem in problems] == [
+        ("ins", "signals", "attitude", "euler", "roll"),
+        ("ins", "signals", "attitude", "euler", "yaw"),
+    ]
+    assert "did you mean ROLL" in problems[0].message
+    assert "did you mean HEADING" in problems[1].message
+
+
+def test_unknown_messages_of_an_epoch_are_reported(codec, make_signal_map):
+    names = "[SYSTEM_TIME, VELOCITY_NE, ROLL_PITCH, HEADING, SPEED]"
+    signal_map = make_signal_map({"epoch_period_s: 0.1": f"epoch_period_s: 0.1\nepoch_messages: {names}"})
+    assert [problem.location for problem in check_signals(signal_map, codec)] == [("epoch_messages", 4)]
+
+
+def test_a_held_value_is_the_last_that_arrived(codec, signal_map, frames_of):
+    block = frames_of("INS_STATUS", [0.0, 1.0, 2.0], {"MODE": [1, 2, 3]})
+    block.arbitration_id[0] = 0x7FF
+    bound = bind_signals(signal_map, codec)["mode"]
+    held = BlockReader(block, codec).held(bound, np.array([0, 1, 2, 100]))
+    assert np.isnan(held[0])
+    assert held[1:].tolist() == [2, 3, 3]

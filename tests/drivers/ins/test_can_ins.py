@@ -1,0 +1,342 @@
+import can
+import numpy as np
+import pytest
+
+from bench.clock import VirtualClock
+from bench.errors import (
+    ConnectionFailedError,
+    DocumentError,
+    FaultError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from drivers.ins import CanIns, CommandMap, EulerSequence, FrameBlock, InsMode, decode_navigation, open_bus
+from drivers.ins.ins_status import STALE_S
+
+
+class ScriptedIns:
+    """An INS at the other end of a virtual bus: obeys commands, sends its status once a second."""
+
+    def __init__(self, bus, codec, frames_of, to_messages):
+        self.bus, self.codec = bus, codec
+        self._frames_of, self._to_messages = frames_of, to_messages
+        self.state = {"MODE": 1, "EULER_SEQUENCE": 0, "COMPENSATION": 0}
+        self.obeys = True
+        self.silent = False
+        self.fails = False
+        self.coefficients = {}
+
+    def tick(self, before_s, now_s):
+        while (message := self.bus.recv(0.0)) is not None:
+            self._receive(message)
+        for second in range(int(np.floor(before_s)) + 1, int(np.floor(now_s)) + 1):
+            if not self.silent:
+                self.send("INS_STATUS", second, **self.state)
+                self.send("INS_IDENTITY", second, SERIAL_NUMBER=17, FIRMWARE=103)
+
+    def send(self, name, time_s, **values):
+        for message in self._to_messages(self._frames_of(name, time_s, values)):
+            self.bus.send(message)
+
+    def _receive(self, message):
+        decoded = self.codec.database.decode_message(
+            message.arbitration_id, message.data, decode_choices=False
+        )
+        if message.arbitration_id == 0x201:
+            self.coefficients[decoded["AXIS"], decoded["INDEX"]] = decoded["VALUE"]
+        elif self.fails:
+            self.state["MODE"] = 4
+        elif self.obeys:
+            self._obey(decoded["COMMAND"], decoded["ARGUMENT"])
+
+    def _obey(self, command, argument):
+        if command <= 3:
+            self.state["MODE"] = command
+        elif command == 4:
+            self.state["EULER_SEQUENCE"] = argument
+        else:
+            self.state["COMPENSATION"] = command - 5
+
+
+class ScriptedClock(VirtualClock):
+    """Virtual time in which the scripted INS lives."""
+
+    ins = None
+
+    def sleep(self, duration_s):
+        before_s = self.now()
+        super().sleep(duration_s)
+        if self.ins is not None:
+            self.ins.tick(before_s, self.now())
+
+
+@pytest.fixture
+def clock():
+    return ScriptedClock()
+
+
+@pytest.fixture
+def buses(request, clock):
+    bench = open_bus("virtual", request.node.name, clock)
+    far = can.Bus(request.node.name, interface="virtual", ignore_config=True, preserve_timestamps=True)
+    yield bench, far
+    bench.shutdown()
+    far.shutdown()
+
+
+@pytest.fixture
+def unit(buses, clock, codec, frames_of, to_messages):
+    clock.ins = ScriptedIns(buses[1], codec, frames_of, to_messages)
+    return clock.ins
+
+
+@pytest.fixture
+def batches():
+    return []
+
+
+@pytest.fixture
+def driver(buses, signal_map, codec, clock, command_map, batches):
+    return CanIns(buses[0], signal_map, codec.database, clock, command_map, batches.append)
+
+
+def test_every_frame_is_polled_once_in_order_and_given_to_the_sink(
+    driver, buses, recording, to_messages, batches
+):
+    block = recording(0, 100)
+    for message in to_messages(block):
+        buses[1].send(message)
+    polled = driver.poll()
+    assert driver.poll() == []
+    assert batches == [polled]
+    arrived = FrameBlock.from_messages(polled)
+    assert np.array_equal(arrived.data, block.data)
+    assert np.array_equal(arrived.arbitration_id, block.arbitration_id)
+    assert np.array_equal(arrived.timestamp_s, block.timestamp_s)
+    assert driver.health().frames == len(block)
+
+
+def test_polled_frames_decode_to_what_was_sent(driver, buses, recording, to_messages, signal_map, codec):
+    block = recording(0, 100)
+    for message in to_messages(block):
+        buses[1].send(message)
+    live = decode_navigation(FrameBlock.from_messages(driver.poll()), signal_map, codec)
+    logged = decode_navigation(block, signal_map, codec)
+    assert np.array_equal(live.ins_time_s, logged.ins_time_s)
+    assert np.array_equal(live.velocity_enu_mps, logged.velocity_enu_mps)
+
+
+def test_the_status_holds_the_newest_values(driver, buses, recording, to_messages, clock):
+    for message in to_messages(recording(0, 11, heading=90.0, sequence=np.array([0, 1]))):
+        buses[1].send(message)
+    driver.poll()
+    clock.sleep(0.5)
+    status = driver.status()
+    assert status.age_s == pytest.approx(0.5)
+    assert status.mode is InsMode.NAVIGATE
+    assert status.euler_sequence is EulerSequence.PRY_231
+    assert status.compensation is False
+    assert status.ins_time_s == 101.0
+    assert status.velocity_enu_mps == pytest.approx([-0.001, 0.01, -0.5])
+    assert status.attitude @ [0, 1, 0] == pytest.approx([1, 0, 0], abs=1e-9)
+    assert status.optics_c == pytest.approx([20.1, 21, 22])
+    assert status.electronics_c == pytest.approx([30, 31, 32])
+    assert status.case_c == 18
+    assert status.identity == {}
+
+
+def test_nothing_is_known_before_the_first_frame_and_after_a_silence(
+    driver, buses, recording, to_messages, clock
+):
+    status = driver.status()
+    assert (status.age_s, status.mode, status.compensation) == (np.inf, InsMode.UNKNOWN, None)
+    for message in to_messages(recording(0, 1)):
+        buses[1].send(message)
+    driver.poll()
+    clock.sleep(STALE_S + 0.1)
+    status = driver.status()
+    assert status.age_s == pytest.approx(STALE_S + 0.1)
+    assert (status.mode, status.euler_sequence) == (InsMode.UNKNOWN, None)
+    assert np.isnan([*status.velocity_enu_mps, *status.optics_c, status.case_c]).all()
+
+
+def test_a_kind_of_frame_that_stopped_alone_is_not_known_either(driver, buses, frames_of, to_messages):
+    stopped = frames_of("INS_STATUS", 0.0, {"MODE": 3})
+    for block in (stopped, frames_of("VELOCITY_NE", STALE_S + 1.0, {"VELOCITY_EAST": 1.0})):
+        buses[1].send(to_messages(block)[0])
+    driver.poll()
+    assert driver.status().mode is InsMode.UNKNOWN
+    assert driver.status().velocity_enu_mps[0] == pytest.approx(1.0)
+
+
+def test_error_frames_and_foreign_identifiers_change_no_value(driver, buses, frames_of, to_messages):
+    own = to_messages(frames_of("INS_STATUS", 1.0, {"MODE": 3}))[0]
+    error = can.Message(
+        timestamp=1.0, arbitration_id=0x10, is_extended_id=False, is_error_frame=True, data=bytes(8)
+    )
+    foreign = can.Message(timestamp=1.0, arbitration_id=0x10, is_extended_id=True, data=bytes(8))
+    for message in (own, error, foreign):
+        buses[1].send(message)
+    driver.poll()
+    assert driver.status().mode is InsMode.NAVIGATE
+    assert (driver.health().frames, driver.health().error_frames) == (2, 1)
+
+
+def test_commands_wait_until_the_status_confirms_them(driver, unit, clock):
+    driver.align()
+    assert driver.status().mode is InsMode.ALIGN
+    driver.navigate()
+    assert driver.status().mode is InsMode.NAVIGATE
+    driver.set_euler_sequence(EulerSequence.PRY_231)
+    assert driver.status().euler_sequence is EulerSequence.PRY_231
+    driver.apply_compensation()
+    assert driver.status().compensation is True
+    driver.clear_compensation()
+    assert driver.status().compensation is False
+    driver.standby()
+    assert unit.state == {"MODE": 1, "EULER_SEQUENCE": 1, "COMPENSATION": 0}
+    assert driver.health().commands == 6
+    assert clock.now() == pytest.approx(6.0, abs=0.1)
+
+
+def test_a_status_from_before_the_command_confirms_nothing(driver, unit, clock):
+    driver.align()
+    sent_s = clock.now()
+    driver.align()
+    assert clock.now() > sent_s + 0.9
+
+
+def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
+    driver, unit, batches, frames_of, to_messages
+):
+    unit.send("VELOCITY_NE", 0.1, VELOCITY_EAST=1.0)
+    driver.align()
+    unit.send("VELOCITY_NE", 1.1, VELOCITY_EAST=2.0)
+    driver.poll()
+    identifiers = [message.arbitration_id for batch in batches for message in batch]
+    assert identifiers == [0x004, 0x010, 0x011, 0x004]
+
+
+def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
+    unit.obeys = False
+    with pytest.raises(NoReplyError, match=r"INS: no sign of 'align' within 3 s.*STANDBY"):
+        driver.align(timeout_s=3.0)
+    assert clock.now() == pytest.approx(3.0, abs=0.1)
+    unit.silent = True
+    with pytest.raises(NoReplyError, match="UNKNOWN"):
+        driver.navigate(timeout_s=6.0)
+
+
+def test_a_fault_ends_the_wait(driver, unit):
+    unit.fails = True
+    with pytest.raises(FaultError, match="fault after 'align'"):
+        driver.align()
+
+
+def test_a_compensation_is_loaded_coefficient_by_coefficient(driver, unit, clock):
+    driver.load_compensation(1, [0.5, -0.25], -20.0, 70.0)
+    clock.sleep(0.1)
+    expected = {0: 0.5, 1: -0.25, 2: 0.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: -20.0, 7: 70.0}
+    assert unit.coefficients == {(1, index): value for index, value in expected.items()}
+    with pytest.raises(RefusedError, match="takes 6 coefficients"):
+        driver.load_compensation(1, [0.0] * 7, -20.0, 70.0)
+
+
+def test_commands_that_the_station_lacks_are_refused(buses, signal_map, codec, clock):
+    driver = CanIns(buses[0], signal_map, codec.database, clock)
+    assert not driver.supports("align")
+    for command in (
+        driver.align,
+        lambda: driver.set_euler_sequence(EulerSequence.RPY_321),
+        lambda: driver.load_compensation(0, [], 0.0, 1.0),
+    ):
+        with pytest.raises(RefusedError, match="has no command"):
+            command()
+
+
+def test_commands_that_do_not_fit_the_dbc_are_mistakes(buses, signal_map, codec, clock):
+    commands = CommandMap.model_validate({"align": {"message": "INS_COMMAND", "values": {"VERB": 2}}})
+    with pytest.raises(DocumentError, match=r"ins\.commands\.align\.values\.VERB: "):
+        CanIns(buses[0], signal_map, codec.database, clock, commands)
+
+
+def test_the_ins_says_who_it_is(driver, unit):
+    assert driver.identity() == {"serial_number": 17, "firmware": 103}
+    assert driver.identify() == "serial number 17, firmware 103"
+
+
+def test_an_ins_that_sends_no_identity_gives_none_in_time(driver, unit, clock):
+    unit.silent = True
+    with pytest.raises(NoReplyError, match="identity"):
+        driver.identify(timeout_s=2.0)
+    assert clock.now() == pytest.approx(2.0, abs=0.1)
+
+
+def test_an_ins_without_identity_is_named_by_bus_and_dbc(buses, make_signal_map, codec, clock):
+    signal_map = make_signal_map(
+        {"identity:\n  serial_number: INS_IDENTITY.SERIAL_NUMBER\n  firmware: INS_IDENTITY.FIRMWARE\n": ""}
+    )
+    driver = CanIns(buses[0], signal_map, codec.database, clock)
+    assert driver.identify() == f"INS on {buses[0].channel_info}, DBC version '1.0'"
+
+
+class BreakingBus(can.BusABC):
+    """A bus that delivers two frames and then fails."""
+
+    def __init__(self, error):
+        super().__init__("breaking")
+        self.channel_info = "breaking bus"
+        self._events = iter([can.Message(data=bytes(8)), can.Message(data=bytes(8)), error])
+
+    def _recv_internal(self, timeout):
+        event = next(self._events)
+        if isinstance(event, Exception):
+            raise event
+        return event, True
+
+    def send(self, msg, timeout=None):
+        raise can.CanOperationError("no room in the queue")
+
+
+@pytest.mark.parametrize(
+    ("error", "raised"),
+    [
+        (can.CanOperationError("network is down"), ConnectionFailedError),
+        (OSError("unplugged"), ConnectionFailedError),
+        (ValueError("t12x"), ReplyError),
+    ],
+)
+def test_frames_before_a_failure_of_the_bus_are_not_lost(error, raised, signal_map, codec, clock, batches):
+    driver = CanIns(BreakingBus(error), signal_map, codec.database, clock, None, batches.append)
+    with pytest.raises(raised, match=str(error)):
+        driver.poll()
+    assert [len(batch) for batch in batches] == [2]
+    driver.close()
+
+
+def test_a_command_that_cannot_be_sent_is_a_failed_connection(signal_map, codec, clock, command_map):
+    driver = CanIns(BreakingBus(ValueError()), signal_map, codec.database, clock, command_map)
+    with pytest.raises(ConnectionFailedError, match="no room"):
+        driver.load_compensation(0, [1.0], 0.0, 1.0)
+    driver.close()
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "options"),
+    [
+        ("no_such_interface", "x", {}),
+        ("slcan", "/dev/no-such-port", {}),
+        ("slcan", None, {}),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_a_failed_connection(interface, channel, options, clock):
+    with pytest.raises(ConnectionFailedError, match=f"INS: can't open the CAN interface '{interface}'"):
+        open_bus(interface, channel, clock, bitrate=500_000, **options)
+
+
+def test_closing_twice_is_harmless(driver, buses):
+    driver.close()
+    driver.close()
+    with pytest.raises(ConnectionFailedError, match="closed"):
+        driver.poll()

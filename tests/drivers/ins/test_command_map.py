@@ -1,0 +1,42 @@
+from pathlib import Path
+
+import pytest
+
+from bench.documents import parse_document, validate
+from bench.errors import DocumentError
+from drivers.ins.command_map import CommandMap, check_commands
+
+
+def command_map_of(text):
+    return validate(parse_document(text, Path("station.yaml")), CommandMap)
+
+
+def test_a_command_becomes_the_frame_of_its_message(command_map, codec):
+    frame = command_map.set_euler_sequence.frame(codec, {"$sequence": 1.0})
+    assert (frame.arbitration_id, frame.is_extended_id, bytes(frame.data)) == (0x200, False, bytes([4, 1]))
+    frame = command_map.load_compensation.frame(codec, {"$axis": 2.0, "$index": 3.0, "$value": 1.5})
+    assert (frame.arbitration_id, bytes(frame.data)) == (0x201, bytes.fromhex("02 03 00 00 00 00 c0 3f"))
+
+
+def test_the_projects_commands_fit_its_dbc(command_map, codec):
+    assert check_commands(command_map, codec) == []
+
+
+def test_what_does_not_fit_the_dbc_is_reported_at_its_place(codec):
+    commands = command_map_of(
+        """
+        align: {message: INS_COMAND, values: {COMMAND: 2}}
+        navigate: {message: INS_COMMAND, values: {COMAND: 3, ARGUMENT: $sequence}}
+        set_euler_sequence: {message: INS_COMMAND, values: {COMMAND: 4, ARGUMENT: $axis}}
+        """
+    )
+    problems = {problem.location: problem.message for problem in check_commands(commands, codec, ("ins",))}
+    assert "did you mean INS_COMMAND" in problems["ins", "align", "values", "COMMAND"]
+    assert "did you mean COMMAND" in problems["ins", "navigate", "values", "COMAND"]
+    assert problems["ins", "navigate", "values", "ARGUMENT"] == "expected a number; found '$sequence'"
+    assert "a number or $sequence" in problems["ins", "set_euler_sequence", "values", "ARGUMENT"]
+
+
+def test_unknown_commands_are_mistakes():
+    with pytest.raises(DocumentError, match="unknown key 'alignn' \\(did you mean 'align'"):
+        command_map_of("alignn: {message: A, values: {}}")
