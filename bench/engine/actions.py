@@ -117,8 +117,10 @@ def _soak(step: Soak, context: Context) -> Ticks:
     begin_s = bench.clock.now()
     limit = step.until_gyro_rate_below_c_per_h or 0.0
     history: deque[tuple[float, ...]] = deque()
+    rate = None
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
-        rate = _gyro_rate_c_per_h(bench, history)
+        if not history or history[-1][0] < bench.readings.time_s:
+            rate = _gyro_rate_c_per_h(bench, history)
         if elapsed_s >= step.at_least_s and rate is not None and rate < limit:
             return
         yield
@@ -130,6 +132,7 @@ def _go_to(step: GoTo, context: Context) -> Ticks:
     C_nb = POSITIONS[step.position].C_nb(np.deg2rad(step.azimuth_deg))
     yield from _moved(context, table.angles(C_nb, context.turn_to_come_deg), step.rate_dps)
     context.recorder.position, context.recorder.azimuth_deg = step.position, step.azimuth_deg
+    yield from _lasting(context.bench, step.settle_s)
 
 
 @perform.register
@@ -226,8 +229,7 @@ def _gyro_rate_c_per_h(bench: LiveBench, history: deque[tuple[float, ...]]) -> f
     readings = bench.readings
     if np.isnan(readings.ins.optics_c).any():
         raise InstrumentError("INS", "sends no gyro temperatures, so a soak can't wait for them. Use for_s.")
-    if not history or history[-1][0] < readings.time_s:
-        history.append((readings.time_s, *readings.ins.optics_c.tolist()))
+    history.append((readings.time_s, *readings.ins.optics_c.tolist()))
     while history[-1][0] - history[0][0] > _SOAK_FIT_S:
         history.popleft()
     if history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:

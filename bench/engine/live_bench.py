@@ -14,12 +14,13 @@ from bench.run_store.can_log import CanLog
 from bench.run_store.telemetry import Telemetry
 from bench.station.instruments import Instruments
 from bench.station.station import Station
-from drivers.ins.frames import FrameBlock
+from drivers.ins.frames import FrameBlock, concatenate
 from drivers.ins.ins_status import InsStatus
 from drivers.rate_table import TableReading
 
 #: Half of the shortest time between two frames on a bus of 1 Mbit/s: an edge between two frames.
 _FRAME_EDGE_S = 25e-6
+_FRAMES_PER_BLOCK = 2000
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,20 @@ class Capture:
     """Frames and chamber temperatures since an alignment began."""
 
     frames_from: float
-    messages: list[can.Message] = field(default_factory=list)
     chamber_c: list[float] = field(default_factory=list)
+    _blocks: list[FrameBlock] = field(default_factory=list)
+    _messages: list[can.Message] = field(default_factory=list)
+
+    def add(self, messages: list[can.Message]) -> None:
+        """Keep frames; as arrays, since a dwell has tens of thousands of them."""
+        self._messages += messages
+        if len(self._messages) >= _FRAMES_PER_BLOCK:
+            self._blocks.append(FrameBlock.from_messages(self._messages))
+            self._messages = []
 
     def frames(self) -> FrameBlock:
         """All frames so far."""
-        return FrameBlock.from_messages(self.messages)
+        return concatenate([*self._blocks, FrameBlock.from_messages(self._messages)])
 
 
 class LiveBench:
@@ -170,7 +179,7 @@ class LiveBench:
         self._last_frame_s = messages[-1].timestamp
         self._can_log.write(messages)
         if self.capture:
-            self.capture.messages += messages
+            self.capture.add(messages)
 
     def _telemetry_row(self, readings: Readings) -> tuple[float, ...]:
         ins = readings.ins

@@ -35,7 +35,6 @@ _FINE_ALIGNMENT_S = 300.0
 _ANSWER_S = 60.0
 _LONGEST_ANSWER_S = 3600.0
 _LONGEST_WAY_DEG = 180.0
-_TABLE_SETTLING_S = 5.0
 
 
 class PowerOn(Step):
@@ -79,10 +78,11 @@ class GoTo(Step):
     position: PositionName = Field(description="one of the six positions")
     azimuth_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="turn about the vertical, deg")
     rate_dps: TableRate = Field(default=10.0, description="rate of the table's axes, deg/s")
+    settle_s: DurationOrZero = Field(default=5.0, description="wait in the position, s")
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        return _LONGEST_WAY_DEG / self.rate_dps + _TABLE_SETTLING_S
+        return _LONGEST_WAY_DEG / self.rate_dps + self.settle_s
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:

@@ -18,6 +18,8 @@ import can
 from bench.errors import RunFolderError
 
 _PART = "part-{:05d}.blf"
+#: zlib level: a third more bytes than the default, in a third of the time.
+_FAST = 1
 
 
 class CanLog:
@@ -46,7 +48,7 @@ class CanLog:
             if self._writer is None:
                 self._path = self._folder / _PART.format(self._next)
                 self._next += 1
-                self._writer = can.BLFWriter(self._path)
+                self._writer = can.BLFWriter(self._path, compression_level=_FAST)
             write = self._writer.on_message_received
             for message in messages:
                 write(message)

@@ -33,6 +33,7 @@ _OPTICS = struct.Struct("<hhhH")
 _ELECTRONICS = struct.Struct("<hhhh")
 _OUTPUT_SCALES = np.array([1e4, 1e4, np.degrees(1e6), np.degrees(1e6), np.degrees(1e6)])
 _FULL_TURN = 360_000_000
+_INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
 
 class CanInsEmulator:
@@ -98,6 +99,7 @@ class CanInsEmulator:
 
     def _send_epochs(self, epochs: Epochs) -> None:
         scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
+        scaled = scaled.clip(_INT32_MIN, _INT32_MAX)
         valid = 1 if epochs.mode is Mode.NAVIGATE or epochs.alignment else 0
         messages: list[can.Message] = []
         rows: list[list[int]] = scaled.astype(np.int64).tolist()
@@ -110,7 +112,7 @@ class CanInsEmulator:
             self._epoch_counter = (counter + 1) & 0xFFFF
             heading_data = _HEADING.pack(heading % _FULL_TURN, counter, epochs.alignment, valid)
             messages += (
-                _message(time_s, VELOCITY_NE, _TWO_INTS.pack(_clamp(north), _clamp(east))),
+                _message(time_s, VELOCITY_NE, _TWO_INTS.pack(north, east)),
                 _message(time_s + _FRAME_S, ROLL_PITCH, _TWO_INTS.pack(roll, pitch)),
                 _message(time_s + 2 * _FRAME_S, HEADING, heading_data),
             )
@@ -123,7 +125,7 @@ class CanInsEmulator:
         case, *gyros = centidegrees.astype(int).tolist()
         counter = self._status_counter
         self._status_counter = (counter + 1) & 0xFFFF
-        height = _clamp(round(file.height_m * 1e4))
+        height = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
         align_s = min(int(unit.align_time_s), 0xFFFF)
         compensated = 1 if unit.compensation.applied else 0
         status = (epochs.mode, int(unit.pitch_first), align_s, compensated, 0, counter)
@@ -141,7 +143,3 @@ class CanInsEmulator:
 
 def _message(time_s: float, identifier: int, data: bytes) -> can.Message:
     return can.Message(timestamp=time_s, arbitration_id=identifier, data=data, is_extended_id=False)
-
-
-def _clamp(value: int) -> int:
-    return max(-(2**31), min(2**31 - 1, value))

@@ -70,6 +70,7 @@ class World:
         self._power_on_bias = np.zeros(3)
         self._remainders = np.zeros((2, 3))
         self._sample = 0
+        self._resting: tuple[Array, Array, Array] | None = None
         self._errors_now = self._sensor_errors()
 
     def power_unit(self, on: bool) -> None:
@@ -110,7 +111,9 @@ class World:
 
     def _slow_second(self) -> None:
         self.air.step(1.0)
-        self.thermal.step(1.0, self.air.air_c, self.attitude()[2])
+        resting = self._at_rest()
+        up_body = self.attitude()[2] if resting is None else resting[2]
+        self.thermal.step(1.0, self.air.air_c, up_body)
         if self.unit.senses:
             self._errors_now = self._sensor_errors()
 
@@ -125,20 +128,33 @@ class World:
             self.on_epochs(epochs)
 
     def _measured(self, count: int) -> tuple[Array, Array]:
-        edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
-        outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
-        geometry = self._geometry
-        true = true_increments(
-            geometry.outer_axis, geometry.inner_axis, geometry.mounting, outer, inner,
-            self._latitude, self.file.height_m, _DT_S,
-        )  # fmt: skip
+        resting = self._at_rest()
+        rotation, velocity = self._felt(count) if resting is None else (each[:count] for each in resting[:2])
         noise = self._random.standard_normal((2, count, 3)) * math.sqrt(_DT_S)
         gyro, accelerometer = self._errors_now
         compensation = self.unit.compensation.bias(self.thermal.optics_c) * DPH
         return (
-            _sensed(true[0], gyro, compensation, noise[0], self._gyro, self._remainders[0]),
-            _sensed(true[1], accelerometer, np.zeros(3), noise[1], self._accelerometer, self._remainders[1]),
+            _sensed(rotation, gyro, compensation, noise[0], self._gyro, self._remainders[0]),
+            _sensed(velocity, accelerometer, np.zeros(3), noise[1], self._accelerometer, self._remainders[1]),
         )
+
+    def _at_rest(self) -> tuple[Array, Array, Array] | None:
+        """What is felt in a second, and Up in body axes, while the table rests; None while it moves."""
+        if any(axis.is_moving(self._sample * _DT_S) for axis in self.axes.values()):
+            self._resting = None
+        elif self._resting is None:
+            self._resting = (*self._felt(SAMPLE_RATE_HZ), self.attitude()[2])
+        return self._resting
+
+    def _felt(self, count: int) -> tuple[Array, Array]:
+        edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
+        outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
+        geometry = self._geometry
+        rotation, velocity = true_increments(
+            geometry.outer_axis, geometry.inner_axis, geometry.mounting, outer, inner,
+            self._latitude, self.file.height_m, _DT_S,
+        )  # fmt: skip
+        return rotation, velocity
 
     def _sensor_errors(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         case_c = np.full(3, self.thermal.case_c - self.file.reference_temperature_c)
