@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from bench.bias.csv_text import CsvTable, format_csv, format_number, read_text, write_text
 from bench.bias.dwell_table import DwellRow
@@ -166,7 +166,7 @@ def _bin(
         sigma_dph=float(weight.sum() ** -0.5),
         count=len(rows),
         chi2_reduced=square / freedom if freedom else math.nan,
-        spread_p_value=float(chi2.sf(square, freedom)) if freedom else math.nan,
+        spread_p_value=float(chdtrc(freedom, square)) if freedom else math.nan,
     )
 
 

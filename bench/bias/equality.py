@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from bench.bias.bins import BiasBin
 
@@ -85,7 +85,7 @@ def _compared(group: Sequence[BiasBin]) -> PositionComparison:
         bin_high_c=group[0].bin_high_c,
         positions=tuple(each.position for each in group),
         bias_dph=mean,
-        p_value=float(chi2.sf(weight @ (bias - mean) ** 2, len(group) - 1)),
+        p_value=float(chdtrc(len(group) - 1, weight @ (bias - mean) ** 2)),
         largest_pair=(high.position, low.position),
         largest_difference_dph=high.bias_dph - low.bias_dph,
         largest_difference_sigma_dph=float(np.hypot(high.sigma_dph, low.sigma_dph)),

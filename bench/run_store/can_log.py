@@ -18,7 +18,7 @@ import can
 from bench.errors import RunFolderError
 
 _PART = "part-{:05d}.blf"
-#: zlib level: a third more bytes than the default, in a third of the time.
+#: zlib level: a tenth more bytes than the default in less time.
 _FAST = 1
 
 

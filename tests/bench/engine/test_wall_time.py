@@ -3,28 +3,28 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from bench.bias.dwell_table import read_dwells
+from bench.documents import find_document
 from bench.run_store.journal import read_journal
 from bench.run_store.telemetry import read_telemetry
 
 PROCEDURE = """procedure: two_minutes
 steps:
   - power_on
-  - go_to: {position: z_up, rate_dps: 20}
-  - align: {duration_s: 45}
-  - navigate: {duration_s: 62}
-  - turn: {angle_deg: 180, rate_dps: 20, settle_s: 1}
-  - navigate: {duration_s: 62}
+  - go_to: {position: z_up, rate_dps: 30, settle_s: 0}
+  - align: {duration_s: 42}
+  - navigate: {duration_s: 61}
+  - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+  - navigate: {duration_s: 61}
 """
 
 
 def station_of(urls):
     """The shipped station with the ports of a served bench."""
-    text = Path("stations/emulated.yaml").read_text()
+    text = find_document("stations", "emulated").read_text()
     for old, new in {
         "clock: virtual": "clock: wall",
         "poll_period_s: 1.0": "poll_period_s: 0.1",
@@ -40,10 +40,9 @@ def station_of(urls):
     return text
 
 
-@pytest.fixture(params=["pseudo-terminals", "tcp"])
-def served_station(request, tmp_path):
-    options = ["--tcp"] if request.param == "tcp" else []
-    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", "ideal", "--for-s", "600", *options]
+@pytest.fixture
+def served_station(tmp_path):
+    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", "ideal", "--for-s", "600"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"
         path.write_text(station_of(json.loads(server.stdout.readline())))
@@ -51,7 +50,7 @@ def served_station(request, tmp_path):
         server.terminate()
 
 
-
+@pytest.mark.wall_time
 @pytest.mark.timeout(400)
 def test_a_dwell_in_real_time_gives_the_bias_through_real_ports(run_procedure, served_station, tmp_path):
     procedure = tmp_path / "two_minutes.yaml"
@@ -61,7 +60,7 @@ def test_a_dwell_in_real_time_gives_the_bias_through_real_ports(run_procedure, s
     (row,) = read_dwells(folder.dwells)
     assert row.flags == ""
     assert row.unit == "1000"
-    # One minute each side: rounding to 1e-4 m/s alone is worth some thousandths of a degree per hour.
+    # One minute on each side: steps of 1e-4 m/s alone are worth some thousandths of a degree per hour.
     for measured, true in zip(row.bias_dph, (0.003, -0.002, 0.004), strict=True):
         assert measured == pytest.approx(true, abs=0.01)
     (finished,) = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished"]

@@ -73,7 +73,9 @@ def test_a_gap_of_some_seconds_flags_the_dwell(copied_run):
 def test_three_windows_are_not_the_papers_method(copied_run):
     marks, frames = marks_and_frames(copied_run)
     setup = measurement_setup(Station(copied_run.station))
-    row = measure_dwell(dataclasses.replace(marks, windows=(*marks.windows, marks.windows[1])), frames, setup).row
+    row = measure_dwell(
+        dataclasses.replace(marks, windows=(*marks.windows, marks.windows[1])), frames, setup
+    ).row
     assert "3 windows" in row.flags
 
 

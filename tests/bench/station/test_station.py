@@ -67,7 +67,11 @@ def test_an_absent_dbc_file_is_named(tmp_path):
 
 
 def test_outer_and_inner_follow_the_controllers_axis_numbers(tmp_path):
-    path = changed(tmp_path, ("outer_axis_number: 1", "outer_axis_number: 2"), ("inner_axis_number: 2", "inner_axis_number: 1"))
+    path = changed(
+        tmp_path,
+        ("outer_axis_number: 1", "outer_axis_number: 2"),
+        ("inner_axis_number: 2", "inner_axis_number: 1"),
+    )
     station = Station(path)
     assert station.by_axis_number((10.0, 20.0)) == {2: 10.0, 1: 20.0}
     assert station.table_axes_of((20.0, 10.0)) == (10.0, 20.0)
@@ -89,7 +93,9 @@ def test_instruments_are_opened_on_the_runs_clock_and_name_themselves():
 
 
 def test_a_port_that_can_not_be_opened_names_instrument_and_port(tmp_path):
-    path = changed(tmp_path, ("port: emulator://table", "port: /dev/does-not-exist"), ("clock: virtual", "clock: wall"))
+    path = changed(
+        tmp_path, ("port: emulator://table", "port: /dev/does-not-exist"), ("clock: virtual", "clock: wall")
+    )
     with pytest.raises(ConnectionFailedError, match=r"rate table: can't open /dev/does-not-exist"):
         Instruments(Station(path), WallClock(), Emulation())
 

@@ -1,0 +1,135 @@
+"""The commands as a technician types them."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bench.cli import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+
+
+def gyrobench(*arguments, cwd):
+    command = [sys.executable, "-c", "from bench.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, timeout=200, env={**os.environ, "COLUMNS": "80"}
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    cwd = tmp_path_factory.mktemp("bench")
+    return cwd, gyrobench("run", "ten_minute_check", "--world", "ideal", cwd=cwd)
+
+
+def test_a_shipped_procedure_runs_by_name_from_any_folder(finished):
+    cwd, result = finished
+    assert result.returncode == 0, result.stderr
+    assert (cwd / "runs/ten_minute_check-001/report.html").is_file()
+
+
+def test_a_run_ends_by_printing_biases_and_where_report_and_figures_are(finished):
+    _, result = finished
+    for gyro in "XYZ":
+        assert f"{gyro} gyro: bias" in result.stdout
+    assert re.search(r"^Report +runs/ten_minute_check-001/report\.html$", result.stdout, re.MULTILINE)
+    assert re.search(r"^Figures +runs/ten_minute_check-001/figures$", result.stdout, re.MULTILINE)
+    assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_bins_measures_a_run_anew(finished):
+    cwd, _ = finished
+    folder = cwd / "runs/ten_minute_check-001"
+    before = (folder / "dwells.csv").read_bytes()
+    (folder / "dwells.csv").unlink()
+    result = gyrobench("bins", folder, cwd=cwd)
+    assert result.returncode == 0, result.stderr
+    assert (folder / "dwells.csv").read_bytes() == before
+
+
+def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tmp_path):
+    result = gyrobench("plan", "six_position_fig7", "--figure", "plan.png", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"4\d:\d\d", result.stdout)
+    assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
+    (tmp_path / "wrong.yaml").write_text(
+        "procedure: wrong\nsteps:\n  - sook: {for_s: 5}\n  - wait: {duration: 5}\n"
+    )
+    result = gyrobench("run", "wrong.yaml", cwd=tmp_path)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert "wrong.yaml:3:" in result.stderr
+    assert "did you mean 'soak'?" in result.stderr
+    assert "wrong.yaml:4:" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("run", "absent"), EXIT_WRONG_INPUT, "six_position_fig7"),
+        (("run", "absent.yaml"), EXIT_WRONG_INPUT, "there is no such file"),
+        (("run", "ten_minute_check", "--world", "mars"), EXIT_WRONG_INPUT, "gyro_a"),
+        (("run", "ten_minute_check", "--station", "mars"), EXIT_WRONG_INPUT, "emulated"),
+        (("run", "ten_minute_check", "--seed", "-1"), EXIT_WRONG_INPUT, "seed"),
+        (("bins", "."), EXIT_NOT_FINISHED, "is no run folder"),
+    ],
+)
+def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code, message):
+    result = gyrobench(*arguments, cwd=tmp_path)
+    assert result.returncode == code
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_an_instrument_that_can_not_be_reached_has_its_own_exit_code(tmp_path, pytestconfig):
+    text = (pytestconfig.rootpath / "stations/emulated.yaml").read_text()
+    text = text.replace("port: emulator://table", "port: /dev/does-not-exist").replace(
+        "clock: virtual", "clock: wall"
+    )
+    (tmp_path / "station.yaml").write_text(text)
+    result = gyrobench("run", "ten_minute_check", "--station", "station.yaml", cwd=tmp_path)
+    assert result.returncode == EXIT_INSTRUMENT
+    assert "rate table: can't open /dev/does-not-exist" in result.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
+    command = [sys.executable, "-c", "from bench.cli import main; main()", "run", "three_temperature_shift"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        journal = tmp_path / "runs/three_temperature_shift-001/journal.jsonl"
+        deadline = time.monotonic() + 60
+        while not (journal.is_file() and "dwell_finished" in journal.read_text()):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        printed, _ = process.communicate(timeout=60)
+    assert process.returncode == EXIT_NOT_FINISHED
+    assert "stopped by SIGTERM" in printed
+    assert "rate table stopped" in printed
+    assert "Report" in printed
+
+
+def test_help_names_every_command_with_an_example(tmp_path):
+    overview = gyrobench("--help", cwd=tmp_path).stdout
+    for command in ("run", "plan", "bins"):
+        assert command in overview
+        assert f"Example: gyrobench {command}" in gyrobench(command, "--help", cwd=tmp_path).stdout
+
+
+def test_help_does_not_load_the_heavy_libraries():
+    code = (
+        "import sys; sys.argv = ['gyrobench', '--help']\n"
+        "from bench.cli import app\n"
+        "try: app()\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'matplotlib', 'numba', 'can', 'cantools', 'pyarrow', 'pydantic'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
