@@ -66,7 +66,8 @@ class ProgressView:
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell."""
-        head = f"{row.dwell:3d}/{self._plan.dwell_count:<3d} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
+        number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
+        head = f"{number} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
         if row.flags:
             self._console.print(f"{head}  flagged: {row.flags}", soft_wrap=True, highlight=False)
             return

@@ -46,9 +46,16 @@ class EmulatedBench:
         ``table`` and ``chamber``.
     ins : CanInsEmulator
         The INS at its CAN connector.
+
+    Raises
+    ------
+    DocumentError
+        The world file is wrong, or the seed is below zero.
     """
 
     def __init__(self, clock: Clock, world: Path, seed: int) -> None:
+        if seed < 0:
+            raise DocumentError(f"emulated bench: the seed must not be below zero; found {seed}")
         self.clock = clock
         self.world = World(load_world(world), seed)
         self.ins = CanInsEmulator(self.world, clock.epoch.timestamp())
@@ -78,7 +85,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     Raises
     ------
     DocumentError
-        The world file is wrong or absent, or no clock of that name exists.
+        The world file is wrong or absent, the seed is below zero, or no clock of that name exists.
     """
     clock: Clock
     try:
@@ -99,10 +106,13 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     Raises
     ------
     DocumentError
-        The address has another key, or a seed that is no whole number.
+        The address has another key, a seed that is no whole number, or is no URL.
     """
-    parts = urlsplit(url)
-    values = dict(parse_qsl(parts.query))
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:
+        raise DocumentError(f"{url}: is no address: {error}") from error
+    values = dict(parse_qsl(parts.query, keep_blank_values=True))
     unknown = values.keys() - {"clock", "world", "seed"}
     if unknown:
         raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: clock, world, seed")

@@ -61,8 +61,13 @@ class CanInsEmulator:
         world.on_epochs = self._send_epochs
 
     def receive(self, message: can.Message) -> None:
-        """Take a frame from the bus; ones that are not meant for this INS change nothing."""
+        """Take a frame from the bus.
+
+        Ones that are not meant for this INS change nothing, nor does any while it is off or boots.
+        """
         if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+            return
+        if self._world.unit.mode is Mode.OFF:
             return
         data = bytes(message.data)
         if message.arbitration_id == INS_COMMAND and len(data) >= 2:
@@ -82,20 +87,20 @@ class CanInsEmulator:
             case 4 if argument in (0, 1):
                 unit.pitch_first = argument == 1
             case 5:
-                unit.compensation = type(unit.compensation).none()
+                unit.clear_compensation()
             case 6:
-                unit.compensation.applied = True
+                unit.apply_compensation()
 
     def _coefficient(self, axis: int, index: int, value: float) -> None:
-        compensation = self._world.unit.compensation
+        loaded = self._world.unit.loaded
         if axis > 2 or not np.isfinite(value):
             return
         if index <= _MAX_DEGREE:
-            compensation.coefficients[axis, index] = value
+            loaded.coefficients_dph[axis, index] = value
         elif index == _LOW_INDEX:
-            compensation.low_c[axis] = value
+            loaded.low_c[axis] = value
         elif index == _HIGH_INDEX:
-            compensation.high_c[axis] = value
+            loaded.high_c[axis] = value
 
     def _send_epochs(self, epochs: Epochs) -> None:
         scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
@@ -127,7 +132,7 @@ class CanInsEmulator:
         self._status_counter = (counter + 1) & 0xFFFF
         height = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
         align_s = min(int(unit.align_time_s), 0xFFFF)
-        compensated = 1 if unit.compensation.applied else 0
+        compensated = 0 if unit.compensation is None else 1
         status = (epochs.mode, int(unit.pitch_first), align_s, compensated, 0, counter)
         slow = (
             (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),

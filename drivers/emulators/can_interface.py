@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Any
 
@@ -37,26 +38,33 @@ class EmulatorBus(can.BusABC):
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
         self._queue: deque[can.Message] = deque()
-        self._bench.ins.listeners.append(self._queue.extend)
         self.channel_info = f"emulated INS, world {world}, seed {seed}"
         super().__init__(channel, **options)
+        self._bench.ins.listeners.append(self._queue.extend)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Send a frame to the INS; it arrives at once."""
         self._bench.advance()
         self._bench.ins.receive(msg)
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._queue:
-            self._wait(timeout)
-        return (self._queue.popleft() if self._queue else None), True
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Wait for a frame that passes the filters; None if none came in ``timeout`` seconds.
 
-    def _wait(self, timeout: float | None) -> None:
+        Overrides python-can's own, which takes the time from the wall clock.
+        """
         clock = self._bench.clock
-        self._bench.advance()
-        end_s = float("inf") if timeout is None else clock.now() + timeout
-        while not self._queue and clock.now() < end_s:
-            clock.sleep(min(self._bench.world.file.ins.epoch_period_s, end_s - clock.now()))
+        end_s = math.inf if timeout is None else clock.now() + timeout
+        if not self._queue:
+            self._bench.advance()
+        while True:
+            while self._queue:
+                message = self._queue.popleft()
+                if self._matches_filters(message):
+                    return message
+            left_s = end_s - clock.now()
+            if left_s <= 0.0:
+                return None
+            clock.sleep(min(self._bench.world.file.ins.epoch_period_s, left_s))
             self._bench.advance()
 
     def shutdown(self) -> None:

@@ -14,6 +14,9 @@ from drivers.emulators.can_ins import CanInsEmulator
 
 _OK, _ERROR = b"\r", b"\a"
 _LONGEST_LINE = 64
+_DATA_FRAME = re.compile(r"(?:t([0-9A-F]{3})|T([0-9A-F]{8}))([0-8])((?:[0-9A-F]{2})*)", re.ASCII | re.IGNORECASE)
+#: Settings without effect here: bit rate, no time stamps, acceptance code and mask.
+_SETTING = re.compile(r"S[0-8]|s[0-9A-F]{4}|Y[25]|Z0|[Mm][0-9A-F]{8}|", re.ASCII | re.IGNORECASE)
 
 
 class SlcanAdapter:

@@ -3,11 +3,12 @@
 Self-alignment lets the first seconds at rest pass, then averages the sensors' output: the mean
 specific force is Up and the part of the mean rotation across it is North. So it starts with the
 attitude errors that its own sensor errors cause (tilt from accelerometer bias, heading from the
-east gyro).
+east gyro). It looks at what it summed up once a second, so nothing depends on how the samples are cut.
 """
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -15,17 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.emulators.world.document import InsBehaviour
-from drivers.emulators.world.strapdown import STATE_SIZE, gyrocompass, navigate
+from drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, navigate
 
 Array = NDArray[np.float64]
 
 #: Samples of the inertial sensors in a second.
 SAMPLE_RATE_HZ = 100
 _DT_S = 1.0 / SAMPLE_RATE_HZ
-#: Rotation that counts as motion: this rate over a stretch of samples, beyond a few pulses.
+#: Rotation that counts as motion: this rate over a second, beyond a few pulses.
 _MOTION_RADPS = np.radians(0.02)
 _PULSES_RAD = np.radians(2.0 / 3600.0)
-_MAX_DEGREE = 6
+_COEFFICIENTS = 6
+#: Most that a compensation can subtract, deg/h.
+_COMPENSATION_LIMIT_DPH = 3600.0
 
 
 class Mode(IntEnum):
@@ -63,26 +66,27 @@ class Epochs:
     alignment: Alignment
 
 
-@dataclass
 class Compensation:
-    """Polynomial gyro biases over optics temperature, clamped to a range of temperatures."""
+    """Polynomial gyro biases over optics temperature, clamped to a range of temperatures.
 
-    coefficients: Array
-    low_c: Array
-    high_c: Array
-    applied: bool = False
+    Attributes
+    ----------
+    coefficients_dph : ndarray, shape (3, 6)
+        Of each gyro, from degree 0 up, in degrees Celsius.
+    low_c, high_c : ndarray, shape (3,)
+        Temperatures beyond which the polynomial's value at them is used.
+    """
 
-    @classmethod
-    def none(cls) -> Compensation:
-        """Nothing loaded."""
-        return cls(np.zeros((3, _MAX_DEGREE)), np.full(3, -100.0), np.full(3, 150.0))
+    def __init__(self) -> None:
+        self.coefficients_dph = np.zeros((3, _COEFFICIENTS))
+        self.low_c = np.full(3, -100.0)
+        self.high_c = np.full(3, 150.0)
 
-    def bias(self, optics_c: Array) -> Array:
-        """What is subtracted from each gyro, in the coefficients' unit, shape (3,)."""
-        if not self.applied:
-            return np.zeros(3)
-        clamped = np.clip(optics_c, self.low_c, self.high_c)
-        return np.asarray(np.sum(self.coefficients * clamped[:, None] ** np.arange(_MAX_DEGREE), axis=1))
+    def bias_dph(self, optics_c: Array) -> Array:
+        """What is subtracted from each gyro, shape (3,)."""
+        powers = np.clip(optics_c, self.low_c, self.high_c)[:, None] ** np.arange(_COEFFICIENTS)
+        bias_dph = np.sum(self.coefficients_dph * powers, axis=1)
+        return np.asarray(np.clip(bias_dph, -_COMPENSATION_LIMIT_DPH, _COMPENSATION_LIMIT_DPH))
 
 
 class InertialUnit:
@@ -94,6 +98,11 @@ class InertialUnit:
         From the world file.
     latitude, height : float
         Where the bench stands, rad and m.
+
+    Attributes
+    ----------
+    loaded, compensation : Compensation, and Compensation or None
+        What has been loaded so far, and what is subtracted from the gyros' output.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
@@ -103,13 +112,15 @@ class InertialUnit:
         self._every = round(behaviour.epoch_period_s * SAMPLE_RATE_HZ)
         self._state = np.zeros(STATE_SIZE)
         self._sums = np.zeros((2, 3))
+        self._second = np.zeros((2, 3))
+        self._second_samples = 0
         self._aligned_samples = 0
         self._boot_samples = 0
         self.powered = False
         self.mode = Mode.OFF
         self.alignment = Alignment.INVALID
         self.pitch_first = False
-        self.compensation = Compensation.none()
+        self.clear_compensation()
         self._reset_state()
 
     @property
@@ -129,7 +140,7 @@ class InertialUnit:
             self._boot_samples = round(self._behaviour.boot_s * SAMPLE_RATE_HZ)
             self.mode = Mode.OFF
             self.pitch_first = False
-            self.compensation = Compensation.none()
+            self.clear_compensation()
             self._reset_state()
 
     def standby(self) -> None:
@@ -149,8 +160,17 @@ class InertialUnit:
         if self.mode is Mode.ALIGN and self.alignment >= Alignment.COARSE:
             self.mode = Mode.NAVIGATE
 
+    def clear_compensation(self) -> None:
+        """Forget what was loaded, and compensate nothing."""
+        self.loaded = Compensation()
+        self.compensation: Compensation | None = None
+
+    def apply_compensation(self) -> None:
+        """Use what is loaded now; what is loaded later waits for the next call."""
+        self.compensation = copy.deepcopy(self.loaded)
+
     def advance(self, first_sample: int, rotation: Array, velocity: Array) -> Epochs | None:
-        """Take the next sensor samples.
+        """Take the next sensor samples, none of them beyond the next whole second.
 
         Parameters
         ----------
@@ -164,11 +184,11 @@ class InertialUnit:
         Epochs or None
             The epochs that ended within these samples; None while the unit is off or boots.
         """
+        if first_sample % SAMPLE_RATE_HZ == 0:
+            self._judge_last_second()
         n = len(rotation)
         if self.mode is Mode.OFF:
             self._boot_samples -= n
-            if self.powered and self._boot_samples <= 0:
-                self.mode = Mode.STANDBY
             return None
         first = (-(first_sample + 1)) % self._every
         samples = np.arange(first_sample + 1 + first, first_sample + 1 + n, self._every)
@@ -176,7 +196,9 @@ class InertialUnit:
             states = navigate(self._state, rotation, velocity, _DT_S, self._height, first, self._every)
         else:
             if self.mode is Mode.ALIGN:
-                self._accumulate(rotation, velocity)
+                add_up(rotation, self._second[0])
+                add_up(velocity, self._second[1])
+                self._second_samples += n
             states = np.repeat(self._state[None], len(samples), axis=0)
         return Epochs(samples, states, self.mode, self.alignment)
 
@@ -184,22 +206,34 @@ class InertialUnit:
         self._sums[:] = 0.0
         self._aligned_samples = 0
         self._levelling_samples = round(self._behaviour.levelling_s * SAMPLE_RATE_HZ)
+        self._forget_second()
         self.alignment = Alignment.INVALID
         self._state[:] = 0.0
         self._state[0] = 1.0
         self._state[6] = self._latitude
 
-    def _accumulate(self, rotation: Array, velocity: Array) -> None:
-        total = rotation.sum(axis=0)
-        if np.abs(total).max() > _MOTION_RADPS * _DT_S * len(rotation) + _PULSES_RAD:
-            self._reset_state()
-            return
-        self._levelling_samples -= len(rotation)
+    def _forget_second(self) -> None:
+        self._second[:] = 0.0
+        self._second_samples = 0
+
+    def _judge_last_second(self) -> None:
+        if self.mode is Mode.OFF:
+            if self.powered and self._boot_samples <= 0:
+                self.mode = Mode.STANDBY
+        elif self.mode is Mode.ALIGN:
+            limit = _MOTION_RADPS * _DT_S * self._second_samples + _PULSES_RAD
+            if np.abs(self._second[0]).max() > limit:
+                self._reset_state()
+            else:
+                self._use_second()
+                self._forget_second()
+
+    def _use_second(self) -> None:
         if self._levelling_samples > 0:
+            self._levelling_samples -= self._second_samples
             return
-        self._sums[0] += total
-        self._sums[1] += velocity.sum(axis=0)
-        self._aligned_samples += len(rotation)
+        self._sums += self._second
+        self._aligned_samples += self._second_samples
         if self.align_time_s >= self._behaviour.coarse_alignment_s:
             fine = self.align_time_s >= self._behaviour.fine_alignment_s
             self.alignment = Alignment.FINE if fine else Alignment.COARSE

@@ -165,6 +165,14 @@ def matrix_of(q: Array) -> Array:
 
 
 @numba.njit(cache=True)
+def add_up(increments: Array, total: Array) -> None:
+    """Add increments (n, 3) to their ``total`` (3,), one by one: equal to the bit however they are cut."""
+    for k in range(increments.shape[0]):
+        for i in range(3):
+            total[i] += increments[k, i]
+
+
+@numba.njit(cache=True)
 def gyrocompass(rotation: Array, velocity: Array) -> Array:
     """Attitude from rotation and velocity summed up at rest.
 

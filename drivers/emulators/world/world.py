@@ -71,13 +71,14 @@ class World:
         self._remainders = np.zeros((2, 3))
         self._sample = 0
         self._resting: tuple[Array, Array, Array] | None = None
-        self._errors_now = self._sensor_errors()
+        self._errors_now: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
 
     def power_unit(self, on: bool) -> None:
         """Switch the unit's supply; each power-on has gyro biases a little different."""
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH
             self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
+            self._errors_now = None
         self.thermal.powered = on
         self.unit.power(on)
 
@@ -114,28 +115,31 @@ class World:
         resting = self._at_rest()
         up_body = self.attitude()[2] if resting is None else resting[2]
         self.thermal.step(1.0, self.air.air_c, up_body)
-        if self.unit.senses:
-            self._errors_now = self._sensor_errors()
+        self._errors_now = None
 
     def _fast_samples(self, count: int) -> None:
         rotation = velocity = np.empty((count, 3))
+        resting = self._at_rest()
         if self.unit.senses:
-            rotation, velocity = self._measured(count)
+            rotation, velocity = self._measured(count, resting)
         first = self._sample
         self._sample += count
         epochs = self.unit.advance(first, rotation, velocity)
         if epochs is not None and len(epochs.sample) and self.on_epochs:
             self.on_epochs(epochs)
 
-    def _measured(self, count: int) -> tuple[Array, Array]:
-        resting = self._at_rest()
+    def _measured(self, count: int, resting: tuple[Array, Array, Array] | None) -> tuple[Array, Array]:
         rotation, velocity = self._felt(count) if resting is None else (each[:count] for each in resting[:2])
-        noise = self._random.standard_normal((2, count, 3)) * math.sqrt(_DT_S)
-        gyro, accelerometer = self._errors_now
-        compensation = self.unit.compensation.bias(self.thermal.optics_c) * DPH
+        # Drawn sample by sample, so that a stretch of time has the same noise however it is cut.
+        noise = self._random.standard_normal((count, 2, 3)) * math.sqrt(_DT_S)
+        if self._errors_now is None:
+            self._errors_now = self._sensor_errors()
+        (gyro_bias, gyro_matrix), accelerometer = self._errors_now
+        if self.unit.compensation is not None:
+            gyro_bias = gyro_bias - self.unit.compensation.bias_dph(self.thermal.optics_c) * DPH
         return (
-            _sensed(rotation, gyro, compensation, noise[0], self._gyro, self._remainders[0]),
-            _sensed(velocity, accelerometer, np.zeros(3), noise[1], self._accelerometer, self._remainders[1]),
+            _sensed(rotation, (gyro_bias, gyro_matrix), noise[:, 0], self._gyro, self._remainders[0]),
+            _sensed(velocity, accelerometer, noise[:, 1], self._accelerometer, self._remainders[1]),
         )
 
     def _at_rest(self) -> tuple[Array, Array, Array] | None:
@@ -190,12 +194,11 @@ def _axis_parameters(table: TableGeometry) -> AxisParameters:
 def _sensed(
     true: Array,
     errors: tuple[Array, Array],
-    compensation: Array,
     noise: Array,
     triad: TriadErrors,
     remainder: Array,
 ) -> Array:
     bias, matrix = errors
     return np.asarray(
-        sense(true, matrix, bias - compensation, noise * triad.random_walk, _DT_S, triad.pulse, remainder)
+        sense(true, matrix, bias, noise * triad.random_walk, _DT_S, triad.pulse, remainder)
     )
