@@ -4,11 +4,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALLED := $(VENV)/.installed
 
 .PHONY: run test check benchmark install clean
 
-run: install
+run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
 
 # Three workers on two cores: one of them waits in real time for most of the run.
@@ -24,13 +23,18 @@ check: install
 benchmark: install
 	$(BIN)/python -m pytest tests/benchmarks -o python_files="bench_*.py" -o timeout=900 -s -q
 
-install: $(INSTALLED)
-
-$(INSTALLED): pyproject.toml constraints.txt
+$(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	touch $@
+
+# What developing needs beside what running needs.
+install: $(VENV)/.installed-dev
+
+$(VENV)/.installed-dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	touch $(INSTALLED)
+	touch $@
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -73,9 +73,13 @@ def run(
 def plan(
     procedure: Annotated[str, typer.Argument(help="Procedure file, or the name of a shipped one.")],
     station: Annotated[str, typer.Option(help=_STATION_HELP)] = "emulated",
-    figure: Annotated[Path | None, typer.Option(help="Draw the planned profile into this PNG file.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="PNG file to draw; by default plan_PROCEDURE.png.")
+    ] = None,
 ) -> None:
     """Show what a procedure would do and how long it takes, without touching an instrument.
+
+    The profile is drawn with the positions on it, as a PNG file.
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
@@ -83,15 +87,14 @@ def plan(
 
     from bench.engine.session import prepare_job
     from bench.procedure.timeline import timeline_rows
+    from bench.report.figures import plan_figure, save_figure
     from bench.report.terminal import timeline_table
 
     job = prepare_job(procedure, station)
     Console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
-    if figure is not None:
-        from bench.report.figures import plan_figure, save_figure
-
-        save_figure(plan_figure(job.plan), figure)
-        typer.echo(f"Figure   {figure}")
+    path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
+    save_figure(plan_figure(job.plan), path)
+    typer.echo(f"Figure   {path}")
 
 
 @app.command()

@@ -8,6 +8,7 @@ from rich.status import Status
 from bench.bias.dwell_table import DwellRow
 from bench.engine.live_bench import LiveBench
 from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.steps import Chamber
 from bench.procedure.timeline import hours_minutes
 
 _UPDATE_EVERY_TICKS = 50
@@ -49,10 +50,18 @@ class ProgressView:
         if self._status:
             self._status.stop()
 
-    def step_started(self, planned: PlannedStep, late_s: float) -> None:  # noqa: ARG002
-        """Show the step."""
+    def told(self, text: str) -> None:
+        """Print a message."""
+        self._console.print(text, highlight=False)
+
+    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
+        """Show the step; the chamber's are printed, with the time since the start."""
         self._step = f"{planned.label}: {planned.step.describe()}"
         self._ticks = 0
+        if isinstance(planned.step, Chamber):
+            time = hours_minutes(bench.clock.now())
+            now = f"chamber {bench.readings.chamber_c:.1f} degC now"
+            self._console.print(f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False)
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:
         """Show temperatures and time left, now and then."""

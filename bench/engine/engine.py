@@ -19,13 +19,18 @@ from bench.procedure.plan import Plan, PlannedStep
 from bench.procedure.steps import Align, GoTo, Turn
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
+from bench.run_store.provenance import add_identity
 
 
 class Progress(Protocol):
     """Somebody who watches a run."""
 
-    def step_started(self, planned: PlannedStep, late_s: float) -> None:
-        """A step begins, so many seconds later than planned."""
+    def told(self, text: str) -> None:
+        """Something that a person should know."""
+        ...
+
+    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
+        """A step begins."""
         ...
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:
@@ -134,7 +139,7 @@ class Engine:
         begin_s = clock.now()
         what = planned.step.describe()
         self._journal.record("step_started", step=planned.number, what=what, label=planned.label)
-        self._progress.step_started(planned, begin_s - planned.start_s)
+        self._progress.step_started(planned, bench)
         bench.step, bench.dwell = planned.number, planned.dwell or 0
         self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
         if isinstance(planned.step, Align) and not self._recorder.unit:
@@ -160,8 +165,10 @@ class Engine:
 
     def _identify_unit(self) -> None:
         ins = self._bench.instruments.ins
+        identity = ins.identify()
         self._recorder.unit = str(ins.identity().get("serial_number", "unknown"))
-        self._journal.record("ins_identified", unit=self._recorder.unit, identity=ins.identify())
+        self._journal.record("ins_identified", unit=self._recorder.unit, identity=identity)
+        add_identity(self._folder, "INS", identity)
 
     def _late(self, planned: PlannedStep) -> str:
         return (

@@ -44,6 +44,8 @@ def make_safe(station: Station, instruments: Instruments) -> list[SafeAction]:
         actions.append((f"chamber set to {safe_c:g} degC", lambda: chamber.set_temperature(safe_c, None)))
     if safe.unit == "off":
         actions.append(("INS switched off", lambda: instruments.power_unit(False)))
+    else:
+        actions.append(("INS left as it is", lambda: None))
     return [_tried(what, action) for what, action in actions]
 
 

@@ -98,7 +98,10 @@ def run_job(
                 station=job.station.file.station,
                 options=options,
             )
-            journal.record("resolution", lines=setup.resolution)
+            journal.record("resolution", lines=[limit.text for limit in setup.resolution])
+            for limit in setup.resolution:
+                if not limit.sufficient:
+                    progress.told(f"Warning: {limit.text}")
             bench = LiveBench(job.station, instruments, clock, can_log, telemetry, stop)
             engine = Engine(job.document, job.plan, bench, setup, folder, journal, operator, progress)
             try:

@@ -20,6 +20,7 @@ from drivers.ins.epochs import EpochCounts
 from drivers.ins.frames import FrameBlock
 from drivers.ins.navigation_data import NavigationData
 from drivers.ins.readout import InsMode
+from drivers.ins.resolution import ResolutionLimit
 
 _NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
@@ -38,15 +39,15 @@ class MeasurementSetup:
         Declared noise of the INS.
     gravity : float
         At the bench, m/s2.
-    resolution : tuple of str
-        Which estimates the resolution of the INS's output limits, and by how much, in words.
+    resolution : tuple of ResolutionLimit
+        Which estimates the resolution of the INS's output limits, and by how much.
     """
 
     decode: Callable[[FrameBlock], NavigationData]
     table: TwoAxisTable
     noise: NoiseModel
     gravity: float
-    resolution: tuple[str, ...]
+    resolution: tuple[ResolutionLimit, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,5 +30,5 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         table=station.table,
         noise=station.noise(velocity_lsb_mps, math.radians(azimuth_lsb_deg)),
         gravity=station.gravity,
-        resolution=tuple(limit.text for limit in limits),
+        resolution=tuple(limits),
     )

@@ -43,7 +43,14 @@ def write_provenance(
         "platform": platform.platform(),
         "packages": {name: _version(name) for name in _PACKAGES},
     }
-    write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
+    _write(folder, content)
+
+
+def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
+    """Add what an instrument that was switched on later said it is."""
+    content = read_provenance(folder)
+    content["instruments"][instrument] = identity
+    _write(folder, content)
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any]:
@@ -52,6 +59,10 @@ def read_provenance(folder: RunFolder) -> dict[str, Any]:
         return {}
     content: dict[str, Any] = json.loads(folder.provenance.read_text(encoding="utf-8"))
     return content
+
+
+def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:
+    write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def _inputs(folder: RunFolder) -> list[Path]:

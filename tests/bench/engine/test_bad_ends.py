@@ -26,7 +26,10 @@ class Meddler:
         self.now = ""
         self.bench = None
 
-    def step_started(self, planned, late_s):
+    def told(self, text):
+        pass
+
+    def step_started(self, planned, bench):
         self.now = planned.step.name
 
     def ticked(self, live, left_s):
