@@ -1,4 +1,4 @@
-"""The command line; each command calls one function, and imports what it needs when it runs."""
+"""The command line; each command imports what it needs when it runs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ app = typer.Typer(
 #: Exit codes: the run did not finish; a file or option is wrong; an instrument can't be reached.
 EXIT_NOT_FINISHED, EXIT_WRONG_INPUT, EXIT_INSTRUMENT = 1, 2, 3
 
+_STATION = "emulated"
 _STATION_HELP = "Station file, or the name of a shipped one."
 
 
 @app.command()
 def run(
     procedure: Annotated[str, typer.Argument(help="Procedure file, or the name of a shipped one.")],
-    station: Annotated[str, typer.Option(help=_STATION_HELP)] = "emulated",
+    station: Annotated[str, typer.Option(help=_STATION_HELP)] = _STATION,
     world: Annotated[
         str, typer.Option(help="World behind emulated instruments: file or shipped name.")
     ] = "gyro_a",
@@ -38,41 +39,41 @@ def run(
 
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
-    from rich.console import Console
-
-    from bench.bias.bins import read_bins
     from bench.bias.equality import compare_positions
     from bench.engine.operator import ConsentingOperator
     from bench.engine.session import prepare_job, run_job
-    from bench.progress_view import ProgressView
+    from bench.progress_view import PatientConsole, ProgressView
     from bench.report.html import write_report
     from bench.report.terminal import bins_table, durations_table
     from bench.station.instruments import Emulation
     from bench.terminal_operator import TerminalOperator
 
-    console = Console()
+    console = PatientConsole(markup=False)
     job = prepare_job(procedure, station, Emulation(world, seed))
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
     with ProgressView(console, job.plan) as progress:
         folder, outcome = run_job(job, out, progress, operator)
-    bins = read_bins(folder.bias_bins)
-    report = write_report(folder)
-    console.print(bins_table(bins, compare_positions(bins)))
-    console.print(durations_table(outcome.took_s))
-    for action in outcome.safe_state:
-        console.print(
-            f"{'FAILED: ' if action.problem else ''}{action.what}{_because(action.problem)}", soft_wrap=True
-        )
-    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    safe_state = [
+        f"{'FAILED: ' if each.problem else ''}{each.what}{_because(each.problem)}"
+        for each in outcome.safe_state
+    ]
     if outcome.ended != "finished":
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        console.print("\n".join(safe_state), soft_wrap=True)
+    report = write_report(folder)
+    console.print(bins_table(outcome.bins, compare_positions(outcome.bins)))
+    console.print(durations_table(outcome.took_s))
+    if outcome.ended == "finished":
+        console.print("\n".join(safe_state), soft_wrap=True)
+    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    if outcome.ended != "finished":
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
 @app.command()
 def plan(
     procedure: Annotated[str, typer.Argument(help="Procedure file, or the name of a shipped one.")],
-    station: Annotated[str, typer.Option(help=_STATION_HELP)] = "emulated",
+    station: Annotated[str, typer.Option(help=_STATION_HELP)] = _STATION,
     figure: Annotated[
         Path | None, typer.Option(help="PNG file to draw; by default plan_PROCEDURE.png.")
     ] = None,
@@ -103,17 +104,16 @@ def bins(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run fol
 
     Example: gyrobench bins runs/six_position_fig7-001
     """
-    from rich.console import Console
-
     from bench.bias.bins import read_bins
     from bench.bias.equality import compare_positions
     from bench.engine.session import measure_again
+    from bench.progress_view import PatientConsole
     from bench.report.html import write_report
     from bench.report.terminal import bins_table
 
     folder = measure_again(run_folder)
     measured = read_bins(folder.bias_bins)
-    console = Console()
+    console = PatientConsole(markup=False)
     console.print(bins_table(measured, compare_positions(measured)))
     console.print(
         f"Report   {write_report(folder)}\nTables   {folder.dwells}, {folder.bias_bins}", soft_wrap=True

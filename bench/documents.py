@@ -1,6 +1,6 @@
 """YAML documents checked against models, with the place of every mistake.
 
-A procedure, station or world file is read safely (no code, no aliases that grow), validated
+A procedure, station or world file is read safely (no code, a limited number of values), validated
 against a :class:`StrictModel`, and all that is wrong with it is reported at once as
 ``file:line:column: what was found; what is allowed``.
 """

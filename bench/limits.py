@@ -19,12 +19,12 @@ class StationLimits:
     table_rate_max_dps : float
         Fastest turn of either axis of the table.
     reachable : callable
-        ``reachable(position, azimuth_deg)`` gives the reason why the table can't stand there,
-        None where it can.
+        ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't stand
+        there and then do these turns, None where it can.
     """
 
     chamber_low_c: float
     chamber_high_c: float
     ramp_max_c_per_min: float
     table_rate_max_dps: float
-    reachable: Callable[[str, float], str | None]
+    reachable: Callable[[str, float, tuple[float, ...]], str | None]

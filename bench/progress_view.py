@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from pathlib import Path
+
 from rich.console import Console
 from rich.status import Status
+from rich.text import Text
 
 from bench.bias.dwell_table import DwellRow
 from bench.engine.live_bench import LiveBench
@@ -13,6 +18,16 @@ from bench.procedure.timeline import hours_minutes
 
 _UPDATE_EVERY_TICKS = 50
 _HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z     left h"
+
+
+class PatientConsole(Console):
+    """A console that falls silent when nobody reads it any more: that must not end a run."""
+
+    def on_broken_pipe(self) -> None:
+        """Print nothing from here on; standard output goes nowhere, so that closing it succeeds."""
+        self.quiet = True
+        with Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 class ProgressView:
@@ -69,9 +84,10 @@ class ProgressView:
         self._ticks += 1
         if self._status and self._ticks % _UPDATE_EVERY_TICKS == 1:
             optics = bench.readings.ins.optics_c
-            gyro = f"gyro {optics[0]:.1f} degC, " if optics[0] == optics[0] else ""
+            gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
             chamber = f"chamber {bench.readings.chamber_c:.1f} degC"
-            self._status.update(f"{self._step} | {chamber}, {gyro}{hours_minutes(left_s)} h left")
+            text = f"{hours_minutes(left_s)} h left | {chamber}, {gyro}{self._step}"
+            self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell."""

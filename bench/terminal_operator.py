@@ -23,7 +23,7 @@ class TerminalOperator:
 
     def answer(self) -> str | None:
         """The answer, once one of those asked for has been typed."""
-        if not select.select([sys.stdin], [], [], 0.0)[0]:
+        if sys.stdin is None or not select.select([sys.stdin], [], [], 0.0)[0]:
             return None
         typed = sys.stdin.readline().strip()
         if typed in self._answers:

@@ -7,12 +7,17 @@ in the package named below; nothing is imported from it here.
 
 from __future__ import annotations
 
+import contextlib
+import termios
 from types import TracebackType
 
 import serial
 
 from bench.clock import Clock, Deadline
 from bench.errors import ConnectionFailedError, NoReplyError
+
+#: What pyserial raises when a port goes away, depending on the call.
+_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 
 _EMULATOR_HANDLERS = "drivers.emulators.serial_urls"
 if _EMULATOR_HANDLERS not in serial.protocol_handler_packages:
@@ -51,9 +56,9 @@ class SerialLine:
         self.clock = clock
         try:
             self._port = serial.serial_for_url(
-                url, baudrate=baudrate, parity=parity, timeout=0, write_timeout=5
+                url, baudrate=baudrate, parity=parity, timeout=0, write_timeout=5, exclusive=True
             )
-        except (serial.SerialException, ValueError, OSError) as error:
+        except (*_PORT_ERRORS, ValueError) as error:
             raise ConnectionFailedError(
                 instrument, f"can't open {url}: {error}. Check the station file's port and the cable."
             ) from error
@@ -71,7 +76,8 @@ class SerialLine:
         """Close the port; a second call does nothing."""
         if self._open:
             self._open = False
-            self._port.close()
+            with contextlib.suppress(*_PORT_ERRORS):  # gone already
+                self._port.close()
 
     def write(self, data: bytes) -> None:
         """Send bytes.
@@ -84,7 +90,7 @@ class SerialLine:
         try:
             self._port.write(data)
             self._port.flush()
-        except (serial.SerialException, OSError) as error:
+        except _PORT_ERRORS as error:
             raise self._gone(error) from error
 
     def read(self, count: int, deadline: Deadline) -> bytes:
@@ -100,7 +106,7 @@ class SerialLine:
         try:
             self._port.timeout = deadline.remaining_s()
             data = bytes(self._port.read(count))
-        except (serial.SerialException, OSError) as error:
+        except _PORT_ERRORS as error:
             raise self._gone(error) from error
         if len(data) < count:
             raise NoReplyError(
@@ -131,7 +137,7 @@ class SerialLine:
         """Throw away what arrived and nobody read, so that the next reply is the next one read."""
         try:
             self._port.reset_input_buffer()
-        except (serial.SerialException, OSError) as error:
+        except _PORT_ERRORS as error:
             raise self._gone(error) from error
 
     def _gone(self, error: Exception) -> ConnectionFailedError:

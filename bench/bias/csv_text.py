@@ -9,7 +9,8 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-from bench.errors import DocumentError, RunFolderError
+from bench.errors import DocumentError
+from bench.files import write_whole
 
 _SHOWN_PROBLEMS = 20
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
@@ -156,14 +157,11 @@ def read_text(path: Path) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 file, line ends as they are.
+    """Write a UTF-8 file whole or not at all, line ends as they are.
 
     Raises
     ------
     RunFolderError
         The file can't be written.
     """
-    try:
-        path.write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise RunFolderError(f"{path}: can't be written: {error.strerror}") from error
+    write_whole(path, text.encode())

@@ -120,5 +120,5 @@ def _check_half_turn(dwell: Dwell) -> None:
     if away > TURN_TOLERANCE:
         raise MeasurementError(
             f"{dwell.position_name}: the paper's method needs a turn of 180 deg about the vertical; this one "
-            f"is {np.rad2deg(away):.1f} deg away from it. Use the state-space estimator for other turns"
+            f"is {np.rad2deg(away):.1f} deg away from it. Turn by 180 or -180 deg"
         )

@@ -7,7 +7,7 @@ bench in between and minds the step's time limit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import singledispatch
 
 import numpy as np
@@ -43,6 +43,7 @@ _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
 _OVERSHOOT_S = 10.0
 _BOOT_FRAMES_AGE_S = 2.0
+_POWER_CYCLE_S = 5.0
 
 
 class Context:
@@ -52,8 +53,8 @@ class Context:
     ----------
     angles : tuple of float or None
         Outer and inner angle last commanded, deg.
-    turn_to_come_deg : float
-        Sum of the turns until the next position: a position is taken so that they have room.
+    turns_to_come_deg : sequence of float
+        The turns until the next position: a position is taken so that they have room.
     """
 
     def __init__(self, bench: LiveBench, operator: Operator, recorder: DwellRecorder) -> None:
@@ -61,7 +62,7 @@ class Context:
         self.operator = operator
         self.recorder = recorder
         self.angles: Angles | None = None
-        self.turn_to_come_deg: float = 0.0
+        self.turns_to_come_deg: Sequence[float] = ()
 
 
 @singledispatch
@@ -74,12 +75,17 @@ def perform(step: Step, context: Context) -> Ticks:
 def _power_on(step: PowerOn, context: Context) -> Ticks:
     bench = context.bench
     if bench.station.unit.power == "operator":
-        yield from _answered(context, "Switch the INS on, then answer.", ["on", "stop"])
+        yield from _answered(context, "Switch the INS off and on, then answer.", ["on", "stop"])
+    if bench.station.unit.power == "chamber_event":
+        # An INS that is on already is switched off first: the time since power-on has to be known.
+        bench.instruments.power_unit(False)
+        yield from _lasting(bench, _POWER_CYCLE_S)
     bench.instruments.power_unit(True)
     switched_s = bench.clock.now()
     yield
     while not _talks(bench):
         yield
+    bench.ins_expected = True
     context.recorder.powered_on(switched_s)
     yield from _lasting(bench, step.settle_s)
 
@@ -88,6 +94,7 @@ def _power_on(step: PowerOn, context: Context) -> Ticks:
 def _power_off(step: PowerOff, context: Context) -> Ticks:  # noqa: ARG001
     if context.bench.station.unit.power == "operator":
         yield from _answered(context, "Switch the INS off, then answer.", ["off", "stop"])
+    context.bench.ins_expected = context.bench.station.unit.power == "always_on"
     context.bench.instruments.power_unit(False)
     yield
 
@@ -130,9 +137,11 @@ def _soak(step: Soak, context: Context) -> Ticks:
 
 @perform.register
 def _go_to(step: GoTo, context: Context) -> Ticks:
+    if context.bench.capture:
+        context.bench.end_capture()  # of an alignment that no dwell followed
     table = context.bench.station.table
     C_nb = POSITIONS[step.position].C_nb(np.deg2rad(step.azimuth_deg))
-    yield from _moved(context, table.angles(C_nb, context.turn_to_come_deg), step.rate_dps)
+    yield from _moved(context, table.angles(C_nb, context.turns_to_come_deg), step.rate_dps)
     context.recorder.position, context.recorder.azimuth_deg = step.position, step.azimuth_deg
     yield from _lasting(context.bench, step.settle_s)
 
@@ -153,7 +162,10 @@ def _align(step: Align, context: Context) -> Ticks:
 @perform.register
 def _navigate(step: Navigate, context: Context) -> Ticks:
     bench, ins = context.bench, context.bench.instruments.ins
-    if ins.status().mode is not InsMode.NAVIGATE:
+    status = ins.status()
+    if status.mode is not InsMode.NAVIGATE:
+        if status.alignment is Alignment.NONE:
+            raise FaultError("INS", "has not aligned, so it can't navigate. Give align more time.")
         ins.navigate()
     context.recorder.begin_window()
     yield from _lasting(bench, step.duration_s)
@@ -166,6 +178,7 @@ def _turn(step: Turn, context: Context) -> Ticks:
         raise FaultError("rate table", "a turn needs a position first. Put go_to before it.")
     target = context.bench.station.table.turn(context.angles, step.angle_deg)
     yield from _moved(context, target, step.rate_dps)
+    context.recorder.azimuth_deg += step.angle_deg
     yield from _lasting(context.bench, step.settle_s)
 
 

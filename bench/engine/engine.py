@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
+from bench.bias.bins import BiasBin
 from bench.bias.dwell_table import DwellRow, write_dwells
 from bench.clock import Deadline
 from bench.documents import Document
@@ -13,10 +14,10 @@ from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
 from bench.engine.safe_state import SafeAction, make_safe
-from bench.errors import GyrobenchError, RunStoppedError, StepTimeoutError
+from bench.errors import GyrobenchError, RunFolderError, RunStoppedError, StepTimeoutError
 from bench.measurement.dwell import MeasurementSetup, measure_dwell
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import Align, GoTo, Turn
+from bench.procedure.plan import Plan, PlannedStep, turns_after
+from bench.procedure.steps import Align, GoTo, PowerOn
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
 from bench.run_store.provenance import add_identity
@@ -54,6 +55,8 @@ class RunOutcome:
         Why it did not finish; empty where it did.
     rows : list of DwellRow
         What was measured.
+    bins : list of BiasBin
+        The same by temperature bin.
     duration_s : float
         On the run's clock.
     took_s : dict of str to list of tuple
@@ -65,9 +68,15 @@ class RunOutcome:
     ended: str = "finished"
     reason: str = ""
     rows: list[DwellRow] = field(default_factory=list)
+    bins: list[BiasBin] = field(default_factory=list)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     safe_state: list[SafeAction] = field(default_factory=list)
+
+    def fail(self, reason: str) -> None:
+        """Note a failure, unless there is one already."""
+        if self.ended == "finished":
+            self.ended, self.reason = "failed", reason
 
 
 class Engine:
@@ -138,14 +147,15 @@ class Engine:
         bench, clock = self._bench, self._bench.clock
         begin_s = clock.now()
         what = planned.step.describe()
-        self._journal.record("step_started", step=planned.number, what=what, label=planned.label)
+        kind = planned.step.name
+        self._journal.record("step_started", step=planned.number, kind=kind, what=what, label=planned.label)
         self._progress.step_started(planned, bench)
         bench.step, bench.dwell = planned.number, planned.dwell or 0
         self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
         if isinstance(planned.step, Align) and not self._recorder.unit:
-            self._identify_unit()
+            self._identify_unit()  # one that is always on
         if isinstance(planned.step, GoTo):
-            self._context.turn_to_come_deg = self._turns_after(planned)
+            self._context.turns_to_come_deg = turns_after(self._plan, planned)
         deadline = Deadline(clock, planned.timeout_s)
         for _ in perform(planned.step, self._context):
             bench.tick()
@@ -153,13 +163,16 @@ class Engine:
             if deadline.expired():
                 raise StepTimeoutError(self._late(planned))
         took_s = clock.now() - begin_s
-        self._outcome.took_s.setdefault(planned.step.name, []).append((planned.duration_s, took_s))
+        self._outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
         self._journal.record(
             "step_finished",
             step=planned.number,
+            kind=kind,
             planned_s=round(planned.duration_s, 3),
             took_s=round(took_s, 3),
         )
+        if isinstance(planned.step, PowerOn):
+            self._identify_unit()
         if planned.dwell and self._is_last_of_dwell(planned):
             self._finish_dwell()
 
@@ -176,15 +189,6 @@ class Engine:
             f"({planned.label}: {planned.step.describe()}) was not over after {planned.timeout_s:.0f} s. "
             "Look at the instrument that it waits for, or give the step a longer timeout_s"
         )
-
-    def _turns_after(self, planned: PlannedStep) -> float:
-        total_deg = 0.0
-        for later in self._plan.steps[planned.number :]:
-            if isinstance(later.step, GoTo):
-                break
-            if isinstance(later.step, Turn):
-                total_deg += later.step.angle_deg
-        return total_deg
 
     def _is_last_of_dwell(self, planned: PlannedStep) -> bool:
         later = self._plan.steps[planned.number : planned.number + 1]
@@ -207,9 +211,16 @@ class Engine:
     def _end(self) -> None:
         outcome = self._outcome
         outcome.safe_state = make_safe(self._bench.station, self._bench.instruments)
-        self._journal.record(
-            "run_ended",
-            ended=outcome.ended,
-            reason=outcome.reason,
-            safe_state=[{"what": action.what, "problem": action.problem} for action in outcome.safe_state],
-        )
+        if any(action.problem for action in outcome.safe_state):
+            outcome.fail("the bench could not be brought to its safe state")
+        try:
+            self._journal.record(
+                "run_ended",
+                ended=outcome.ended,
+                reason=outcome.reason,
+                safe_state=[
+                    {"what": action.what, "problem": action.problem} for action in outcome.safe_state
+                ],
+            )
+        except RunFolderError as error:
+            outcome.fail(str(error))

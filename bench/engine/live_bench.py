@@ -9,18 +9,20 @@ import can
 
 from bench.clock import Clock
 from bench.engine.stop import StopRequest
-from bench.errors import FaultError
+from bench.errors import FaultError, NoReplyError
 from bench.run_store.can_log import CanLog
 from bench.run_store.telemetry import Telemetry
 from bench.station.instruments import Instruments
 from bench.station.station import Station
 from drivers.ins.frames import FrameBlock, concatenate
 from drivers.ins.ins_status import InsStatus
+from drivers.ins.readout import InsMode
 from drivers.rate_table import TableReading
 
-#: Half of the shortest time between two frames on a bus of 1 Mbit/s: an edge between two frames.
-_FRAME_EDGE_S = 25e-6
 _FRAMES_PER_BLOCK = 2000
+#: How far beyond the station's limits the air may overshoot.
+_CHAMBER_MARGIN_C = 5.0
+_INS_SILENCE_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Readings:
 class Capture:
     """Frames and chamber temperatures since an alignment began."""
 
-    frames_from: float
+    log_part: int
     chamber_c: list[float] = field(default_factory=list)
     _blocks: list[FrameBlock] = field(default_factory=list)
     _messages: list[can.Message] = field(default_factory=list)
@@ -52,12 +54,22 @@ class Capture:
         """Keep frames; as arrays, since a dwell has tens of thousands of them."""
         self._messages += messages
         if len(self._messages) >= _FRAMES_PER_BLOCK:
-            self._blocks.append(FrameBlock.from_messages(self._messages))
-            self._messages = []
+            self._pack()
+
+    def count(self) -> int:
+        """Number of data frames so far."""
+        self._pack()
+        return sum(map(len, self._blocks))
 
     def frames(self) -> FrameBlock:
-        """All frames so far."""
-        return concatenate([*self._blocks, FrameBlock.from_messages(self._messages)])
+        """All data frames so far."""
+        self._pack()
+        return concatenate(self._blocks)
+
+    def _pack(self) -> None:
+        if self._messages:
+            self._blocks.append(FrameBlock.from_messages(self._messages))
+            self._messages = []
 
 
 class LiveBench:
@@ -82,6 +94,8 @@ class LiveBench:
         What the chamber was last told; None while it is off.
     capture : Capture or None
         The frames of the dwell under way.
+    ins_expected : bool
+        Whether the INS is on, so that its silence is a fault.
     step, dwell : int
         Where the run is, for the telemetry; 0 where it is nowhere.
     """
@@ -101,12 +115,12 @@ class LiveBench:
         self.readings: Readings
         self.chamber_set_c: float | None = None
         self.capture: Capture | None = None
+        self.ins_expected = False
         self.step = 0
         self.dwell = 0
         self._can_log = can_log
         self._telemetry = telemetry
         self._stop = stop
-        self._last_frame_s = 0.0
         instruments.ins.on_frames = self._received
 
     def start(self) -> None:
@@ -141,7 +155,9 @@ class LiveBench:
         Raises
         ------
         FaultError
-            Table or chamber reports a fault.
+            An instrument reports a fault, or the chamber's air is outside the station's limits.
+        NoReplyError
+            The INS is on and has gone silent.
         """
         self.instruments.ins.poll()
         faults = self.instruments.table.faults()
@@ -155,28 +171,53 @@ class LiveBench:
             self.instruments.chamber.read().temperature_c,
             self.instruments.ins.status(),
         )
+        self._check_chamber(readings.chamber_c)
+        self._check_ins(readings.ins)
         self._telemetry.add(self._telemetry_row(readings))
         if self.capture:
             self.capture.chamber_c.append(readings.chamber_c)
         return readings
 
+    def _check_chamber(self, chamber_c: float) -> None:
+        alarms = self.instruments.chamber.alarms()
+        if alarms:
+            raise FaultError("chamber", f"reports {', '.join(alarms)}. Find the cause before the next run.")
+        limits = self.station.file.chamber.limits
+        if not limits.low_c - _CHAMBER_MARGIN_C <= chamber_c <= limits.high_c + _CHAMBER_MARGIN_C:
+            raise FaultError(
+                "chamber",
+                f"its air is at {chamber_c:.1f} degC, outside the station's {limits.low_c:g} to "
+                f"{limits.high_c:g} degC. Check controller, sensor and door.",
+            )
+
+    def _check_ins(self, status: InsStatus) -> None:
+        if not self.ins_expected:
+            return
+        if status.age_s > _INS_SILENCE_S:
+            raise NoReplyError(
+                "INS", f"has sent nothing for {status.age_s:.0f} s. Check its power, the bus and the cable."
+            )
+        if status.mode is InsMode.FAULT:
+            raise FaultError("INS", "reports a fault. Read its own diagnostics.")
+
     def begin_capture(self) -> None:
         """Keep the frames from here on for a dwell; the raw log starts a new part."""
+        self.instruments.ins.poll()
         self._can_log.cut()
-        self.capture = Capture(self.frame_edge())
+        self.capture = Capture(self._can_log.next_part)
 
     def end_capture(self) -> None:
-        """Stop keeping frames; those so far are on the disk when this returns."""
+        """Stop keeping frames; frames and telemetry so far are on the disk when this returns."""
         self.capture = None
         self._can_log.cut()
+        self._telemetry.flush()
 
-    def frame_edge(self) -> float:
-        """CAN time stamp between the last frame received and the next one."""
+    def captured_frames(self) -> int:
+        """Number of data frames of the dwell under way that have arrived by now."""
         self.instruments.ins.poll()
-        return self._last_frame_s + _FRAME_EDGE_S
+        return self.capture.count() if self.capture else 0
 
     def _received(self, messages: list[can.Message]) -> None:
-        self._last_frame_s = messages[-1].timestamp
         self._can_log.write(messages)
         if self.capture:
             self.capture.add(messages)

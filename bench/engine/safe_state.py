@@ -41,7 +41,10 @@ def make_safe(station: Station, instruments: Instruments) -> list[SafeAction]:
         actions.append(("chamber switched off", lambda: chamber.switch(False)))
     else:
         safe_c = safe.chamber_c
-        actions.append((f"chamber set to {safe_c:g} degC", lambda: chamber.set_temperature(safe_c, None)))
+        ramp = station.file.chamber.limits.ramp_c_per_min
+        actions.append(
+            (f"chamber's set point at {safe_c:g} degC", lambda: chamber.set_temperature(safe_c, ramp))
+        )
     if safe.unit == "off":
         actions.append(("INS switched off", lambda: instruments.power_unit(False)))
     else:
@@ -54,4 +57,6 @@ def _tried(what: str, action: Callable[[], None]) -> SafeAction:
         action()
     except InstrumentError as error:
         return SafeAction(what, str(error))
+    except Exception as error:  # noqa: BLE001 - nothing may keep the next action from being tried
+        return SafeAction(what, f"unexpected {type(error).__name__}: {error}")
     return SafeAction(what)

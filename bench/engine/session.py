@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.bias.bins import bin_biases, write_bins
+from bench.bias.bins import BiasBin, bin_biases, write_bins
 from bench.bias.dwell_table import DwellRow, write_dwells
 from bench.clock import Clock, VirtualClock, WallClock
 from bench.documents import Document, find_document
@@ -14,6 +13,8 @@ from bench.engine.engine import Engine, Progress, RunOutcome
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
 from bench.engine.stop import StopRequest
+from bench.errors import GyrobenchError, RunFolderError
+from bench.files import write_whole
 from bench.measurement.replay import replay
 from bench.measurement.setup import measurement_setup
 from bench.procedure.checks import check
@@ -27,8 +28,6 @@ from bench.run_store.telemetry import Telemetry
 from bench.station.instruments import Emulation, Instruments
 from bench.station.station import Station
 
-DEFAULT_STATION = "emulated"
-
 
 @dataclass(frozen=True)
 class Job:
@@ -39,13 +38,19 @@ class Job:
     station: Station
     emulation: Emulation
 
+    def emulated_world(self) -> dict[str, str | int]:
+        """What stands behind emulated instruments; empty where none is emulated."""
+        if not self.station.file.is_emulated():
+            return {}
+        return {"world": self.emulation.world, "seed": self.emulation.seed}
+
     @property
     def is_virtual(self) -> bool:
         """Whether it runs on virtual time, where nobody can be asked."""
         return self.station.file.clock == "virtual"
 
 
-def prepare_job(procedure: str, station: str = DEFAULT_STATION, emulation: Emulation | None = None) -> Job:
+def prepare_job(procedure: str, station: str, emulation: Emulation | None = None) -> Job:
     """Read procedure and station and check the one against the other.
 
     Raises
@@ -54,6 +59,7 @@ def prepare_job(procedure: str, station: str = DEFAULT_STATION, emulation: Emula
         Lists everything wrong with them, with places.
     """
     bench = Station(find_document("stations", station))
+    bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
     plan = expand(document, model, bench.bench_at_rest())
     check(document, plan, bench.limits())
@@ -81,14 +87,14 @@ def run_job(
     """
     setup = measurement_setup(job.station)
     clock: Clock = VirtualClock() if job.is_virtual else WallClock()
-    with StopRequest() as stop, Instruments(job.station, clock, job.emulation) as instruments:
+    with Instruments(job.station, clock, job.emulation) as instruments, StopRequest() as stop:
         folder = create_run_folder(out, job.plan.procedure.procedure)
         _copy_inputs(folder, job)
         identities = {
             "rate table": instruments.table.identify(),
             "chamber": instruments.chamber.identify(),
         }
-        options = {"world": job.emulation.world, "seed": job.emulation.seed, "clock": job.station.file.clock}
+        options = {"clock": job.station.file.clock, **job.emulated_world()}
         write_provenance(folder, clock.utc(), identities, options)
         can_log, telemetry = CanLog(folder.can), Telemetry(folder.telemetry)
         with Journal(folder.journal, clock) as journal:
@@ -104,18 +110,24 @@ def run_job(
                     progress.told(f"Warning: {limit.text}")
             bench = LiveBench(job.station, instruments, clock, can_log, telemetry, stop)
             engine = Engine(job.document, job.plan, bench, setup, folder, journal, operator, progress)
-            try:
-                outcome = engine.run()
-            finally:
-                can_log.cut()
-                telemetry.flush()
-    write_results(folder, outcome.rows, job.plan.procedure.bin_width_c)
+            outcome = engine.run()
+            for put_away in (can_log.cut, telemetry.flush):
+                try:
+                    put_away()
+                except RunFolderError as error:
+                    outcome.fail(str(error))
+    try:
+        outcome.bins = write_results(folder, outcome.rows, job.plan.procedure.bin_width_c)
+    except GyrobenchError as error:
+        outcome.fail(str(error))
     return folder, outcome
 
 
-def write_results(folder: RunFolder, rows: list[DwellRow], bin_width_c: float) -> None:
-    """Write the temperature bins; flagged dwells are kept out of them."""
-    write_bins(folder.bias_bins, bin_biases([row for row in rows if not row.flags], bin_width_c))
+def write_results(folder: RunFolder, rows: list[DwellRow], bin_width_c: float) -> list[BiasBin]:
+    """Write the temperature bins and return them; flagged dwells are kept out."""
+    bins = bin_biases(rows, bin_width_c)
+    write_bins(folder.bias_bins, bins)
+    return bins
 
 
 def measure_again(path: Path) -> RunFolder:
@@ -137,6 +149,6 @@ def measure_again(path: Path) -> RunFolder:
 
 
 def _copy_inputs(folder: RunFolder, job: Job) -> None:
-    shutil.copyfile(job.document.path, folder.procedure)
-    shutil.copyfile(job.station.path, folder.station)
-    shutil.copyfile(job.station.dbc_path, folder.path / job.station.dbc_path.name)
+    write_whole(folder.procedure, job.document.path.read_bytes())
+    write_whole(folder.station, job.station.path.read_bytes())
+    write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())

@@ -24,7 +24,9 @@ class StopRequest:
     def __enter__(self) -> StopRequest:
         self._previous = {}
         if threading.current_thread() is threading.main_thread():
-            self._previous = {number: signal.signal(number, self._caught) for number in _SIGNALS}
+            # A signal that is ignored, as SIGHUP under nohup, stays ignored.
+            heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+            self._previous = {number: signal.signal(number, self._caught) for number in heeded}
         return self
 
     def __exit__(

@@ -22,6 +22,10 @@ from drivers.ins.navigation_data import NavigationData
 from drivers.ins.readout import InsMode
 from drivers.ins.resolution import ResolutionLimit
 
+#: Residuals larger than this many times the expected ones are not noise: a dwell with the noise
+#: that the station declares stays below 1.4 in 95 % of all cases.
+MAX_RESIDUAL_RATIO = 3.0
+
 _NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 
@@ -73,6 +77,11 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         counts = navigation.counts
         temperatures = _Temperatures.of(navigation, marks)
         estimate = estimate_paper(_dwell(marks, navigation, setup), setup.gravity, setup.noise)
+        if estimate.residual_ratio > MAX_RESIDUAL_RATIO:
+            flags.append(
+                f"the fit leaves {estimate.residual_ratio:.3g} times the residual that the declared noise "
+                f"leads to expect (at most {MAX_RESIDUAL_RATIO:g})"
+            )
     except MeasurementError as error:
         flags.append(str(error))
     return MeasuredDwell(_row(marks, temperatures, estimate, flags), estimate, counts)
@@ -97,19 +106,17 @@ def _dwell(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetu
 
 
 def _window(navigation: NavigationData, mark: WindowMark) -> NavigationWindow:
-    inside = _between(navigation.timestamp_s, mark)
+    inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
     modes = set(navigation.mode[inside].tolist())
     if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
         raise MeasurementError(
             "the INS left navigation during the dwell. Look at its status in the raw CAN log"
         )
+    if len(set(navigation.segment[inside].tolist())) > 1:
+        raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")
     velocity = navigation.velocity_enu_mps[inside].copy()
     velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
     return NavigationWindow(navigation.ins_time_s[inside], velocity, navigation.attitude[inside])
-
-
-def _between(timestamp_s: NDArray[np.float64], mark: WindowMark) -> NDArray[np.bool_]:
-    return (timestamp_s > mark.frames_from) & (timestamp_s < mark.frames_until)
 
 
 @dataclass(frozen=True)
@@ -127,9 +134,8 @@ class _Temperatures:
     def of(cls, navigation: NavigationData, marks: DwellMarks) -> _Temperatures:
         """Means over the dwell, and the optics' slopes."""
         series = navigation.temperatures
-        epochs = (navigation.timestamp_s > marks.windows[0].frames_from) & (
-            navigation.timestamp_s < marks.windows[-1].frames_until
-        )
+        first, last = marks.windows[0], marks.windows[-1]
+        epochs = (navigation.row >= first.first_frame) & (navigation.row < last.end_frame)
         if not epochs.any():
             raise MeasurementError(
                 "no navigation frames in the dwell. Check the CAN cable and the station's DBC"

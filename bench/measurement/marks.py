@@ -1,7 +1,7 @@
 """Marks: which frames make a dwell, and what table and chamber were doing.
 
-Windows are bounded by CAN time stamps that lie between two frames, so that the raw log gives the
-very frames that were there live.
+Frames are counted from the part of the raw log that begins with the dwell's alignment, so that the
+log gives the very frames that were there live, whatever the CAN interface's time stamps do.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ class WindowMark:
 
     Attributes
     ----------
-    frames_from, frames_until : float
-        CAN time stamps between which its frames arrived, s.
+    first_frame, end_frame : int
+        Numbers of its first data frame, and of the first one after it.
     outer_deg, inner_deg : float
         Where the table stood, by its own reading.
     """
 
-    frames_from: float
-    frames_until: float
+    first_frame: int
+    end_frame: int
     outer_deg: float
     inner_deg: float
 
@@ -43,8 +43,8 @@ class DwellMarks:
         As in the dwell table.
     position, azimuth_deg : str, float
         Where the dwell began.
-    frames_from : float
-        CAN time stamp at which its alignment began, s.
+    log_part : int
+        Part of the raw CAN log that began with its alignment; frame 0 is that part's first.
     windows : tuple of WindowMark
         In the order of time; the paper's method has two.
     start_s, end_s, since_power_on_s : float
@@ -61,7 +61,7 @@ class DwellMarks:
     cycle: int
     position: str
     azimuth_deg: float
-    frames_from: float
+    log_part: int
     windows: tuple[WindowMark, ...]
     start_s: float
     end_s: float

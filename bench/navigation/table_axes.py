@@ -8,6 +8,7 @@ positions in which the body axis along the inner axis stays level.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,16 +69,16 @@ class TwoAxisTable:
         outer = rotation_matrix(self.outer_axis_enu, np.deg2rad(outer_deg))
         return outer @ rotation_matrix(self.inner_axis_enu, np.deg2rad(inner_deg)) @ self.C_mount
 
-    def angles(self, C_nb: NDArray[np.float64], turn_deg: float = 0.0) -> Angles:
+    def angles(self, C_nb: NDArray[np.float64], turns_deg: Sequence[float] = ()) -> Angles:
         """Axis angles that give an attitude.
 
         Parameters
         ----------
         C_nb : ndarray, shape (3, 3)
             Attitude wanted.
-        turn_deg : float
-            A turn about Up that will follow; of equivalent angles those are taken that leave
-            room for it within the limits (see :meth:`turn`).
+        turns_deg : sequence of float
+            Turns about Up that will follow one another; of equivalent angles those are taken that
+            leave room for them within the limits (see :meth:`turn`).
 
         Returns
         -------
@@ -91,9 +92,10 @@ class TwoAxisTable:
         """
         outer, inner = self._principal_angles(C_nb)
         for start in _nearest_first(outer, inner):
-            if self._allows(start) and (not turn_deg or self._turned(start, turn_deg) is not None):
+            if self._allows(start) and self._has_room(start, turns_deg):
                 return start
-        room = f" and leaves room for a turn of {turn_deg:g} deg" if turn_deg else ""
+        turns = ", ".join(f"{turn_deg:g}" for turn_deg in turns_deg)
+        room = f" and have room for turns of {turns} deg" if turns else ""
         raise DocumentError(
             f"the table can't reach outer {outer:g} deg, inner {inner:g} deg within the limits "
             f"(outer {_range(self.outer_limits_deg)}, inner {_range(self.inner_limits_deg)}){room}"
@@ -132,6 +134,12 @@ class TwoAxisTable:
         outer = _angle_deg(self.outer_axis_enu, self.inner_axis_enu, from_zero @ self.inner_axis_enu)
         inner_turn = rotation_matrix(self.outer_axis_enu, -np.deg2rad(outer)) @ from_zero
         return outer, _angle_deg(self.inner_axis_enu, self.outer_axis_enu, inner_turn @ self.outer_axis_enu)
+
+    def _has_room(self, start: Angles, turns_deg: Sequence[float]) -> bool:
+        angles: Angles | None = start
+        for turn_deg in turns_deg:
+            angles = angles and self._turned(angles, turn_deg)
+        return angles is not None
 
     def _turned(self, start: Angles, angle_deg: float) -> Angles | None:
         principal = self._principal_angles(rotation_matrix(UP, np.deg2rad(angle_deg)) @ self.attitude(*start))

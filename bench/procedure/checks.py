@@ -9,7 +9,7 @@ from functools import cache
 from bench.documents import Document, Problem
 from bench.limits import StationLimits
 from bench.procedure.climate_steps import Chamber, Soak
-from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.plan import Plan, PlannedStep, turns_after
 from bench.procedure.steps import Align, GoTo, Navigate, PowerOn, Turn
 
 #: Shortest navigation that still tells a gyro bias from its noise.
@@ -49,7 +49,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
         problems += [*_order_problems(planned), *_time_problems(planned)]
         problems += _repeated_navigation(planned, previous)
         if limits is not None:
-            problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
+            problems += [*_chamber_problems(planned, limits), *_table_problems(plan, planned, limits)]
         previous = planned
     return problems
 
@@ -110,8 +110,8 @@ def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[P
         )
 
 
-def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
-    step, there = planned.step, planned.after
+def _table_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
+    step = planned.step
     if not isinstance(step, GoTo | Turn):
         return
     if step.rate_dps > limits.table_rate_max_dps:
@@ -120,9 +120,15 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Pro
             f"a rate of {step.rate_dps:g} deg/s is too fast for the table; "
             f"at most {limits.table_rate_max_dps:g} deg/s",
         )
-    reason = limits.reachable(there.position, there.azimuth_deg) if there.position else None
+    if not isinstance(step, GoTo):
+        return
+    turns_deg = turns_after(plan, planned)
+    reason = limits.reachable(step.position, step.azimuth_deg, turns_deg)
     if reason:
+        turns = "".join(f", then turns of {turn:g}" for turn in turns_deg[:1]) + "".join(
+            f", {turn:g}" for turn in turns_deg[1:]
+        )
         yield Problem(
-            planned.place_of("position" if isinstance(step, GoTo) else "angle_deg"),
-            f"{there.position} at azimuth {there.azimuth_deg:g} deg can't be reached: {reason}",
+            planned.place_of("position"),
+            f"{step.position} at azimuth {step.azimuth_deg:g}{turns} deg can't be reached: {reason}",
         )

@@ -73,7 +73,7 @@ class Procedure(StrictModel):
     assumptions: list[str] = Field(
         default=[], description="what its source does not tell and was chosen here"
     )
-    bin_width_c: float = Field(default=5.0, gt=0.0, le=100.0, description="width of a temperature bin, degC")
+    bin_width_c: float = Field(default=5.0, ge=0.1, le=100.0, description="width of a temperature bin, degC")
     steps: list[Entry] = Field(min_length=1, description="what to do, in order")
 
 

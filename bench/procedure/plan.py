@@ -12,7 +12,7 @@ from bench.procedure.document import Procedure
 from bench.procedure.estimate import BenchEstimate
 from bench.procedure.resolve import ResolvedStep, resolve
 from bench.procedure.step import Step
-from bench.procedure.steps import Align, Navigate, Turn, Wait
+from bench.procedure.steps import Align, GoTo, Navigate, Turn, Wait
 
 
 class Phase(StrEnum):
@@ -205,3 +205,9 @@ def _phase(step: Step, window: int | None) -> Phase:
     if window is None:
         return Phase.PAUSE
     return Phase.AFTER if window else Phase.BEFORE
+
+
+def turns_after(plan: Plan, position: PlannedStep) -> tuple[float, ...]:
+    """Angles of the turns, in deg, between one step and the next that goes to a position."""
+    later = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.steps[position.number :])
+    return tuple(each.step.angle_deg for each in later if isinstance(each.step, Turn))

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.procedure.steps import STEP_KINDS
-
 #: Planned and real duration, s, of every step done, by kind.
 Took = Mapping[str, Sequence[tuple[float, float]]]
 
@@ -49,14 +47,11 @@ def durations_by_kind(took: Took) -> list[KindDuration]:
 
 def took_in_journal(journal: Iterable[Mapping[str, Any]]) -> dict[str, list[tuple[float, float]]]:
     """Gather the durations of the steps that a journal tells the end of."""
-    started: dict[Any, str] = {}
     took: dict[str, list[tuple[float, float]]] = {}
     for entry in journal:
-        if entry.get("event") == "step_started":
-            started[entry.get("step")] = _kind_of(entry)
-        elif entry.get("event") == "step_finished" and {"planned_s", "took_s"} <= entry.keys():
-            kind = started.get(entry.get("step"), "other")
-            took.setdefault(kind, []).append((float(entry["planned_s"]), float(entry["took_s"])))
+        if entry.get("event") == "step_finished" and {"kind", "planned_s", "took_s"} <= entry.keys():
+            pair = (float(entry["planned_s"]), float(entry["took_s"]))
+            took.setdefault(str(entry["kind"]), []).append(pair)
     return took
 
 
@@ -64,14 +59,6 @@ def clock_time(duration_s: float) -> str:
     """Write a duration as h:mm:ss, to the nearest second."""
     seconds = round(duration_s)
     return f"{seconds // 3600}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
-
-
-def _kind_of(entry: Mapping[str, Any]) -> str:
-    """Kind of a step by what the journal says of it: its description begins with the kind's name."""
-    what = str(entry.get("what", ""))
-    beginnings = {name.replace("_", " "): name for name in STEP_KINDS} | {"ask": "ask_operator"}
-    matching = [begin for begin in beginnings if what.startswith(begin)]
-    return beginnings[max(matching, key=len)] if matching else "other"
 
 
 def _summed(kind: str, pairs: Sequence[tuple[float, float]]) -> KindDuration:

@@ -9,6 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bench.files import write_whole
 from bench.navigation.positions import AXES
 from bench.procedure.timeline import hours_minutes
 from bench.report.content import Entry, RunContent, read_run
@@ -16,7 +17,7 @@ from bench.report.durations import clock_time, durations_by_kind, took_in_journa
 from bench.report.figures import save_figures
 from bench.report.tables import dwell_table, gyro_part, measured_positions
 from bench.report.wording import position_label
-from bench.run_store.folder import RunFolder, write_whole
+from bench.run_store.folder import RunFolder
 
 _TEMPLATE = "report.html.j2"
 _PROGRAMS = ("gyrobench", "python", "platform")

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from bench.run_store.folder import write_whole
+from bench.files import write_whole
 
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2

@@ -6,7 +6,7 @@
     provenance.json                       versions, instrument identities, hashes, options
     journal.jsonl                         what was done, one JSON object a line, on the disk at once
     can/part-00001.blf ...                every CAN frame received
-    telemetry/part-00001.parquet ...      bench readings at every tick
+    telemetry/part-00001.parquet ...      readings of the instruments
     dwells.csv, bias_bins.csv             results
     figures/*.png, report.html
 """

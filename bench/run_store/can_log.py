@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import can
+from can.io.blf import BLFParseError
 
 from bench.errors import RunFolderError
 
@@ -41,6 +42,11 @@ class CanLog:
         folder.mkdir(parents=True, exist_ok=True)
         self._next = 1 + max((int(path.stem[5:]) for path in folder.glob("part-*.blf")), default=0)
         self._writer: can.BLFWriter | None = None
+
+    @property
+    def next_part(self) -> int:
+        """Number of the part that the next frame begins, after :meth:`cut`."""
+        return self._next
 
     def write(self, messages: Iterable[can.Message]) -> None:
         """Add frames, in the order received."""
@@ -74,8 +80,8 @@ class CanLog:
         return RunFolderError(f"{self._path}: can't be written: {error.strerror}. Is the disk full?")
 
 
-def read_can_log(folder: Path) -> Iterator[list[can.Message]]:
-    """Frames of a run's log, part by part in the order received.
+def read_can_log(folder: Path) -> Iterator[tuple[int, list[can.Message]]]:
+    """Frames of a run's log in the order received, part by part: its number and its frames.
 
     Raises
     ------
@@ -86,7 +92,7 @@ def read_can_log(folder: Path) -> Iterator[list[can.Message]]:
     if not parts:
         raise RunFolderError(f"{folder}: holds no CAN log")
     for path in parts:
-        yield _read_part(path, is_last=path is parts[-1])
+        yield int(path.stem[5:]), _read_part(path, is_last=path is parts[-1])
 
 
 def _read_part(path: Path, *, is_last: bool) -> list[can.Message]:
@@ -94,7 +100,7 @@ def _read_part(path: Path, *, is_last: bool) -> list[can.Message]:
     try:
         with path.open("rb") as stream, can.BLFReader(stream) as reader:
             messages.extend(reader)
-    except (OSError, ValueError, struct.error, zlib.error, can.CanError) as error:
+    except (OSError, ValueError, struct.error, zlib.error, can.CanError, BLFParseError) as error:
         if not is_last:
             raise RunFolderError(f"{path}: damaged: {error}") from error
     return messages

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,12 +88,10 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
             raise RunFolderError(f"{out}: is not empty. Give another --out, or none for a new folder.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
-    for number in itertools.count(1):
-        candidate = Path("runs") / f"{safe_name}-{number:03d}"
-        if not candidate.exists():
-            _make(candidate)
-            return RunFolder(candidate)
-    raise AssertionError  # the count never ends
+    candidates = (Path("runs") / f"{safe_name}-{number:03d}" for number in itertools.count(1))
+    path = next(candidate for candidate in candidates if not candidate.exists())
+    _make(path)
+    return RunFolder(path)
 
 
 def open_run_folder(path: Path) -> RunFolder:
@@ -109,25 +106,6 @@ def open_run_folder(path: Path) -> RunFolder:
     if not folder.journal.is_file():
         raise RunFolderError(f"{path}: is no run folder (it has no {folder.journal.name})")
     return folder
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all, also after a power cut.
-
-    Raises
-    ------
-    RunFolderError
-        It can't be written.
-    """
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        with temporary.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise RunFolderError(f"{path}: can't be written: {error.strerror}. Is the disk full?") from error
 
 
 def _make(path: Path) -> None:

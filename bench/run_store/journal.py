@@ -69,12 +69,15 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
         The file can't be read, or a line before the last one is damaged.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
     for number, line in enumerate(lines, start=1):
         try:
-            yield json.loads(line)
-        except json.JSONDecodeError as error:
-            if number < len(lines):
-                raise RunFolderError(f"{path}:{number}: damaged entry: {error.msg}") from error
+            entry = json.loads(line)
+        except json.JSONDecodeError:
+            entry = None
+        if isinstance(entry, dict):
+            yield entry
+        elif number < len(lines):
+            raise RunFolderError(f"{path}:{number}: damaged entry: {line[:60]!r}")

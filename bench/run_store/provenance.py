@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import bench
-from bench.run_store.folder import RunFolder, write_whole
+from bench.files import write_whole
+from bench.run_store.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 

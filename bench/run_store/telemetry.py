@@ -1,4 +1,4 @@
-"""Telemetry: the bench's readings at every tick, as a folder of Parquet files.
+"""Telemetry: the readings of the bench's instruments, as a folder of Parquet files.
 
 pandas, polars, DuckDB and the like open the folder as one table.
 """

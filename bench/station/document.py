@@ -73,6 +73,12 @@ class ChamberLimits(StrictModel):
     high_c: float = Field(description="highest set point, degC")
     ramp_c_per_min: Positive = Field(description="fastest ramp, degC/min")
 
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.low_c >= self.high_c:
+            raise ValueError(f"low_c ({self.low_c:g}) must be below high_c ({self.high_c:g})")
+        return self
+
 
 class ChamberSection(StrictModel):
     """The thermal chamber."""
@@ -102,7 +108,9 @@ class InsSection(StrictModel):
     options: dict[str, str | int | float | bool] = Field(
         default={}, description="further options of the python-can interface"
     )
-    dbc: str = Field(min_length=1, description="DBC file beside the station file, or a shipped one's name")
+    dbc: str = Field(
+        pattern=r"^[^/\\]+$", description="name of a DBC file beside the station file, or of a shipped one"
+    )
     signals: SignalMap
     commands: CommandMap = CommandMap()
     noise: InsNoise
@@ -162,12 +170,29 @@ class StationFile(StrictModel):
     safe_state: SafeState
 
     @model_validator(mode="after")
+    def _safe_within_limits(self) -> Self:
+        limits, safe_c = self.chamber.limits, self.safe_state.chamber_c
+        if safe_c is not None and not limits.low_c <= safe_c <= limits.high_c:
+            raise ValueError(
+                f"safe_state.chamber_c ({safe_c:g}) is outside the chamber's limits "
+                f"({limits.low_c:g} to {limits.high_c:g})"
+            )
+        if self.safe_state.unit == "off" and self.unit.power != "chamber_event":
+            raise ValueError(
+                f"safe_state.unit: off can't be done with unit.power: {self.unit.power}; use keep"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _virtual_only_where_emulated(self) -> Self:
-        ports = (self.rate_table.port, self.chamber.port)
-        emulated = self.ins.interface == "emulator" and all(port.startswith("emulator://") for port in ports)
-        if self.clock == "virtual" and not emulated:
+        if self.clock == "virtual" and not self.is_emulated():
             raise ValueError("clock: virtual needs every instrument emulated; real ones need clock: wall")
         return self
+
+    def is_emulated(self) -> bool:
+        """Whether every instrument is emulated inside this process."""
+        ports = (self.rate_table.port, self.chamber.port)
+        return self.ins.interface == "emulator" and all(port.startswith("emulator://") for port in ports)
 
 
 def load_station_file(path: Path) -> tuple[Document, StationFile]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
@@ -9,6 +10,8 @@ from urllib.parse import urlencode
 
 from bench.clock import Clock
 from bench.documents import find_document
+from bench.errors import GyrobenchError
+from bench.station.document import ChamberSection, RateTableSection
 from bench.station.station import Station
 from drivers.chamber import Chamber
 from drivers.chamber.watlow_f4 import WatlowF4
@@ -18,6 +21,16 @@ from drivers.ins.dbc_codec import load_dbc
 from drivers.rate_table import RateTable
 from drivers.rate_table.acutrol3000 import Acutrol3000
 from drivers.serial_line import SerialLine
+
+#: Drivers by the dialects that a station file can name.
+TABLE_DIALECTS: dict[str, Callable[[SerialLine, RateTableSection], RateTable]] = {
+    "acutrol3000": lambda line, section: Acutrol3000(
+        line, axes=sorted((section.outer_axis_number, section.inner_axis_number))
+    ),
+}
+CHAMBER_DIALECTS: dict[str, Callable[[SerialLine, ChamberSection], Chamber]] = {
+    "watlow_f4": lambda line, section: WatlowF4(line, address=section.address),
+}
 
 _EMULATOR = "emulator"
 
@@ -77,19 +90,19 @@ class Instruments:
             self.chamber.switch_event(unit.power_event, on)
 
 
-def _open_table(station: Station, clock: Clock, emulation: Emulation) -> Acutrol3000:
+def _open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
     section = station.file.rate_table
     line = SerialLine("rate table", _port(section.port, clock, emulation), clock, section.baudrate)
+    table = TABLE_DIALECTS[section.dialect](line, section)
     limits = section.limits
-    table = Acutrol3000(line, axes=sorted((section.outer_axis_number, section.inner_axis_number)))
     table.set_limits(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
     return table
 
 
-def _open_chamber(station: Station, clock: Clock, emulation: Emulation) -> WatlowF4:
+def _open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
     section = station.file.chamber
     line = SerialLine("chamber", _port(section.port, clock, emulation), clock, section.baudrate)
-    return WatlowF4(line, address=section.address)
+    return CHAMBER_DIALECTS[section.dialect](line, section)
 
 
 def _open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
@@ -99,7 +112,11 @@ def _open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
         options.update(emulation.options())
     database = load_dbc(station.dbc_path)
     bus = open_bus(section.interface, section.channel, clock, section.bitrate, **options)
-    return CanIns(bus, section.signals, database, clock, section.commands)
+    try:
+        return CanIns(bus, section.signals, database, clock, section.commands)
+    except GyrobenchError:
+        bus.shutdown()
+        raise
 
 
 def _port(url: str, clock: Clock, emulation: Emulation) -> str:

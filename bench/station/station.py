@@ -19,6 +19,9 @@ from bench.navigation.table_axes import Angles, TwoAxisTable
 from bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from bench.station.document import Direction, SafeState, UnitSection, load_station_file
 from drivers import ins
+from drivers.ins.bound_signals import check_signals
+from drivers.ins.command_map import check_commands
+from drivers.ins.dbc_codec import DbcCodec, load_dbc
 
 _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
     "east": (1.0, 0.0, 0.0),
@@ -45,11 +48,11 @@ class Station:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        document, self.file = load_station_file(path)
+        self._document, self.file = load_station_file(path)
         try:
             self.table = self._table()
         except DocumentError as error:
-            raise document.error([Problem(("rate_table",), str(error))]) from error
+            raise self._document.error([Problem(("rate_table", "mounting"), str(error))]) from error
 
     @property
     def tick_s(self) -> float:
@@ -95,7 +98,26 @@ class Station:
         for folder in (self.path.parent, Path(ins.__file__).parent):
             if (folder / name).is_file():
                 return folder / name
-        raise DocumentError(f"{self.path}: no DBC file {name!r} beside the station file, and none shipped")
+        raise DocumentError(f"no DBC file {name!r} beside the station file, and none shipped")
+
+    def check_dbc(self) -> None:
+        """Check signals and commands of the INS against the DBC file.
+
+        Raises
+        ------
+        DocumentError
+            The DBC file is wrong or absent, or lists everything that does not fit it, with places.
+        """
+        try:
+            codec = DbcCodec(load_dbc(self.dbc_path))
+        except DocumentError as error:
+            raise self._document.error([Problem(("ins", "dbc"), str(error))]) from error
+        problems = [
+            *check_signals(self.file.ins.signals, codec, ("ins", "signals")),
+            *check_commands(self.file.ins.commands, codec, ("ins", "commands")),
+        ]
+        if problems:
+            raise self._document.error(problems)
 
     def noise(self, velocity_lsb_mps: float, heading_lsb_rad: float) -> NoiseModel:
         """Declared noise of the INS, with the output's resolution."""
@@ -140,9 +162,9 @@ class Station:
         first, second = values
         return (first, second) if section.outer_axis_number < section.inner_axis_number else (second, first)
 
-    def _why_unreachable(self, position: str, azimuth_deg: float) -> str | None:
+    def _why_unreachable(self, position: str, azimuth_deg: float, turns_deg: tuple[float, ...]) -> str | None:
         try:
-            self.table.angles(POSITIONS[position].C_nb(np.deg2rad(azimuth_deg)))
+            self.table.angles(POSITIONS[position].C_nb(np.deg2rad(azimuth_deg)), turns_deg)
         except DocumentError as error:
             return str(error)
         return None

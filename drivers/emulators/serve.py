@@ -202,9 +202,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except DocumentError as error:
         parser.exit(2, f"gyrobench-emulators: {error}\n")
     server = Server(bench, TcpPort if options.tcp else PseudoTerminal)
-    sys.stdout.write(json.dumps(server.urls) + "\n")
-    sys.stdout.flush()
     try:
+        sys.stdout.write(json.dumps(server.urls) + "\n")
+        sys.stdout.flush()
         server.serve(options.for_s)
     except KeyboardInterrupt:
         return

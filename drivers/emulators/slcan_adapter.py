@@ -1,12 +1,14 @@
 """An emulated serial-line CAN adapter (slcan, the LAWICEL protocol) with the emulated INS on its bus.
 
-Every line ends with a carriage return. ``O`` opens and ``C`` closes the channel, ``Sn`` and ``sxxyy``
-set the bit rate, ``V`` and ``N`` tell version and number; ``tiiildd..`` and ``Tiiiiiiiildd..`` are data
-frames in either direction. A good command is answered with CR (``z``/``Z`` before it for a frame), a
-bad one with BEL.
+Every line ends with a carriage return. ``O`` opens the channel, ``L`` opens it to listen alone, ``C``
+closes it, ``Sn`` and ``sxxyy`` set the bit rate, ``V`` and ``N`` tell version and number; ``tiiildd..``
+and ``Tiiiiiiiildd..`` are data frames in either direction. A good command is answered with CR (``z``/``Z``
+before it for a frame), a bad one with BEL.
 """
 
 from __future__ import annotations
+
+import re
 
 import can
 
@@ -14,9 +16,12 @@ from drivers.emulators.can_ins import CanInsEmulator
 
 _OK, _ERROR = b"\r", b"\a"
 _LONGEST_LINE = 64
-_DATA_FRAME = re.compile(r"(?:t([0-9A-F]{3})|T([0-9A-F]{8}))([0-8])((?:[0-9A-F]{2})*)", re.ASCII | re.IGNORECASE)
-#: Settings without effect here: bit rate, no time stamps, acceptance code and mask.
-_SETTING = re.compile(r"S[0-8]|s[0-9A-F]{4}|Y[25]|Z0|[Mm][0-9A-F]{8}|", re.ASCII | re.IGNORECASE)
+_DATA_FRAME = re.compile(
+    r"(?:t(?P<base>[0-9A-Fa-f]{3})|T(?P<extended>[0-9A-Fa-f]{8}))"
+    r"(?P<length>[0-8])(?P<data>(?:[0-9A-Fa-f]{2})*)"
+)
+#: Settings without effect here: bit rate, no time stamps, acceptance code and mask; the empty line.
+_SETTING = re.compile(r"S[0-8]|s[0-9A-Fa-f]{4}|Z0|[Mm][0-9A-Fa-f]{8}|")
 
 
 class SlcanAdapter:
@@ -32,7 +37,7 @@ class SlcanAdapter:
 
     def __init__(self, ins: CanInsEmulator) -> None:
         self._ins = ins
-        self._open = False
+        self._open = self._listens_only = False
         self._line = bytearray()
         self._received = bytearray()
         ins.listeners.append(self._on_bus)
@@ -44,7 +49,7 @@ class SlcanAdapter:
             if byte == _OK[0]:
                 reply += self._obey(self._line.decode("ascii", "replace"))
                 self._line.clear()
-            elif len(self._line) < _LONGEST_LINE:
+            elif len(self._line) <= _LONGEST_LINE:
                 self._line.append(byte)
         return bytes(reply)
 
@@ -55,34 +60,27 @@ class SlcanAdapter:
         return lines
 
     def _obey(self, line: str) -> bytes:
-        match line[:1]:
+        match line:
             case "O" | "L":
-                self._open = True
+                self._open, self._listens_only = True, line == "L"
+                return _OK
             case "C":
                 self._open = False
+                return _OK
             case "V":
                 return b"V1013\r"
             case "N":
                 return b"NEMUL\r"
-            case "t" | "T" if self._open:
-                return self._send(line)
-            case "S" | "s" | "Y" | "Z" | "M" | "m" | "":
-                pass
-            case _:
-                return _ERROR
-        return _OK
+        if self._open and (frame := _DATA_FRAME.fullmatch(line)):
+            return self._send(frame)
+        return _OK if _SETTING.fullmatch(line) else _ERROR
 
-    def _send(self, line: str) -> bytes:
-        digits = 3 if line[0] == "t" else 8
-        try:
-            identifier = int(line[1 : 1 + digits], 16)
-            length = int(line[1 + digits])
-            data = bytes.fromhex(line[2 + digits :])
-        except (ValueError, IndexError):
+    def _send(self, frame: re.Match[str]) -> bytes:
+        data = bytes.fromhex(frame["data"])
+        if int(frame["length"]) != len(data) or self._listens_only:
             return _ERROR
-        if length != len(data) or length > 8:
-            return _ERROR
-        extended = line[0] == "T"
+        extended = frame["base"] is None
+        identifier = int(frame["extended"] if extended else frame["base"], 16)
         try:
             message = can.Message(arbitration_id=identifier, data=data, is_extended_id=extended, check=True)
         except ValueError:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 import can
 from cantools.database import Database
@@ -29,6 +31,8 @@ from drivers.ins.signal_map import SignalMap
 
 #: The status comes once a second or so, and the INS needs its time for a command.
 REPLY_TIMEOUT_S = 5.0
+#: More frames in one poll are a flood: a bus of 1 Mbit/s carries fewer than 10,000 in a second.
+_MOST_FRAMES_A_POLL = 100_000
 
 _SEND_TIMEOUT_S = 1.0
 _POLL_PERIOD_S = 0.05
@@ -84,10 +88,11 @@ class CanIns:
 
     def close(self) -> None:
         """Leave the bus; a second call does nothing."""
-        self._bus.shutdown()
+        with contextlib.suppress(can.CanError, OSError):  # gone already
+            self._bus.shutdown()
 
     def poll(self) -> list[can.Message]:
-        """Take all frames that have arrived, in order.
+        """Take all frames that have arrived, in order; the rest of a flood waits for the next call.
 
         Raises
         ------
@@ -99,7 +104,7 @@ class CanIns:
         messages: list[can.Message] = []
         try:
             # extend() keeps what came before an exception.
-            messages.extend(iter(partial(self._bus.recv, 0.0), None))
+            messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MOST_FRAMES_A_POLL))
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
         except ValueError as error:

@@ -50,6 +50,8 @@ class NavigationData:
         Time on the clock of the INS; increases within a segment.
     timestamp_s : ndarray, shape (n,)
         Time of arrival as the CAN interface stamped it.
+    row : ndarray of int64, shape (n,)
+        Where in the block the last frame of the epoch stands.
     segment : ndarray of int64, shape (n,)
         Counts the restarts of the INS.
     velocity_enu_mps : ndarray, shape (n, 3)
@@ -70,6 +72,7 @@ class NavigationData:
 
     ins_time_s: Float64
     timestamp_s: Float64
+    row: Rows
     segment: NDArray[np.int64]
     velocity_enu_mps: Float64
     attitude: Float64
@@ -95,6 +98,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     return NavigationData(
         ins_time_s=epochs.ins_time_s,
         timestamp_s=epochs.arrival_s,
+        row=epochs.rows,
         segment=epochs.segment,
         velocity_enu_mps=readout.velocity_enu_mps(epochs.rows),
         attitude=readout.attitude(epochs.rows),

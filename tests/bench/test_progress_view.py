@@ -9,7 +9,8 @@ from bench.engine.session import prepare_job
 from bench.progress_view import ProgressView
 
 ROW = DwellRow(
-    unit="1000", run="1", dwell=1, cycle=1, position="z_down", start_s=0.0, end_s=1300.0, since_power_on_s=600.0,
+    unit="1000", run="1", dwell=1, cycle=1, position="z_down",
+    start_s=0.0, end_s=1300.0, since_power_on_s=600.0,
     gyro_c=(-24.5, -24.0, -23.0), gyro_rate_c_per_h=(0.1, 0.1, 0.1),
     bias_dph=(-0.02587, 0.01234, 0.0), sigma_dph=(0.00146, 0.00146, 0.00114),
 )  # fmt: skip
@@ -17,7 +18,9 @@ ROW = DwellRow(
 
 def printed(*rows):
     stream = io.StringIO()
-    with ProgressView(Console(file=stream, width=80), prepare_job("ten_minute_check").plan) as view:
+    with ProgressView(
+        Console(file=stream, width=80), prepare_job("ten_minute_check", "emulated").plan
+    ) as view:
         for row in rows:
             view.dwell_measured(row)
     return stream.getvalue().splitlines()
@@ -46,7 +49,7 @@ def test_nothing_but_text_goes_into_a_file():
 @pytest.mark.parametrize("procedure", ["six_position_fig7", "three_temperature_shift"])
 def test_the_plan_is_told_before_it_begins(procedure):
     stream = io.StringIO()
-    with ProgressView(Console(file=stream, width=80), prepare_job(procedure).plan):
+    with ProgressView(Console(file=stream, width=80), prepare_job(procedure, "emulated").plan):
         pass
     assert procedure in stream.getvalue()
     assert "dwells" in stream.getvalue()

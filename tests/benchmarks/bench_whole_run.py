@@ -21,7 +21,7 @@ def run(procedure, out):
     process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
     entries = list(read_journal(RunFolder(out).journal))
-    frames = sum(len(part) for part in read_can_log(RunFolder(out).can))
+    frames = sum(len(part) for _, part in read_can_log(RunFolder(out).can))
     return real_s, entries[-1]["time_s"], usage.ru_maxrss / 1024.0, frames
 
 

@@ -5,13 +5,31 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from bench.documents import StrictModel, read_document, validate
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+# These bounds keep the thermal network's steps of one second stable.
+HeatCapacity = Annotated[float, Field(ge=20.0)]
+HeatConductance = Annotated[float, Field(ge=0.0, le=5.0)]
+PositiveHeatConductance = Annotated[float, Field(gt=0.0, le=5.0)]
+
+
+def _has_a_direction(vector: list[float]) -> list[float]:
+    if not any(vector):
+        raise ValueError("a direction has to have a component that is not zero")
+    return vector
+
+
+def _goes_into_a_second(period_s: float) -> float:
+    if 100 % round(100.0 * period_s):
+        raise ValueError("a whole number of periods has to make one second")
+    return period_s
+
 
 #: A coefficient: a number, or the coefficients of a polynomial in temperature minus the
 #: reference temperature, lowest degree first.
@@ -61,24 +79,24 @@ class AccelerometerErrors(StrictModel):
 class GyroThermal(StrictModel):
     """Heat capacities and paths of one gyro: electronics, optics, and the case around both."""
 
-    optics_j_per_k: Positive = 500.0
-    electronics_j_per_k: Positive = 250.0
+    optics_j_per_k: HeatCapacity = 500.0
+    electronics_j_per_k: HeatCapacity = 250.0
     optics_power_w: NotNegative = 1.0
     electronics_power_w: NotNegative = 6.0
-    optics_to_case_w_per_k: Positive = 0.3
-    electronics_to_case_w_per_k: Positive = 0.25
-    electronics_to_optics_w_per_k: NotNegative = 0.06
-    convection_w_per_k: NotNegative = 0.04
+    optics_to_case_w_per_k: PositiveHeatConductance = 0.3
+    electronics_to_case_w_per_k: PositiveHeatConductance = 0.25
+    electronics_to_optics_w_per_k: HeatConductance = 0.06
+    convection_w_per_k: HeatConductance = 0.04
     convection_gravity_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
     #: Body direction from the electronics to the optics: warm air rises along it.
-    heat_path: Vector
+    heat_path: Annotated[Vector, AfterValidator(_has_a_direction)]
 
 
 class Thermal(StrictModel):
     """The thermal network of the unit."""
 
-    case_j_per_k: Positive = 4000.0
-    case_to_air_w_per_k: Positive = 5.0
+    case_j_per_k: Annotated[float, Field(ge=500.0)] = 4000.0
+    case_to_air_w_per_k: Annotated[float, Field(gt=0.0, le=100.0)] = 5.0
     sensor_noise_c: NotNegative = 0.003
     x: GyroThermal
     y: GyroThermal
@@ -94,7 +112,7 @@ class AttitudeThermalEffect(StrictModel):
 
     kind: Literal["attitude_thermal"]
     sensitivity_dph_per_w: Vector
-    onset_c: float = 50.0
+    onset_c: Positive = 50.0
     onset_width_c: Positive = 2.0
 
 
@@ -107,7 +125,9 @@ class InsBehaviour(StrictModel):
     coarse_alignment_s: Positive = 30.0
     fine_alignment_s: Positive = 240.0
     latitude_error_arcmin: float = 0.0
-    epoch_period_s: Annotated[float, Field(ge=0.01, le=1.0, multiple_of=0.01)] = 0.1
+    epoch_period_s: Annotated[
+        float, Field(ge=0.01, le=1.0, multiple_of=0.01), AfterValidator(_goes_into_a_second)
+    ] = 0.1
 
 
 class TableGeometry(StrictModel):

@@ -199,6 +199,4 @@ def _sensed(
     remainder: Array,
 ) -> Array:
     bias, matrix = errors
-    return np.asarray(
-        sense(true, matrix, bias, noise * triad.random_walk, _DT_S, triad.pulse, remainder)
-    )
+    return np.asarray(sense(true, matrix, bias, noise * triad.random_walk, _DT_S, triad.pulse, remainder))

@@ -45,7 +45,7 @@ def test_one_dead_instrument_does_not_keep_the_others_from_their_safe_state(open
     instruments.table.close()
     found = problems(make_safe(station, instruments))
     assert found["rate table stopped"].startswith("rate table:")
-    assert found["chamber set to 23 degC"] == ""
+    assert found["chamber's set point at 23 degC"] == ""
     assert bench.world.air.set_point_c == 23.0
 
 

@@ -40,7 +40,7 @@ def test_level_outer_axis_reaches_all_six_positions(position, expected):
 @pytest.mark.parametrize("position", POSITIONS)
 def test_turned_positions_are_reached_from_a_start_that_leaves_room(table, position, angle_deg):
     C_nb = POSITIONS[position].C_nb()
-    start = table.angles(C_nb, turn_deg=angle_deg)
+    start = table.angles(C_nb, turns_deg=[angle_deg])
     end = table.turn(start, angle_deg)
     np.testing.assert_allclose(table.attitude(*start), C_nb, atol=1e-12)
     np.testing.assert_allclose(table.attitude(*end), turned(C_nb, angle_deg), atol=1e-12)
@@ -73,7 +73,7 @@ def test_level_axes_turn_the_other_way_where_the_limits_want_it():
 def test_vertical_axis_never_turns_the_other_way():
     with pytest.raises(DocumentError, match="turn of -180 deg from outer 180 deg, inner 180 deg leaves"):
         NARROW.turn((180.0, 180.0), -180.0)
-    start = NARROW.angles(POSITIONS["z_down"].C_nb(), turn_deg=-180.0)
+    start = NARROW.angles(POSITIONS["z_down"].C_nb(), turns_deg=[-180.0])
     assert start == (180.0, -180.0)
     assert NARROW.turn(start, -180.0) == (180.0, 0.0)
 

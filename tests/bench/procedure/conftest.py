@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from itertools import accumulate
 from pathlib import Path
 
 import pytest
@@ -26,10 +27,11 @@ def planned() -> Callable[[str], tuple[Document, Plan]]:
 def limits() -> StationLimits:
     """A station with a chamber from -40 to 70 degC whose table can't stand in x_down or at 90 deg."""
 
-    def reachable(position: str, azimuth_deg: float) -> str | None:
+    def reachable(position: str, azimuth_deg: float, turns_deg: tuple[float, ...]) -> str | None:
         if position == "x_down":
             return "the mount is in the way"
-        return "outer axis level" if azimuth_deg % 180.0 else None
+        azimuths_deg = accumulate(turns_deg, initial=azimuth_deg)
+        return "outer axis level" if any(each % 180.0 for each in azimuths_deg) else None
 
     return StationLimits(-40.0, 70.0, 5.0, 60.0, reachable)
 

@@ -80,8 +80,8 @@ LIMIT = {
     ),
     "turn out of reach": (
         START + ALIGN + "- turn: {angle_deg: 90}",
-        "6:10",
-        "z_up at azimuth 90 deg can't be reached",
+        "4:11",
+        "z_up at azimuth 0, then turns of 90 deg can't be reached",
     ),
     "loop value too cold": (
         "- repeat: {over: {t: [20, -50]}, steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}",
@@ -113,7 +113,7 @@ def test_order_and_times_are_checked_without_a_station(planned: PlanOf, steps: s
 def test_limits_are_those_of_the_station(planned: PlanOf, limits: StationLimits, steps: str) -> None:
     wide = replace(
         limits, chamber_low_c=-60.0, chamber_high_c=90.0, ramp_max_c_per_min=10.0, table_rate_max_dps=100.0,
-        reachable=lambda position, azimuth_deg: None,
+        reachable=lambda position, azimuth_deg, turns_deg: None,
     )  # fmt: skip
     assert find_problems(planned(steps)[1], wide) == []
     assert find_problems(planned(steps)[1]) == []
@@ -164,5 +164,7 @@ def test_the_procedure_may_end_cold(planned: PlanOf, limits: StationLimits) -> N
 def test_shipped_procedures_can_be_run(limits: StationLimits, shipped: Path, name: str) -> None:
     document, procedure = load_procedure(shipped / f"{name}.yaml")
     check(
-        document, expand(document, procedure), replace(limits, reachable=lambda position, azimuth_deg: None)
+        document,
+        expand(document, procedure),
+        replace(limits, reachable=lambda position, azimuth_deg, turns_deg: None),
     )

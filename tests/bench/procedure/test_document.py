@@ -175,7 +175,7 @@ def test_a_mistake_is_named_with_its_place_and_what_is_allowed(
         ("procedure: a b\nsteps: [power_off]", "1:1", "pattern"),
         ("procedure: a\nsteps: power_off", "2:1", "valid list"),
         ("procedure: a\nbin_width: 5\nsteps: [power_off]", "2:1", "did you mean 'bin_width_c'"),
-        ("procedure: a\nbin_width_c: 0\nsteps: [power_off]", "2:1", "greater than 0"),
+        ("procedure: a\nbin_width_c: 0\nsteps: [power_off]", "2:1", "greater than or equal to 0.1"),
         ("procedure: a\nassumptions: text\nsteps: [power_off]", "2:1", "valid list"),
         ("procedure: a\nsteps: [power_off", "2:18", "not valid YAML"),
         ("- power_off", "1:1", "expected keys and values"),
@@ -240,7 +240,7 @@ def test_a_file_with_every_kind_of_step_is_read(tmp_path: Path) -> None:
     assert isinstance(procedure.steps[2], Repeat)
 
 
-LIMITS = StationLimits(-40.0, 70.0, 5.0, 60.0, lambda position, azimuth_deg: None)
+LIMITS = StationLimits(-40.0, 70.0, 5.0, 60.0, lambda position, azimuth_deg, turns_deg: None)
 
 JUNK = st.one_of(
     st.none(), st.booleans(), st.integers(-(10**30), 10**30), st.floats(), st.text(max_size=8),

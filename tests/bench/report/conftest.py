@@ -94,16 +94,16 @@ def write_journal(folder: RunFolder, *, ended: str = "finished", reason: str = "
         journal.record("ins_identified", identity="made-up INS, serial number 1001")
         journal.record("resolution", lines=["heading: 0.0001 deg a bit, enough for 0.001 deg/h"])
         steps = [
-            ("power on, settle 2 min", 120.0, 131.0),
-            ("chamber to 62 degC at 1 degC/min", 2400.0, 2950.0),
-            ("chamber off", 0.0, 1.0),
-            ("navigate 10 min", 600.0, 600.0),
-            ("ask: ready?", 60.0, 5.0),
+            ("power_on", "power on, settle 2 min", 120.0, 131.0),
+            ("chamber", "chamber to 62 degC at 1 degC/min", 2400.0, 2950.0),
+            ("chamber_off", "chamber off", 0.0, 1.0),
+            ("navigate", "navigate 10 min", 600.0, 600.0),
+            ("ask_operator", "ask: ready?", 60.0, 5.0),
         ]
-        for number, (what, planned_s, took_s) in enumerate(steps, start=1):
+        for number, (kind, what, planned_s, took_s) in enumerate(steps, start=1):
             journal.record("step_started", step=number, what=what, label="cycle 1, 62 degC")
             clock.sleep(took_s)
-            journal.record("step_finished", step=number, planned_s=planned_s, took_s=took_s)
+            journal.record("step_finished", step=number, kind=kind, planned_s=planned_s, took_s=took_s)
         journal.record("step_started", step=6, what="turn 180 deg", label="cycle 1, 62 degC, z_up")
         if ended:
             safe_state = [

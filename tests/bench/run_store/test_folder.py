@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from bench.errors import RunFolderError
-from bench.run_store.folder import create_run_folder, open_run_folder, write_whole
+from bench.files import write_whole
+from bench.run_store.folder import create_run_folder, open_run_folder
 
 
 def test_new_folders_are_numbered_under_runs(tmp_path, monkeypatch):

@@ -1,0 +1,29 @@
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from bench.documents import find_document, read_document
+from drivers.emulators.world.document import WorldFile
+from drivers.emulators.world.world import World
+
+
+def changed_world_file(name: str = "ideal", **sections: Any) -> WorldFile:
+    """A shipped world with keys of some sections changed: ``ins={"boot_s": 1.0}``."""
+    data = read_document(find_document("worlds", name)).data
+    for section, value in sections.items():
+        data[section] = data.get(section, {}) | value if isinstance(value, dict) else value
+    return WorldFile.model_validate(data)
+
+
+@pytest.fixture(scope="session")
+def make_world_file() -> Callable[..., WorldFile]:
+    return changed_world_file
+
+
+@pytest.fixture(scope="session")
+def make_world() -> Callable[..., World]:
+    def make(name: str = "ideal", seed: int = 0, **sections: Any) -> World:
+        return World(changed_world_file(name, **sections), seed)
+
+    return make

@@ -1,0 +1,127 @@
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from urllib.parse import urlsplit
+
+import can
+import pytest
+
+from bench.clock import WallClock
+from drivers.chamber.watlow_f4 import WatlowF4
+from drivers.emulators.serve import main
+from drivers.rate_table.acutrol3000 import Acutrol3000
+from drivers.serial_line import SerialLine
+
+COMMAND = [sys.executable, "-m", "drivers.emulators.serve"]
+QUICK_WORLD = """
+world: quick
+latitude_deg: 36.4
+thermal:
+  x: {heat_path: [0.0, -0.8, 0.6]}
+  y: {heat_path: [0.6, 0.8, 0.0]}
+  z: {heat_path: [0.8, 0.0, -0.6]}
+ins: {boot_s: 0.2}
+"""
+READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
+VELOCITY_NE, ROLL_PITCH, HEADING, STATUS = 0x004, 0x006, 0x007, 0x010
+
+
+@pytest.fixture
+def serve(tmp_path):
+    """Start the emulators as a process; returns it and where they are."""
+    servers = []
+    world = tmp_path / "quick.yaml"
+    world.write_text(QUICK_WORLD)
+
+    def start(*options):
+        command = [*COMMAND, "--world", str(world), "--for-s", "30", *options]
+        servers.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return servers[-1], json.loads(servers[-1].stdout.readline())
+
+    yield start
+    for server in servers:
+        server.kill()
+        server.communicate()
+
+
+def frames_until_status(bus):
+    """Frames up to the first status frame; fails if none comes."""
+    frames, end_s = [], time.monotonic() + 8.0
+    while all(frame.arbitration_id != STATUS for frame in frames):
+        assert time.monotonic() < end_s, f"only {len(frames)} frames came"
+        frame = bus.recv(0.5)
+        if frame is not None:
+            frames.append(frame)
+    return frames
+
+
+@pytest.mark.parametrize(("options", "start"), [((), "/dev/pts/"), (("--tcp",), "socket://127.0.0.1:")])
+def test_all_three_instruments_can_be_spoken_to(serve, options, start):
+    server, urls = serve(*options)
+    assert sorted(urls) == ["chamber", "ins", "table"]
+    assert all(url.startswith(start) for url in urls.values())
+    clock = WallClock()
+    table = Acutrol3000(SerialLine("rate table", urls["table"], clock))
+    chamber = WatlowF4(SerialLine("chamber", urls["chamber"], clock))
+    assert "Acutrol3000" in table.identify()
+    table.prepare()
+    table.move_to({1: 2.0}, 30.0)
+    assert chamber.read().temperature_c == pytest.approx(23.0, abs=0.2)
+
+    with can.Bus(interface="slcan", channel=urls["ins"], sleep_after_open=0.0, ignore_config=True) as bus:
+        assert bus.recv(0.1) is None
+        chamber.switch_event(2, True)
+        frames = frames_until_status(bus)
+        chamber.switch_event(2, False)
+    navigation = [f.arbitration_id for f in frames if f.arbitration_id in (VELOCITY_NE, ROLL_PITCH, HEADING)]
+    assert navigation[:3] == [VELOCITY_NE, ROLL_PITCH, HEADING]
+    assert len(navigation) >= 24
+    assert {f.data[0] for f in frames if f.arbitration_id == STATUS} == {1}
+    assert table.read().position_deg == pytest.approx((2.0, 0.0), abs=0.01)
+    table.close()
+    chamber.close()
+    assert server.poll() is None
+
+
+def test_a_client_that_left_makes_room_for_the_next_one(serve):
+    _, urls = serve("--tcp")
+    address = urlsplit(urls["chamber"])
+    for _ in range(3):
+        with socket.create_connection((address.hostname, address.port), timeout=5) as client:
+            client.sendall(READ_PV)
+            assert client.recv(100)[:3] == bytes.fromhex("01 03 02")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it(serve, number):
+    server, _ = serve()
+    server.send_signal(number)
+    _, complaints = server.communicate(timeout=5)
+    assert server.returncode == (0 if number == signal.SIGINT else -signal.SIGTERM)
+    assert complaints == ""
+
+
+def test_it_ends_by_itself_after_its_time(serve):
+    server, _ = serve("--for-s", "0.05")
+    server.communicate(timeout=5)
+    assert server.returncode == 0
+
+
+def test_a_wrong_world_ends_it_with_a_message():
+    command = [*COMMAND, "--world", "atlantis"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("gyrobench-emulators: atlantis: no shipped file of that name")
+    assert "gyro_a, gyro_b, ideal" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_negative_seed_ends_it_with_a_message(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--world", "ideal", "--seed", "-3"])
+    assert caught.value.code == 2
+    assert "the seed must not be below zero; found -3" in capsys.readouterr().err
