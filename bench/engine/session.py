@@ -110,12 +110,12 @@ def run_job(
                     progress.told(f"Warning: {limit.text}")
             bench = LiveBench(job.station, instruments, clock, can_log, telemetry, stop)
             engine = Engine(job.document, job.plan, bench, setup, folder, journal, operator, progress)
-            outcome = engine.run()
-            for put_away in (can_log.cut, telemetry.flush):
-                try:
-                    put_away()
-                except RunFolderError as error:
-                    outcome.fail(str(error))
+            try:
+                outcome = engine.run()
+            finally:
+                problems = _put_away(can_log, telemetry)
+            for problem in problems:
+                outcome.fail(problem)
     try:
         outcome.bins = write_results(folder, outcome.rows, job.plan.procedure.bin_width_c)
     except GyrobenchError as error:
@@ -146,6 +146,17 @@ def measure_again(path: Path) -> RunFolder:
     write_dwells(folder.dwells, rows)
     write_results(folder, rows, procedure.bin_width_c)
     return folder
+
+
+def _put_away(can_log: CanLog, telemetry: Telemetry) -> list[str]:
+    """Bring log and telemetry to the disk; returns what went wrong."""
+    problems = []
+    for put_away in (can_log.cut, telemetry.flush):
+        try:
+            put_away()
+        except RunFolderError as error:
+            problems.append(str(error))
+    return problems
 
 
 def _copy_inputs(folder: RunFolder, job: Job) -> None:
