@@ -14,8 +14,8 @@ from bench.navigation.positions import POSITIONS, Position
 
 #: Fewest epochs of a window.
 MIN_EPOCHS = 30
-#: Shortest window, s.
-MIN_DURATION = 60.0
+#: Shortest window, s: a minute of navigation less the epochs that its commands cost.
+MIN_DURATION = 55.0
 #: Longest time between two epochs, as a multiple of the usual one.
 MAX_GAP_EPOCHS = 5.5
 #: Largest angle between the attitude of the INS and that of the table, rad.
