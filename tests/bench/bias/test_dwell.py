@@ -49,7 +49,7 @@ def test_a_few_missing_epochs_are_no_gap():
     ("time", "message"),
     [
         (np.linspace(0.0, 600.0, 29), "only 29 epochs"),
-        (np.arange(0.0, 59.0), "lasts 54.0 s"),
+        (np.arange(0.0, 55.0), "lasts 54.0 s"),
         (np.delete(TIME, slice(10, 15)), r"nothing from the INS for 6\.000 s after 9\.000 s"),
         (np.where(TIME == 30.0, 29.0, TIME), r"does not increase after 29\.000 s"),
         (np.where(TIME == 30.0, 12.0, TIME), r"does not increase after 29\.000 s"),
