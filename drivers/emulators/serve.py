@@ -14,9 +14,10 @@ import socket
 import sys
 import tty
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
-from bench.clock import WallClock
+from bench.clock import VirtualClock, WallClock
 from bench.documents import find_document
 from bench.errors import DocumentError
 from drivers.emulators.bench import EmulatedBench
@@ -198,7 +199,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--for-s", type=float, default=None, help="end after so many seconds")
     options = parser.parse_args(arguments)
     try:
-        bench = EmulatedBench(WallClock(), find_document("worlds", options.world), options.seed)
+        world = find_document("worlds", options.world)
+        _rehearse(world)
+        bench = EmulatedBench(WallClock(), world, options.seed)
     except DocumentError as error:
         parser.exit(2, f"gyrobench-emulators: {error}\n")
     server = Server(bench, TcpPort if options.tcp else PseudoTerminal)
@@ -208,6 +211,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         server.serve(options.for_s)
     except KeyboardInterrupt:
         return
+
+
+def _rehearse(world: Path) -> None:
+    """Let a throw-away bench align, navigate and turn: in real time nothing may wait for a compiler."""
+    bench = EmulatedBench(VirtualClock(), world, 0)
+    unit, axis = bench.world.unit, bench.world.axes[1]
+    bench.world.power_unit(True)
+    for duration_s, deed in ((60.0, unit.align), (120.0, unit.navigate), (5.0, lambda: None)):
+        bench.clock.sleep(duration_s)
+        bench.advance()
+        deed()
+    axis.move_to(10.0, bench.clock.now())
+    bench.clock.sleep(10.0)
+    bench.advance()
 
 
 if __name__ == "__main__":
