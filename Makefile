@@ -5,6 +5,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+# The matrices are small: threads of the linear algebra only get into each other's way.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: run test check benchmark install clean
 
 run: $(VENV)/.installed

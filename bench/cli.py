@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,9 @@ from typing import Annotated
 import typer
 
 from bench.errors import DocumentError, GyrobenchError, InstrumentError
+
+# The matrices of this project are small: threads of the linear algebra only get into each other's way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     help="Bench controller for calibrating the gyros of inertial navigation systems.",
@@ -34,6 +38,10 @@ def run(
     ] = "gyro_a",
     out: Annotated[Path | None, typer.Option(help="Run folder; by default a new one under runs/.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random in the emulated world.")] = 0,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Run folder or dwell table that verifications are compared with."),
+    ] = None,
 ) -> None:
     """Run a procedure and report each gyro's bias.
 
@@ -45,11 +53,12 @@ def run(
     from bench.progress_view import PatientConsole, ProgressView
     from bench.report.html import write_report
     from bench.report.terminal import bins_table, durations_table
+    from bench.report.verification_terminal import verification_table
     from bench.station.instruments import Emulation
     from bench.terminal_operator import TerminalOperator
 
     console = PatientConsole(markup=False)
-    job = prepare_job(procedure, station, Emulation(world, seed))
+    job = prepare_job(procedure, station, Emulation(world, seed), calibration)
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
     with ProgressView(console, job.plan) as progress:
         folder, outcome = run_job(job, out, progress, operator)
@@ -61,7 +70,9 @@ def run(
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print("\n".join(safe_state), soft_wrap=True)
     report = write_report(folder)
-    console.print(bins_table(outcome.bins, compare_positions(outcome.bins)))
+    console.print(bins_table(outcome.results.bins, compare_positions(outcome.results.bins)))
+    if outcome.results.verification:
+        console.print(verification_table(outcome.results.verification))
     console.print(durations_table(outcome.took_s))
     if outcome.ended == "finished":
         console.print("\n".join(safe_state), soft_wrap=True)

@@ -11,7 +11,9 @@ from rich.status import Status
 from rich.text import Text
 
 from bench.bias.dwell_table import DwellRow
+from bench.bias.state_space import StateSpaceEstimate
 from bench.engine.live_bench import LiveBench
+from bench.navigation.positions import AXES
 from bench.procedure.plan import Plan, PlannedStep
 from bench.procedure.steps import Chamber
 from bench.procedure.timeline import hours_minutes
@@ -47,6 +49,7 @@ class ProgressView:
         self._ticks = 0
         self._left_s = plan.duration_s
         self._step = ""
+        self._so_far = ""
         self._status: Status | None = None
 
     def __enter__(self) -> ProgressView:
@@ -72,6 +75,7 @@ class ProgressView:
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """Show the step; the chamber's are printed, with the time since the start."""
         self._step = f"{planned.label}: {planned.step.describe()}"
+        self._so_far = ""
         self._ticks = 0
         if isinstance(planned.step, Chamber):
             time = hours_minutes(bench.clock.now())
@@ -86,8 +90,14 @@ class ProgressView:
             optics = bench.readings.ins.optics_c
             gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
             chamber = f"chamber {bench.readings.chamber_c:.1f} degC"
-            text = f"{hours_minutes(left_s)} h left | {chamber}, {gyro}{self._step}"
+            doing = f"{self._step} | {self._so_far}" if self._so_far else self._step
+            text = f"{hours_minutes(left_s)} h left | {chamber}, {gyro}{doing}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
+
+    def estimated(self, estimate: StateSpaceEstimate) -> None:
+        """Show the biases so far with the next update."""
+        pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
+        self._so_far = " ".join(f"{axis} {bias:+.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell."""

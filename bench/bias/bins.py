@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
-
-import numpy as np
-from scipy.special import chdtrc
 
 from bench.bias.csv_text import CsvTable, format_csv, format_number, read_text, write_text
 from bench.bias.dwell_table import DwellRow
+from bench.bias.weighted_mean import weighted_mean
 from bench.errors import MeasurementError
 from bench.navigation.positions import AXES, POSITIONS
 
@@ -43,6 +41,8 @@ class BiasBin:
         NaN for a single dwell.
     spread_p_value : float
         Probability of a spread at least as large from these uncertainties alone.
+    paper_bias_dph, paper_sigma_dph : float
+        The mean by the paper's method, over the dwells that it applies to; NaN where there are none.
     """
 
     gyro: str
@@ -55,6 +55,8 @@ class BiasBin:
     count: int
     chi2_reduced: float
     spread_p_value: float
+    paper_bias_dph: float = math.nan
+    paper_sigma_dph: float = math.nan
 
     @property
     def is_empty(self) -> bool:
@@ -63,7 +65,8 @@ class BiasBin:
 
 
 _COLUMNS = tuple(field.name for field in fields(BiasBin))
-_MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value"}
+_PAPER = {"paper_bias_dph", "paper_sigma_dph"}
+_MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value", *_PAPER}
 
 
 def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> list[BiasBin]:
@@ -110,6 +113,24 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     return result
 
 
+def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
+    """Bins with the paper's bias in the place of the state-space one; empty where there is none.
+
+    The spread of the dwells is that of the other estimate, so it is left out.
+    """
+    return [
+        replace(
+            each,
+            bias_dph=each.paper_bias_dph,
+            sigma_dph=each.paper_sigma_dph,
+            count=0 if math.isnan(each.paper_bias_dph) else each.count,
+            chi2_reduced=math.nan,
+            spread_p_value=math.nan,
+        )
+        for each in bins
+    ]
+
+
 def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
     """Write ``bias_bins.csv``.
 
@@ -122,14 +143,14 @@ def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
 
 
 def read_bins(path: Path) -> list[BiasBin]:
-    """Read ``bias_bins.csv``.
+    """Read ``bias_bins.csv``; the paper's columns may be missing.
 
     Raises
     ------
     DocumentError
         The file can't be read, or lists all that is wrong with it.
     """
-    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
+    table = CsvTable(read_text(path), str(path), required=[name for name in _COLUMNS if name not in _PAPER])
     bins = [_parsed(table, index) for index in range(len(table))]
     table.raise_problems()
     return bins
@@ -150,24 +171,30 @@ def _bin(
 ) -> BiasBin:
     if not rows:
         return BiasBin(gyro, position, *ends_c, math.nan, math.nan, math.nan, 0, math.nan, math.nan)
-    bias, sigma, temperature = np.array(
-        [(row.bias_dph[axis], row.sigma_dph[axis], row.gyro_c[axis]) for row in rows]
-    ).T
-    weight = sigma**-2
-    mean = float(weight @ bias / weight.sum())
-    freedom = len(rows) - 1
-    square = float(weight @ (bias - mean) ** 2)
+    sigmas = [row.sigma_dph[axis] for row in rows]
+    bias = weighted_mean([row.bias_dph[axis] for row in rows], sigmas)
     return BiasBin(
         gyro,
         position,
         *ends_c,
-        temperature_c=float(weight @ temperature / weight.sum()),
-        bias_dph=mean,
-        sigma_dph=float(weight.sum() ** -0.5),
+        temperature_c=weighted_mean([row.gyro_c[axis] for row in rows], sigmas).value,
+        bias_dph=bias.value,
+        sigma_dph=bias.sigma,
         count=len(rows),
-        chi2_reduced=square / freedom if freedom else math.nan,
-        spread_p_value=float(chdtrc(freedom, square)) if freedom else math.nan,
+        chi2_reduced=bias.chi2_reduced,
+        spread_p_value=bias.p_value,
+        **_paper_mean(axis, rows),
     )
+
+
+def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> dict[str, float]:
+    pairs = [(row.paper_bias_dph[axis], row.paper_sigma_dph[axis]) for row in rows]
+    known = [pair for pair in pairs if not any(map(math.isnan, pair))]
+    if not known:
+        return {}
+    values, sigmas = zip(*known, strict=True)
+    mean = weighted_mean(values, sigmas)
+    return {"paper_bias_dph": mean.value, "paper_sigma_dph": mean.sigma}
 
 
 def _cells(each: BiasBin) -> list[str]:
@@ -189,4 +216,6 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
         count=table.integer(index, "count"),
         chi2_reduced=number("chi2_reduced"),
         spread_p_value=number("spread_p_value"),
+        paper_bias_dph=number("paper_bias_dph"),
+        paper_sigma_dph=number("paper_sigma_dph"),
     )

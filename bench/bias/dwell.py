@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ MIN_EPOCHS = 30
 MIN_DURATION = 55.0
 #: Longest time between two epochs, as a multiple of the usual one.
 MAX_GAP_EPOCHS = 5.5
+_SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
 
@@ -34,6 +36,8 @@ class NavigationWindow:
         Velocity East, North, Up; at rest all of it is error.
     C_nb : ndarray, shape (n, 3, 3)
         Attitude that the INS computed.
+    gyro_c : ndarray, shape (n, 3), optional
+        Temperature of each gyro at each epoch.
 
     Raises
     ------
@@ -44,6 +48,7 @@ class NavigationWindow:
     time_s: NDArray[np.float64]
     velocity_enu_mps: NDArray[np.float64]
     C_nb: NDArray[np.float64]
+    gyro_c: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.time_s)
@@ -55,7 +60,14 @@ class NavigationWindow:
         if count < MIN_EPOCHS:
             raise MeasurementError(f"only {count} epochs; a window needs {MIN_EPOCHS}. {_CHECK_INS}")
         _check_times(self.time_s)
-        for name, values in (("velocity", self.velocity_enu_mps), ("attitude", self.C_nb)):
+        checked = {"velocity": self.velocity_enu_mps, "attitude": self.C_nb}
+        if self.gyro_c is not None:
+            if self.gyro_c.shape != (count, 3):
+                raise MeasurementError(
+                    f"{count} times with gyro temperatures {self.gyro_c.shape}; each epoch has three"
+                )
+            checked["gyro temperature"] = self.gyro_c
+        for name, values in checked.items():
             bad = ~np.isfinite(values).reshape(count, -1).all(axis=1)
             if bad.any():
                 raise MeasurementError(
@@ -68,23 +80,30 @@ class NavigationWindow:
         """Time from the first to the last epoch."""
         return float(self.time_s[-1] - self.time_s[0])
 
+    def thinned(self, interval_s: float) -> NavigationWindow:
+        """The first epoch of each interval alone."""
+        slots = np.floor((self.time_s - self.time_s[0]) / interval_s + _SLOT_TOLERANCE)
+        first = np.flatnonzero(np.diff(slots, prepend=-1.0) > 0.0)
+        gyro_c = None if self.gyro_c is None else self.gyro_c[first]
+        return NavigationWindow(self.time_s[first], self.velocity_enu_mps[first], self.C_nb[first], gyro_c)
+
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Navigation before and after a turn about the vertical, in one position.
+    """Navigation in one position, with turns about the vertical between stretches at rest.
 
     Attributes
     ----------
     position_name : str
         Key of :data:`bench.navigation.positions.POSITIONS`.
-    azimuth_before_rad : float
-        Azimuth of the position before the turn; 0 in the paper.
-    before, after : NavigationWindow
-        Output of the INS, on one clock, without realignment in between.
-    C_nb_table_before, C_nb_table_after : ndarray, shape (3, 3)
-        Attitude of the unit by the table's word.
-    gyro_c : tuple of float, optional
-        Mean temperature of each gyro.
+    azimuth_rad : float
+        Azimuth of the position before the first turn; 0 in the paper.
+    windows : tuple of NavigationWindow
+        Output of the INS at rest, on one clock, without realignment in between; the paper has two.
+    C_nb_table : tuple of ndarray, shape (3, 3)
+        Attitude of the unit in each window by the table's word.
+    turns : tuple of ndarray, shape (k, 3, 3)
+        Attitudes by the table's word on the way from each window to the next, ends included.
 
     Raises
     ------
@@ -93,27 +112,33 @@ class Dwell:
     """
 
     position_name: str
-    azimuth_before_rad: float
-    before: NavigationWindow
-    after: NavigationWindow
-    C_nb_table_before: NDArray[np.float64]
-    C_nb_table_after: NDArray[np.float64]
-    gyro_c: tuple[float, float, float] | None = None
+    azimuth_rad: float
+    windows: tuple[NavigationWindow, ...]
+    C_nb_table: tuple[NDArray[np.float64], ...]
+    turns: tuple[NDArray[np.float64], ...]
 
     def __post_init__(self) -> None:
         if self.position_name not in POSITIONS:
             raise MeasurementError(
                 f"there is no position '{self.position_name}'; the positions are {', '.join(POSITIONS)}"
             )
-        if self.after.time_s[0] <= self.before.time_s[-1]:
+        if len(self.windows) != len(self.C_nb_table) or len(self.windows) != len(self.turns) + 1:
             raise MeasurementError(
-                f"the window after the turn begins at {self.after.time_s[0]:.3f} s, before the first one "
-                f"ends at {self.before.time_s[-1]:.3f} s on the clock of the INS. {_CHECK_INS}"
+                f"{len(self.windows)} windows with {len(self.C_nb_table)} attitudes of the table and "
+                f"{len(self.turns)} turns between them"
             )
-        nominal = self.position.C_nb(self.azimuth_before_rad)
-        self._check_attitude("position and azimuth", nominal, "table before the turn", self.C_nb_table_before)
-        self._check_attitude("INS", self.before.C_nb[0], "table before the turn", self.C_nb_table_before)
-        self._check_attitude("INS", self.after.C_nb[0], "table after the turn", self.C_nb_table_after)
+        if len({window.gyro_c is None for window in self.windows}) > 1:
+            raise MeasurementError("some windows have gyro temperatures and others not. " + _CHECK_INS)
+        for earlier, later in itertools.pairwise(self.windows):
+            if later.time_s[0] <= earlier.time_s[-1]:
+                raise MeasurementError(
+                    f"a window begins at {later.time_s[0]:.3f} s, before the one before it ends at "
+                    f"{earlier.time_s[-1]:.3f} s on the clock of the INS. {_CHECK_INS}"
+                )
+        nominal = self.position.C_nb(self.azimuth_rad)
+        self._check_attitude("position and azimuth", nominal, "table at the start", self.C_nb_table[0])
+        for number, (window, C_nb) in enumerate(zip(self.windows, self.C_nb_table, strict=True), 1):
+            self._check_attitude("INS", window.C_nb[0], f"table in window {number}", C_nb)
 
     @property
     def position(self) -> Position:
@@ -133,25 +158,6 @@ class Dwell:
 
 
 @dataclass(frozen=True, eq=False)
-class WindowResiduals:
-    """What an estimator's model leaves of one window.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Time on the clock of the INS.
-    velocity_en_mps : ndarray, shape (n, 2)
-        Velocity East and North.
-    heading_rad : ndarray, shape (n,)
-        Rotation about Up.
-    """
-
-    time_s: NDArray[np.float64]
-    velocity_en_mps: NDArray[np.float64]
-    heading_rad: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
 class BiasEstimate:
     """Gyro bias of one dwell.
 
@@ -160,19 +166,11 @@ class BiasEstimate:
     bias_radps : ndarray, shape (3,)
         Bias of the x, y and z gyro.
     covariance : ndarray, shape (3, 3)
-        Its covariance from the declared noise, (rad/s)^2; leaks of the method are not in it.
-    residuals : tuple of WindowResiduals
-        Before and after the turn.
-    residual_ratio : float
-        Rms of the residuals over the rms that the declared noise leads to expect. Residuals of
-        integrated noise are few slow waves: two windows of 10 min give 0.7 to 1.4 in 95 % of
-        dwells. Above that the noise is larger than declared, or the model does not fit.
+        Its covariance, (rad/s)^2.
     """
 
     bias_radps: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    residuals: tuple[WindowResiduals, WindowResiduals]
-    residual_ratio: float
 
     @property
     def bias_dph(self) -> NDArray[np.float64]:

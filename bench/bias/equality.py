@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import chdtrc
 
 from bench.bias.bins import BiasBin
+from bench.bias.weighted_mean import weighted_mean
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
     Parameters
     ----------
     bins : iterable of BiasBin
-        Of one unit, in any order.
+        Of one unit, in any order; :func:`bench.bias.bins.paper_bins` for the paper's method.
 
     Returns
     -------
@@ -72,11 +72,7 @@ def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
 
 
 def _compared(group: Sequence[BiasBin]) -> PositionComparison:
-    bias, sigma, temperature = np.array(
-        [(each.bias_dph, each.sigma_dph, each.temperature_c) for each in group]
-    ).T
-    weight = sigma**-2
-    mean = float(weight @ bias / weight.sum())
+    mean = weighted_mean([each.bias_dph for each in group], [each.sigma_dph for each in group])
     pairs = combinations(sorted(group, key=lambda each: -each.bias_dph), 2)
     high, low = max(pairs, key=lambda pair: pair[0].bias_dph - pair[1].bias_dph)
     return PositionComparison(
@@ -84,10 +80,10 @@ def _compared(group: Sequence[BiasBin]) -> PositionComparison:
         bin_low_c=group[0].bin_low_c,
         bin_high_c=group[0].bin_high_c,
         positions=tuple(each.position for each in group),
-        bias_dph=mean,
-        p_value=float(chdtrc(len(group) - 1, weight @ (bias - mean) ** 2)),
+        bias_dph=mean.value,
+        p_value=mean.p_value,
         largest_pair=(high.position, low.position),
         largest_difference_dph=high.bias_dph - low.bias_dph,
         largest_difference_sigma_dph=float(np.hypot(high.sigma_dph, low.sigma_dph)),
-        temperature_spread_c=float(np.ptp(temperature)),
+        temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
     )

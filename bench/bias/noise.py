@@ -62,8 +62,10 @@ class NoiseModel:
         vrw_ug_per_sqrt_hz: float = 0.0,
         velocity_lsb_mps: float = 0.0,
         heading_lsb_rad: float = 0.0,
+        velocity_output_mps: float = 0.0,
+        heading_output_rad: float = 0.0,
     ) -> NoiseModel:
-        """Noise in the units of data sheets, output noise from the resolution (LSB^2/12).
+        """Noise in the units of data sheets; noise of the output adds to that of its resolution (LSB^2/12).
 
         Rounding is white only where the output moves by more than one LSB from epoch to epoch or
         carries noise of that size; with a coarser resolution the variance is a lower bound.
@@ -71,8 +73,8 @@ class NoiseModel:
         return cls(
             arw_deg_per_sqrt_h * DEG_PER_SQRT_H_TO_SI,
             vrw_ug_per_sqrt_hz * UG_PER_SQRT_HZ_TO_SI,
-            velocity_lsb_mps / np.sqrt(12.0),
-            heading_lsb_rad / np.sqrt(12.0),
+            float(np.hypot(velocity_lsb_mps / np.sqrt(12.0), velocity_output_mps)),
+            float(np.hypot(heading_lsb_rad / np.sqrt(12.0), heading_output_rad)),
         )
 
     def velocity_variance(
@@ -108,23 +110,6 @@ class NoiseModel:
         """Variance of weighted sums of the heading; parameters as for the velocity."""
         walk = np.diff(time) @ (self.angle_random_walk * _tails(time, weights, 0.0).real) ** 2
         return np.asarray(walk + self.heading_white**2 * (weights**2).sum(axis=0))
-
-    def expected_velocity_residual(
-        self, time: NDArray[np.float64], basis: NDArray[np.float64], gravity: float
-    ) -> float:
-        """Expect this sum of squares of one velocity less its projection on orthonormal columns."""
-        rate = np.sqrt(gravity / MEAN_RADIUS)
-        elapsed = time - time[0]
-        turned = np.diff(time) * np.exp(-2j * rate * (_middles(time) - time[0]))
-        swing = (np.exp(2j * rate * elapsed) * np.concatenate([[0.0], np.cumsum(turned)])).real
-        each = 0.5 * (self.angle_random_walk * gravity / rate) ** 2 * (elapsed - swing)
-        each += 0.5 * self.velocity_random_walk**2 * (elapsed + swing) + self.velocity_white**2
-        return float(each.sum() - self.velocity_variance(time, basis, gravity).sum())
-
-    def expected_heading_residual(self, time: NDArray[np.float64], basis: NDArray[np.float64]) -> float:
-        """Expect this sum of squares of the heading less its projection on orthonormal columns."""
-        each = self.angle_random_walk**2 * (time - time[0]) + self.heading_white**2
-        return float(each.sum() - self.heading_variance(time, basis).sum())
 
 
 def _middles(time: NDArray[np.float64]) -> NDArray[np.float64]:

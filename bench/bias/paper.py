@@ -21,7 +21,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, WindowResiduals
+from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
 from bench.bias.noise import NoiseModel
 from bench.errors import MeasurementError
 from bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
@@ -31,46 +31,30 @@ TURN_TOLERANCE = np.deg2rad(1.0)
 
 
 class PolynomialTrend:
-    """Least-squares polynomial in time; its highest derivative and what it leaves.
+    """Highest derivative of a least-squares polynomial in time.
 
     Attributes
     ----------
-    basis : ndarray, shape (n, degree + 1)
-        Orthonormal columns that span the polynomials.
     weights : ndarray, shape (n,)
         The highest derivative is the sum of the values times these.
     """
 
     def __init__(self, time: NDArray[np.float64], degree: int) -> None:
         middle, half = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
-        self.basis, triangle = np.linalg.qr(np.vander((time - middle) / half, degree + 1, increasing=True))
-        self.weights = factorial(degree) / (triangle[degree, degree] * half**degree) * self.basis[:, degree]
-
-    def residuals(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (n,) or (n, m) less the polynomial."""
-        return np.asarray(values - self.basis @ (self.basis.T @ values))
+        basis, triangle = np.linalg.qr(np.vander((time - middle) / half, degree + 1, increasing=True))
+        self.weights = factorial(degree) / (triangle[degree, degree] * half**degree) * basis[:, degree]
 
 
 class _Window:
-    """Slopes of one window, and the sums of squares that they leave, with their expectation."""
+    """Slopes of one window."""
 
-    def __init__(self, window: NavigationWindow, gravity: float, noise: NoiseModel) -> None:
+    def __init__(self, window: NavigationWindow) -> None:
         time = window.time_s - window.time_s[0]
-        velocity = window.velocity_enu_mps[:, :2]
         heading = rotation_vector_enu(window.C_nb, window.C_nb[0])[:, 2]
         self.quadratic = PolynomialTrend(time, 2)
         self.linear = PolynomialTrend(time, 1)
-        self.velocity_second_slope_en = velocity.T @ self.quadratic.weights
+        self.velocity_second_slope_en = window.velocity_enu_mps[:, :2].T @ self.quadratic.weights
         self.heading_slope = float(heading @ self.linear.weights)
-        self.residuals = WindowResiduals(
-            window.time_s, self.quadratic.residuals(velocity), self.linear.residuals(heading)
-        )
-        expected_velocity = noise.expected_velocity_residual(time, self.quadratic.basis, gravity)
-        expected_heading = noise.expected_heading_residual(time, self.linear.basis)
-        self.squares_over_expected = (
-            *(self.residuals.velocity_en_mps**2).sum(axis=0) / expected_velocity,
-            (self.residuals.heading_rad**2).sum() / expected_heading,
-        )
 
 
 def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstimate:
@@ -79,27 +63,25 @@ def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstim
     Parameters
     ----------
     dwell : Dwell
-        Windows before and after a turn of +-180 deg about the vertical.
+        Two windows, before and after a turn of +-180 deg about the vertical.
     gravity : float
         Gravity at the bench, m/s^2.
     noise : NoiseModel
-        Declared noise of the INS; sets the covariance, not the bias.
+        Noise of the INS; sets the covariance, not the bias. Leaks of the method are not in it.
 
     Raises
     ------
     MeasurementError
-        The turn is not one of 180 deg about the vertical.
+        There are not two windows with a turn of 180 deg about the vertical between them.
     """
     _check_half_turn(dwell)
-    before, after = (_Window(window, gravity, noise) for window in (dwell.before, dwell.after))
+    before, after = (_Window(window) for window in dwell.windows)
     east, north = (before.velocity_second_slope_en - after.velocity_second_slope_en) / (2.0 * gravity)
     up = 0.5 * (before.heading_slope + after.heading_slope)
-    C_bn = dwell.C_nb_table_before.T
+    C_bn = dwell.C_nb_table[0].T
     return BiasEstimate(
         bias_radps=C_bn @ np.array([-north, east, up]),
         covariance=C_bn @ np.diag(_variances_enu(dwell, before, after, gravity, noise)) @ C_bn.T,
-        residuals=(before.residuals, after.residuals),
-        residual_ratio=float(np.sqrt(np.mean(before.squares_over_expected + after.squares_over_expected))),
     )
 
 
@@ -107,7 +89,7 @@ def _variances_enu(
     dwell: Dwell, before: _Window, after: _Window, gravity: float, noise: NoiseModel
 ) -> tuple[float, float, float]:
     """Variances of the bias East, North and Up; noise before the turn also acts after it."""
-    time = np.concatenate([dwell.before.time_s, dwell.after.time_s]) - dwell.before.time_s[0]
+    time = np.concatenate([window.time_s for window in dwell.windows]) - dwell.windows[0].time_s[0]
     second = np.concatenate([before.quadratic.weights, -after.quadratic.weights]) / (2.0 * gravity)
     first = np.concatenate([before.linear.weights, after.linear.weights]) / 2.0
     level = float(noise.velocity_variance(time, second, gravity))
@@ -115,8 +97,13 @@ def _variances_enu(
 
 
 def _check_half_turn(dwell: Dwell) -> None:
-    half_turned = rotation_matrix(UP, np.pi) @ dwell.C_nb_table_before
-    away = angle_between(dwell.C_nb_table_after, half_turned)
+    if len(dwell.windows) != 2:
+        raise MeasurementError(
+            f"{dwell.position_name}: {len(dwell.windows)} windows of navigation; the paper's method takes "
+            "two, one on each side of a turn by 180 deg"
+        )
+    half_turned = rotation_matrix(UP, np.pi) @ dwell.C_nb_table[0]
+    away = angle_between(dwell.C_nb_table[1], half_turned)
     if away > TURN_TOLERANCE:
         raise MeasurementError(
             f"{dwell.position_name}: the paper's method needs a turn of 180 deg about the vertical; this one "

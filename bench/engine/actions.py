@@ -7,15 +7,17 @@ bench in between and minds the step's time limit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import singledispatch
 
 import numpy as np
 
+from bench.bias.state_space import StateSpaceEstimate
 from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
 from bench.errors import FaultError, InstrumentError, RunStoppedError
+from bench.measurement.temperatures import slopes_c_per_h
 from bench.navigation.positions import POSITIONS
 from bench.navigation.table_axes import Angles
 from bench.procedure.steps import (
@@ -44,6 +46,8 @@ _POSITION_TOLERANCE_DEG = 0.002
 _OVERSHOOT_S = 10.0
 _BOOT_FRAMES_AGE_S = 2.0
 _POWER_CYCLE_S = 5.0
+#: How often the biases of the dwell under way are estimated.
+_ESTIMATE_EVERY_S = 30.0
 
 
 class Context:
@@ -51,16 +55,25 @@ class Context:
 
     Attributes
     ----------
+    tell_estimate : callable
+        Takes the estimate of the dwell under way.
     angles : tuple of float or None
         Outer and inner angle last commanded, deg.
     turns_to_come_deg : sequence of float
         The turns until the next position: a position is taken so that they have room.
     """
 
-    def __init__(self, bench: LiveBench, operator: Operator, recorder: DwellRecorder) -> None:
+    def __init__(
+        self,
+        bench: LiveBench,
+        operator: Operator,
+        recorder: DwellRecorder,
+        tell_estimate: Callable[[StateSpaceEstimate], None],
+    ) -> None:
         self.bench = bench
         self.operator = operator
         self.recorder = recorder
+        self.tell_estimate = tell_estimate
         self.angles: Angles | None = None
         self.turns_to_come_deg: Sequence[float] = ()
 
@@ -161,15 +174,31 @@ def _align(step: Align, context: Context) -> Ticks:
 
 @perform.register
 def _navigate(step: Navigate, context: Context) -> Ticks:
-    bench, ins = context.bench, context.bench.instruments.ins
+    ins = context.bench.instruments.ins
     status = ins.status()
     if status.mode is not InsMode.NAVIGATE:
         if status.alignment is Alignment.NONE:
             raise FaultError("INS", "has not aligned, so it can't navigate. Give align more time.")
         ins.navigate()
     context.recorder.begin_window()
-    yield from _lasting(bench, step.duration_s)
+    yield from _navigating(step, context)
     context.recorder.end_window()
+
+
+def _navigating(step: Navigate, context: Context) -> Ticks:
+    """Until its time is over, or the biases are known well enough."""
+    clock = context.bench.clock
+    begin_s = clock.now()
+    next_look_s = begin_s + _ESTIMATE_EVERY_S
+    while clock.now() < begin_s + step.longest_s - 1e-6:
+        if clock.now() >= next_look_s:
+            next_look_s += _ESTIMATE_EVERY_S
+            estimate = context.recorder.estimate_so_far()
+            if estimate is not None:
+                context.tell_estimate(estimate)
+                if step.is_satisfied(clock.now() - begin_s, float(estimate.sigma_dph.max())):
+                    return
+        yield
 
 
 @perform.register
@@ -257,5 +286,4 @@ def _gyro_rate_c_per_h(bench: LiveBench, history: deque[tuple[float, ...]]) -> f
     if history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:
         return None
     values = np.array(history)
-    hours = (values[:, 0] - values[:, 0].mean()) / 3600.0
-    return float(np.abs(hours @ values[:, 1:] / (hours @ hours)).max())
+    return float(np.abs(slopes_c_per_h(values[:, 0], values[:, 1:])).max())

@@ -6,9 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from bench.bias.state_space import StateSpaceEstimate
 from bench.engine.live_bench import LiveBench
+from bench.measurement.dwell import MeasurementSetup
+from bench.measurement.live import LiveEstimate
 from bench.measurement.marks import DwellMarks, WindowMark
 from bench.navigation.table_axes import Angles
+from drivers.ins.frames import FrameBlock
 
 #: The table's reading may differ by this much over a window, deg.
 _STILL_DEG = 0.001
@@ -20,27 +24,38 @@ class DwellRecorder:
 
     Attributes
     ----------
+    setup : MeasurementSetup
+        What turns frames into biases.
     unit : str
         Serial number of the INS.
     run : int
         Counts power-ons.
     dwell, cycle : int
         Numbers of the dwell, set by the engine from the plan.
+    is_verification : bool
+        Whether the dwell verifies a calibration; set by the engine from the plan.
     position, azimuth_deg : str, float
         Where the table was sent last.
     """
 
     bench: LiveBench
+    setup: MeasurementSetup
     unit: str = ""
     run: int = 0
     dwell: int = 0
     cycle: int = 1
+    is_verification: bool = False
     position: str = ""
     azimuth_deg: float = 0.0
     _power_on_s: float = 0.0
+    _align_begin_s: float = 0.0
     _start_s: float = 0.0
+    _begun_at_deg: float = 0.0
+    _first_frame: int = 0
+    _angles: Angles = (0.0, 0.0)
     _windows: list[WindowMark] = field(default_factory=list)
     _disturbances: list[str] = field(default_factory=list)
+    _live: LiveEstimate | None = None
 
     def powered_on(self, time_s: float) -> None:
         """Note that the unit was switched on; a new ``run`` begins."""
@@ -50,9 +65,11 @@ class DwellRecorder:
     def begin(self) -> None:
         """Begin a dwell with its alignment."""
         self.bench.begin_capture()
+        self._align_begin_s = self.bench.clock.now()
         self._windows.clear()
         self._disturbances.clear()
-        self._azimuth_deg = self.azimuth_deg
+        self._begun_at_deg = self.azimuth_deg
+        self._live = LiveEstimate(self.setup, self._frames)
 
     def begin_window(self) -> None:
         """Begin a stretch of navigation at rest."""
@@ -68,7 +85,18 @@ class DwellRecorder:
         moved_deg = float(np.abs(np.subtract(self._table_angles(), self._angles)).max())
         if moved_deg > _STILL_DEG:
             self._disturbances.append(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
-        self._windows.append(WindowMark(self._first_frame, self.bench.captured_frames(), *self._angles))
+        self._windows.append(self._window())
+
+    def estimate_so_far(self) -> StateSpaceEstimate | None:
+        """Estimate the biases while a window goes on; None as long as they can't be told."""
+        return self._live.update([*self._windows, self._window()]) if self._live else None
+
+    def _window(self) -> WindowMark:
+        return WindowMark(self._first_frame, self.bench.captured_frames(), *self._angles)
+
+    def _frames(self, first: int) -> FrameBlock:
+        capture = self.bench.capture
+        return capture.frames(first) if capture else FrameBlock.from_messages([])
 
     def _table_angles(self) -> Angles:
         return self.bench.station.table_axes_of(self.bench.instruments.table.read().position_deg)
@@ -83,7 +111,7 @@ class DwellRecorder:
             dwell=self.dwell,
             cycle=self.cycle,
             position=self.position,
-            azimuth_deg=self._azimuth_deg,
+            azimuth_deg=self._begun_at_deg,
             log_part=capture.log_part if capture else 0,
             windows=tuple(self._windows),
             start_s=round(self._start_s, 6),
@@ -91,5 +119,7 @@ class DwellRecorder:
             since_power_on_s=round(self._start_s - self._power_on_s, 6),
             chamber_set_c=self.bench.chamber_set_c,
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
+            is_verification=self.is_verification,
+            align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )

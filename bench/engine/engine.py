@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
-from bench.bias.bins import BiasBin
 from bench.bias.dwell_table import DwellRow, write_dwells
+from bench.bias.state_space import StateSpaceEstimate
 from bench.clock import Deadline
 from bench.documents import Document
 from bench.engine.actions import Context, perform
@@ -15,12 +15,17 @@ from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
 from bench.engine.safe_state import SafeAction, make_safe
 from bench.errors import GyrobenchError, RunFolderError, RunStoppedError, StepTimeoutError
-from bench.measurement.dwell import MeasurementSetup, measure_dwell
+from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
+from bench.measurement.marks import DwellMarks
+from bench.measurement.results import RunResults
+from bench.measurement.verification import VerificationDwell, measure_verification
 from bench.procedure.plan import Plan, PlannedStep, turns_after
 from bench.procedure.steps import Align, GoTo, PowerOn
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
 from bench.run_store.provenance import add_identity
+from drivers.ins.epochs import EpochCounts
+from drivers.ins.frames import FrameBlock
 
 
 class Progress(Protocol):
@@ -38,6 +43,10 @@ class Progress(Protocol):
         """Time went on; so much is left by the plan."""
         ...
 
+    def estimated(self, estimate: StateSpaceEstimate) -> None:
+        """The biases of the dwell under way, as far as they are known by now."""
+        ...
+
     def dwell_measured(self, row: DwellRow) -> None:
         """A dwell is over and its biases are known."""
         ...
@@ -53,10 +62,12 @@ class RunOutcome:
         "finished", "stopped" (somebody asked) or "failed".
     reason : str
         Why it did not finish; empty where it did.
-    rows : list of DwellRow
+    dwells : list of MeasuredDwell
         What was measured.
-    bins : list of BiasBin
-        The same by temperature bin.
+    verifications : list of VerificationDwell
+        What was taken to verify a calibration.
+    results : RunResults
+        What the dwells give together.
     duration_s : float
         On the run's clock.
     took_s : dict of str to list of tuple
@@ -67,8 +78,9 @@ class RunOutcome:
 
     ended: str = "finished"
     reason: str = ""
-    rows: list[DwellRow] = field(default_factory=list)
-    bins: list[BiasBin] = field(default_factory=list)
+    dwells: list[MeasuredDwell] = field(default_factory=list)
+    verifications: list[VerificationDwell] = field(default_factory=list)
+    results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     safe_state: list[SafeAction] = field(default_factory=list)
@@ -116,8 +128,8 @@ class Engine:
         self._folder = folder
         self._journal = journal
         self._progress = progress
-        self._recorder = DwellRecorder(bench)
-        self._context = Context(bench, operator, self._recorder)
+        self._recorder = DwellRecorder(bench, setup)
+        self._context = Context(bench, operator, self._recorder, progress.estimated)
         self._outcome = RunOutcome()
 
     def run(self) -> RunOutcome:
@@ -152,6 +164,7 @@ class Engine:
         self._progress.step_started(planned, bench)
         bench.step, bench.dwell = planned.number, planned.dwell or 0
         self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
+        self._recorder.is_verification = planned.is_verification
         if isinstance(planned.step, Align) and not self._recorder.unit:
             self._identify_unit()  # one that is always on
         if isinstance(planned.step, GoTo):
@@ -199,14 +212,26 @@ class Engine:
         if capture is None:
             return
         marks = self._recorder.marks()
-        measured = measure_dwell(marks, capture.frames(), self._setup)
+        frames = capture.frames()
         self._bench.end_capture()
-        self._journal.record(
-            "dwell_finished", marks=marks.to_json(), flags=measured.row.flags, epochs=asdict(measured.counts)
-        )
-        self._outcome.rows.append(measured.row)
-        write_dwells(self._folder.dwells, self._outcome.rows)
+        measure = self._verify if marks.is_verification else self._measure
+        flags, counts = measure(marks, frames)
+        self._journal.record("dwell_finished", marks=marks.to_json(), flags=flags, epochs=asdict(counts))
+
+    def _measure(self, marks: DwellMarks, frames: FrameBlock) -> tuple[str, EpochCounts]:
+        measured = measure_dwell(marks, frames, self._setup)
+        self._outcome.dwells.append(measured)
+        write_dwells(self._folder.dwells, [dwell.row for dwell in self._outcome.dwells])
         self._progress.dwell_measured(measured.row)
+        return measured.row.flags, measured.counts
+
+    def _verify(self, marks: DwellMarks, frames: FrameBlock) -> tuple[str, EpochCounts]:
+        verified = measure_verification(marks, frames, self._setup)
+        self._outcome.verifications.append(verified)
+        self._progress.told(
+            f"{marks.position} at {marks.azimuth_deg:g} deg: {verified.flags or 'taken for verification'}"
+        )
+        return verified.flags, verified.counts
 
     def _end(self) -> None:
         outcome = self._outcome

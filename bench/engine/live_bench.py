@@ -61,10 +61,14 @@ class Capture:
         self._pack()
         return sum(map(len, self._blocks))
 
-    def frames(self) -> FrameBlock:
-        """All data frames so far."""
+    def frames(self, first: int = 0) -> FrameBlock:
+        """Data frames so far, from a number on."""
         self._pack()
-        return concatenate(self._blocks)
+        blocks, start = self._blocks, 0
+        while blocks and start + len(blocks[0]) <= first:
+            start += len(blocks[0])
+            blocks = blocks[1:]
+        return concatenate(blocks).take(slice(first - start, None))
 
     def _pack(self) -> None:
         if self._messages:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.bias.bins import BiasBin, bin_biases, write_bins
-from bench.bias.dwell_table import DwellRow, write_dwells
+from bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from bench.clock import Clock, VirtualClock, WallClock
 from bench.documents import Document, find_document
 from bench.engine.engine import Engine, Progress, RunOutcome
@@ -15,7 +14,9 @@ from bench.engine.operator import Operator
 from bench.engine.stop import StopRequest
 from bench.errors import GyrobenchError, RunFolderError
 from bench.files import write_whole
+from bench.measurement.calibration import read_calibration
 from bench.measurement.replay import replay
+from bench.measurement.results import evaluate, write_results
 from bench.measurement.setup import measurement_setup
 from bench.procedure.checks import check
 from bench.procedure.document import load_procedure
@@ -37,6 +38,7 @@ class Job:
     plan: Plan
     station: Station
     emulation: Emulation
+    calibration: tuple[DwellRow, ...] = ()
 
     def emulated_world(self) -> dict[str, str | int]:
         """What stands behind emulated instruments; empty where none is emulated."""
@@ -50,8 +52,15 @@ class Job:
         return self.station.file.clock == "virtual"
 
 
-def prepare_job(procedure: str, station: str, emulation: Emulation | None = None) -> Job:
+def prepare_job(
+    procedure: str, station: str, emulation: Emulation | None = None, calibration: Path | None = None
+) -> Job:
     """Read procedure and station and check the one against the other.
+
+    Parameters
+    ----------
+    calibration : Path, optional
+        Run folder or dwell table that verifications are compared with.
 
     Raises
     ------
@@ -63,7 +72,8 @@ def prepare_job(procedure: str, station: str, emulation: Emulation | None = None
     document, model = load_procedure(find_document("procedures", procedure))
     plan = expand(document, model, bench.bench_at_rest())
     check(document, plan, bench.limits())
-    return Job(document, plan, bench, emulation or Emulation())
+    rows = tuple(read_calibration(calibration)) if calibration else ()
+    return Job(document, plan, bench, emulation or Emulation(), rows)
 
 
 def run_job(
@@ -117,17 +127,13 @@ def run_job(
             for problem in problems:
                 outcome.fail(problem)
     try:
-        outcome.bins = write_results(folder, outcome.rows, job.plan.procedure.bin_width_c)
+        outcome.results = evaluate(
+            outcome.dwells, outcome.verifications, job.calibration, setup, job.plan.procedure.bin_width_c
+        )
+        write_results(folder, outcome.results)
     except GyrobenchError as error:
         outcome.fail(str(error))
     return folder, outcome
-
-
-def write_results(folder: RunFolder, rows: list[DwellRow], bin_width_c: float) -> list[BiasBin]:
-    """Write the temperature bins and return them; flagged dwells are kept out."""
-    bins = bin_biases(rows, bin_width_c)
-    write_bins(folder.bias_bins, bins)
-    return bins
 
 
 def measure_again(path: Path) -> RunFolder:
@@ -142,9 +148,11 @@ def measure_again(path: Path) -> RunFolder:
     """
     folder = open_run_folder(path)
     _, procedure = load_procedure(folder.procedure)
-    rows = list(replay(folder, measurement_setup(Station(folder.station))))
-    write_dwells(folder.dwells, rows)
-    write_results(folder, rows, procedure.bin_width_c)
+    setup = measurement_setup(Station(folder.station))
+    dwells, verifications = replay(folder, setup)
+    write_dwells(folder.dwells, [dwell.row for dwell in dwells])
+    calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
+    write_results(folder, evaluate(dwells, verifications, calibration, setup, procedure.bin_width_c))
     return folder
 
 
@@ -162,4 +170,6 @@ def _put_away(can_log: CanLog, telemetry: Telemetry) -> list[str]:
 def _copy_inputs(folder: RunFolder, job: Job) -> None:
     write_whole(folder.procedure, job.document.path.read_bytes())
     write_whole(folder.station, job.station.path.read_bytes())
+    if job.calibration:
+        write_dwells(folder.calibration, job.calibration)
     write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())

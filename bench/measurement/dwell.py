@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
-from bench.bias.dwell_table import DwellRow, Triple
+from bench.bias.dwell_table import DwellRow
+from bench.bias.fit_test import FitTest
 from bench.bias.noise import NoiseModel
+from bench.bias.noise_estimate import estimate_noise
 from bench.bias.paper import estimate_paper
+from bench.bias.prior import PriorKnowledge
+from bench.bias.state_space import StateSpaceEstimate, estimate_state_space
+from bench.bias.window_filter import EPOCH_S
 from bench.errors import MeasurementError
 from bench.measurement.marks import DwellMarks, WindowMark
+from bench.measurement.temperatures import (
+    NOT_MEASURED,
+    DwellTemperatures,
+    dwell_temperatures,
+    gyro_temperatures_at,
+    triple,
+)
+from bench.navigation.earth import STANDARD_GRAVITY
+from bench.navigation.error_model import Site
 from bench.navigation.table_axes import TwoAxisTable
 from drivers.ins.epochs import EpochCounts
 from drivers.ins.frames import FrameBlock
@@ -22,11 +37,12 @@ from drivers.ins.navigation_data import NavigationData
 from drivers.ins.readout import InsMode
 from drivers.ins.resolution import ResolutionLimit
 
-#: Residuals larger than this many times the expected ones are not noise: a dwell with the noise
-#: that the station declares stays below 1.4 in 95 % of all cases.
-MAX_RESIDUAL_RATIO = 3.0
+Array = NDArray[np.float64]
 
-_NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
+#: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
+LEAST_FIT_P = 1e-5
+
+_UG = 1e-6 * STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -39,27 +55,65 @@ class MeasurementSetup:
         Frames to navigation data, as the station maps them.
     table : TwoAxisTable
         Kinematics of the table with the unit on it.
-    noise : NoiseModel
-        Declared noise of the INS.
-    gravity : float
-        At the bench, m/s2.
+    site : Site
+        Where the bench stands.
+    noise : NoiseModel or None
+        Declared noise of the INS; None to estimate it in each dwell.
+    prior : PriorKnowledge
+        What is known of the INS beforehand.
+    velocity_lsb_mps, heading_lsb_rad : float
+        Resolution of the INS's output.
     resolution : tuple of ResolutionLimit
-        Which estimates the resolution of the INS's output limits, and by how much.
+        Which estimates it limits, and by how much.
     """
 
     decode: Callable[[FrameBlock], NavigationData]
     table: TwoAxisTable
-    noise: NoiseModel
-    gravity: float
+    site: Site
+    noise: NoiseModel | None
+    prior: PriorKnowledge
+    velocity_lsb_mps: float
+    heading_lsb_rad: float
     resolution: tuple[ResolutionLimit, ...]
+
+    def turn(self, before: WindowMark, after: WindowMark) -> Array:
+        """Attitudes (k, 3, 3) by the table's word on the way from one window to the next."""
+        return self.table.path((before.outer_deg, before.inner_deg), (after.outer_deg, after.inner_deg))
+
+    def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
+        """Noise of the INS in these windows: declared, or estimated from them.
+
+        Raises
+        ------
+        MeasurementError
+            It is to be estimated, and these windows do not tell it.
+        """
+        if self.noise is not None:
+            return self.noise
+        noise = estimate_noise(windows, self.site.gravity).noise_model()
+        return replace(
+            noise,
+            velocity_white=max(noise.velocity_white, self.velocity_lsb_mps / math.sqrt(12.0)),
+            heading_white=max(noise.heading_white, self.heading_lsb_rad / math.sqrt(12.0)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDwell:
-    """A row for the table, the estimate behind it where there is one, and how the frames came."""
+    """A row for the table, what is behind it where there is a result, and how the frames came.
+
+    Attributes
+    ----------
+    estimate, paper : StateSpaceEstimate, BiasEstimate or None
+        By the full error model and by the paper's method.
+    windows : tuple of NavigationWindow
+        Navigation at rest, an epoch a second; empty where it can't be used.
+    """
 
     row: DwellRow
-    estimate: BiasEstimate | None
+    estimate: StateSpaceEstimate | None
+    paper: BiasEstimate | None
+    windows: tuple[NavigationWindow, ...]
     counts: EpochCounts
 
 
@@ -69,43 +123,69 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     A dwell that can't give a result gives a row without biases, flagged with the reason.
     """
     flags = list(marks.disturbances)
-    estimate = None
-    counts = EpochCounts()
-    temperatures = _Temperatures.unknown()
+    estimate, paper = None, None
+    windows: tuple[NavigationWindow, ...] = ()
+    counts, temperatures = EpochCounts(), DwellTemperatures()
     try:
         navigation = setup.decode(frames)
         counts = navigation.counts
-        temperatures = _Temperatures.of(navigation, marks)
-        estimate = estimate_paper(_dwell(marks, navigation, setup), setup.gravity, setup.noise)
-        if estimate.residual_ratio > MAX_RESIDUAL_RATIO:
-            flags.append(
-                f"the fit leaves {estimate.residual_ratio:.3g} times the residual that the declared noise "
-                f"leads to expect (at most {MAX_RESIDUAL_RATIO:g})"
-            )
+        temperatures = dwell_temperatures(
+            navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
+        )
+        dwell = dwell_at_rest(marks, navigation, setup)
+        windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+        noise = setup.noise_in(dwell.windows)
+        estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
+        paper = _paper(dwell, setup.site, noise)
+        if estimate.fit.p_value < LEAST_FIT_P:
+            flags.append(misfit_text(estimate.fit))
     except MeasurementError as error:
         flags.append(str(error))
-    return MeasuredDwell(_row(marks, temperatures, estimate, flags), estimate, counts)
+    row = _row(marks, temperatures, estimate, paper, flags)
+    return MeasuredDwell(row, estimate, paper, windows, counts)
 
 
-def _dwell(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
-    if len(marks.windows) != 2:
-        raise MeasurementError(
-            f"{len(marks.windows)} windows of navigation; the paper's method takes two, "
-            "one on each side of a turn"
-        )
-    before, after = (_window(navigation, mark) for mark in marks.windows)
-    C_before, C_after = (setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows)
+def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
+    """Navigation in the windows of a dwell, with what the table says of them.
+
+    Raises
+    ------
+    MeasurementError
+        The INS was not navigating all the time, restarted, or what it sent can't be used.
+    """
     return Dwell(
         position_name=marks.position,
-        azimuth_before_rad=math.radians(marks.azimuth_deg),
-        before=before,
-        after=after,
-        C_nb_table_before=C_before,
-        C_nb_table_after=C_after,
+        azimuth_rad=math.radians(marks.azimuth_deg),
+        windows=tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows),
+        C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
+        turns=tuple(setup.turn(*pair) for pair in itertools.pairwise(marks.windows)),
     )
 
 
-def _window(navigation: NavigationData, mark: WindowMark) -> NavigationWindow:
+def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
+    """Estimate by the paper's method, which does not apply to every dwell."""
+    try:
+        return estimate_paper(dwell, site.gravity, noise)
+    except MeasurementError:
+        return None
+
+
+def misfit_text(fit: FitTest) -> str:
+    """Say that error model and noise do not explain the data."""
+    return (
+        f"the error model leaves {fit.ratio:.2f} times the residual that the noise leads to expect "
+        f"(p = {fit.p_value:.1g}): the noise is larger than declared, or the unit was disturbed"
+    )
+
+
+def rest_output(navigation: NavigationData, mark: WindowMark) -> tuple[Array, Array, Array, Array | None]:
+    """Times (n,), velocities (n, 3), attitudes (n, 3, 3) and gyro temperatures (n, 3) of one window.
+
+    Raises
+    ------
+    MeasurementError
+        The INS was not navigating all the time, or restarted.
+    """
     inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
     modes = set(navigation.mode[inside].tolist())
     if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
@@ -114,51 +194,23 @@ def _window(navigation: NavigationData, mark: WindowMark) -> NavigationWindow:
         )
     if len(set(navigation.segment[inside].tolist())) > 1:
         raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")
+    time_s = navigation.ins_time_s[inside]
     velocity = navigation.velocity_enu_mps[inside].copy()
     velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
-    return NavigationWindow(navigation.ins_time_s[inside], velocity, navigation.attitude[inside])
-
-
-@dataclass(frozen=True)
-class _Temperatures:
-    gyro_c: Triple
-    gyro_rate_c_per_h: Triple
-    board_c: Triple
-    case_c: float
-
-    @classmethod
-    def unknown(cls) -> _Temperatures:
-        return cls(_NOT_MEASURED, _NOT_MEASURED, _NOT_MEASURED, math.nan)
-
-    @classmethod
-    def of(cls, navigation: NavigationData, marks: DwellMarks) -> _Temperatures:
-        """Means over the dwell, and the optics' slopes."""
-        series = navigation.temperatures
-        first, last = marks.windows[0], marks.windows[-1]
-        epochs = (navigation.row >= first.first_frame) & (navigation.row < last.end_frame)
-        if not epochs.any():
-            raise MeasurementError(
-                "no navigation frames in the dwell. Check the CAN cable and the station's DBC"
-            )
-        first_s, last_s = navigation.ins_time_s[epochs][[0, -1]]
-        inside = (series.ins_time_s >= first_s) & (series.ins_time_s <= last_s)
-        if np.count_nonzero(inside) < 2:
-            raise MeasurementError(
-                "no gyro temperatures in the dwell. Check the station's temperature signals"
-            )
-        time_h = series.ins_time_s[inside] / 3600.0
-        centred = time_h - time_h.mean()
-        slopes = centred @ series.optics_c[inside] / (centred @ centred)
-        return cls(
-            _triple(series.optics_c[inside].mean(axis=0)),
-            _triple(slopes),
-            _triple(series.electronics_c[inside].mean(axis=0)),
-            float(series.case_c[inside].mean()),
-        )
+    return (
+        time_s,
+        velocity,
+        navigation.attitude[inside],
+        gyro_temperatures_at(time_s, navigation.temperatures),
+    )
 
 
 def _row(
-    marks: DwellMarks, temperatures: _Temperatures, estimate: BiasEstimate | None, flags: list[str]
+    marks: DwellMarks,
+    temperatures: DwellTemperatures,
+    estimate: StateSpaceEstimate | None,
+    paper: BiasEstimate | None,
+    flags: list[str],
 ) -> DwellRow:
     return DwellRow(
         unit=marks.unit,
@@ -175,13 +227,13 @@ def _row(
         gyro_c=temperatures.gyro_c,
         gyro_rate_c_per_h=temperatures.gyro_rate_c_per_h,
         board_c=temperatures.board_c,
-        bias_dph=_triple(estimate.bias_dph) if estimate else _NOT_MEASURED,
-        sigma_dph=_triple(estimate.sigma_dph) if estimate else _NOT_MEASURED,
-        residual_ratio=estimate.residual_ratio if estimate else math.nan,
+        bias_dph=triple(estimate.bias_dph) if estimate else NOT_MEASURED,
+        sigma_dph=triple(estimate.sigma_dph) if estimate else NOT_MEASURED,
+        paper_bias_dph=triple(paper.bias_dph) if paper else NOT_MEASURED,
+        paper_sigma_dph=triple(paper.sigma_dph) if paper else NOT_MEASURED,
+        accelerometer_ug=triple(estimate.accelerometer_bias / _UG) if estimate else NOT_MEASURED,
+        accelerometer_sigma_ug=triple(estimate.accelerometer_sigma / _UG) if estimate else NOT_MEASURED,
+        fit_ratio=estimate.fit.ratio if estimate else math.nan,
+        fit_p_value=estimate.fit.p_value if estimate else math.nan,
         flags="; ".join(flags),
     )
-
-
-def _triple(values: NDArray[np.float64]) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

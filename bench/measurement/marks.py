@@ -47,6 +47,10 @@ class DwellMarks:
         Part of the raw CAN log that began with its alignment; frame 0 is that part's first.
     windows : tuple of WindowMark
         In the order of time; the paper's method has two.
+    is_verification : bool
+        Whether it verifies a calibration: one window straight from the alignment.
+    align_s : float
+        How long the alignment took.
     start_s, end_s, since_power_on_s : float
         Times of the first and last window's ends on the run's clock, and from power-on to the first.
     chamber_set_c, chamber_c : float or None
@@ -68,6 +72,8 @@ class DwellMarks:
     since_power_on_s: float
     chamber_set_c: float | None
     chamber_c: float | None
+    is_verification: bool = False
+    align_s: float = 0.0
     disturbances: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:

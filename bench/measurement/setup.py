@@ -24,11 +24,14 @@ def measurement_setup(station: Station) -> MeasurementSetup:
     signals = station.file.ins.signals
     limits = resolution_report(signals, codec)
     velocity_lsb_mps = max(limit.lsb for limit in limits if limit.unit == "m/s")
-    azimuth_lsb_deg = max(limit.lsb for limit in limits if limit.unit == "deg")
+    heading_lsb_rad = math.radians(max(limit.lsb for limit in limits if limit.unit == "deg"))
     return MeasurementSetup(
         decode=partial(decode_navigation, signal_map=signals, codec=codec),
         table=station.table,
-        noise=station.noise(velocity_lsb_mps, math.radians(azimuth_lsb_deg)),
-        gravity=station.gravity,
+        noise=station.noise(velocity_lsb_mps, heading_lsb_rad),
+        velocity_lsb_mps=velocity_lsb_mps,
+        heading_lsb_rad=heading_lsb_rad,
+        site=station.site,
+        prior=station.prior(),
         resolution=tuple(limits),
     )

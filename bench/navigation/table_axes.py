@@ -27,6 +27,7 @@ UNLIMITED = (-np.inf, np.inf)
 _TOLERANCE = 1e-6
 _ANGLE_DECIMALS = 9
 _MOST_TURNS = 3
+_PATH_STEP_DEG = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +122,12 @@ class TwoAxisTable:
                 f"inner {_range(self.inner_limits_deg)}); start from equivalent angles or turn the other way"
             )
         return target
+
+    def path(self, from_angles: Angles, to_angles: Angles) -> NDArray[np.float64]:
+        """Attitudes (k, 3, 3) on the way between two pairs of angles, both axes moving at once."""
+        longest_deg = float(np.abs(np.subtract(to_angles, from_angles)).max())
+        steps = max(1, int(np.ceil(longest_deg / _PATH_STEP_DEG)))
+        return np.stack([self.attitude(*pair) for pair in np.linspace(from_angles, to_angles, steps + 1)])
 
     def reaches(self, C_nb: NDArray[np.float64]) -> bool:
         """Whether some axis angles, limits apart, give this attitude."""

@@ -9,11 +9,10 @@ from functools import cache
 from bench.documents import Document, Problem
 from bench.limits import StationLimits
 from bench.procedure.climate_steps import Chamber, Soak
-from bench.procedure.plan import Plan, PlannedStep, turns_after
+from bench.procedure.dwell_checks import find_dwell_problems
+from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.reach import find_reach_problems
 from bench.procedure.steps import Align, GoTo, Navigate, PowerOn, Turn
-
-#: Shortest navigation that still tells a gyro bias from its noise.
-MIN_NAVIGATION_S = 60.0
 
 
 def check(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
@@ -43,14 +42,12 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
     """Everything in a plan that can't work; see :func:`check`."""
     if limits is not None:  # a long plan asks for the same few attitudes again and again
         limits = replace(limits, reachable=cache(limits.reachable))
-    problems = []
-    previous: PlannedStep | None = None
+    problems = [*find_dwell_problems(plan)]
     for planned in plan.steps:
         problems += [*_order_problems(planned), *_time_problems(planned)]
-        problems += _repeated_navigation(planned, previous)
         if limits is not None:
-            problems += [*_chamber_problems(planned, limits), *_table_problems(plan, planned, limits)]
-        previous = planned
+            problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
+            problems += find_reach_problems(plan, planned, limits)
     return problems
 
 
@@ -72,23 +69,11 @@ def _order_problems(planned: PlannedStep) -> Iterator[Problem]:
 
 def _time_problems(planned: PlannedStep) -> Iterator[Problem]:
     step = planned.step
-    if isinstance(step, Navigate) and step.duration_s < MIN_NAVIGATION_S:
-        yield Problem(
-            planned.place_of("duration_s"),
-            f"navigate for {step.duration_s:g} s is too short for a bias; at least {MIN_NAVIGATION_S:g} s",
-        )
     least_s = step.at_most_s if isinstance(step, Soak) and step.for_s is None else planned.duration_s
     if planned.timeout_s < least_s:
         yield Problem(
             planned.place_of("timeout_s"),
             f"timeout_s of {planned.timeout_s:g} s ends the step before its {least_s:.0f} s are over",
-        )
-
-
-def _repeated_navigation(planned: PlannedStep, previous: PlannedStep | None) -> Iterator[Problem]:
-    if previous and isinstance(planned.step, Navigate) and isinstance(previous.step, Navigate):
-        yield Problem(
-            planned.location, "two navigations in succession: put a turn between them, or make one longer"
         )
 
 
@@ -110,25 +95,11 @@ def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[P
         )
 
 
-def _table_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
+def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
     step = planned.step
-    if not isinstance(step, GoTo | Turn):
-        return
-    if step.rate_dps > limits.table_rate_max_dps:
+    if isinstance(step, GoTo | Turn) and step.rate_dps > limits.table_rate_max_dps:
         yield Problem(
             planned.place_of("rate_dps"),
             f"a rate of {step.rate_dps:g} deg/s is too fast for the table; "
             f"at most {limits.table_rate_max_dps:g} deg/s",
-        )
-    if not isinstance(step, GoTo):
-        return
-    turns_deg = turns_after(plan, planned)
-    reason = limits.reachable(step.position, step.azimuth_deg, turns_deg)
-    if reason:
-        turns = "".join(f", then turns of {turn:g}" for turn in turns_deg[:1]) + "".join(
-            f", {turn:g}" for turn in turns_deg[1:]
-        )
-        yield Problem(
-            planned.place_of("position"),
-            f"{step.position} at azimuth {step.azimuth_deg:g}{turns} deg can't be reached: {reason}",
         )

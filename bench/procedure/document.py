@@ -19,6 +19,7 @@ from pydantic import Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from bench.documents import Document, Location, Problem, StrictModel, hint, read_document, validate
+from bench.procedure.navigation_steps import Until
 from bench.procedure.step import Step
 from bench.procedure.steps import STEP_KINDS
 
@@ -27,7 +28,8 @@ Value = float | int | str
 
 _VARIABLE = re.compile(r"\$([a-z][a-z0-9_]*)")
 _ALLOWED_STEPS = (*STEP_KINDS, "repeat")
-_STEP_KEYS = frozenset(key for kind in STEP_KINDS.values() for key in kind.model_fields)
+_MODELS: tuple[type[StrictModel], ...] = (*STEP_KINDS.values(), Until)
+_STEP_KEYS = frozenset(key for model in _MODELS for key in model.model_fields)
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,9 @@ class StepTemplate:
     kind: type[Step]
     values: Mapping[str, Any]
 
-    def variables(self) -> dict[str, str]:
-        """Names of the variables by the keys that they stand for."""
-        names = {key: variable_in(value) for key, value in self.values.items()}
-        return {key: name for key, name in names.items() if name is not None}
+    def variables(self) -> dict[Location, str]:
+        """Names of the variables by the keys that lead to them: ``("until", "bias_sigma_below_dph")``."""
+        return dict(_variables_below(self.values, ()))
 
 
 def _checked_value(value: Any) -> Value:
@@ -173,11 +174,11 @@ def _scope_problems(
             yield from _loop_problems(entry, (*here, "over"), scope)
             yield from _scope_problems(entry.steps, (*here, "steps"), (*scope, *entry.over))
             continue
-        for key, name in entry.variables().items():
+        for keys, name in entry.variables().items():
             if name not in scope:
                 defined = ", ".join(f"${known}" for known in scope) or "none"
                 yield Problem(
-                    (*here, key), f"no variable ${name}{hint(name, scope)}; defined here: {defined}"
+                    (*here, *keys), f"no variable ${name}{hint(name, scope)}; defined here: {defined}"
                 )
 
 
@@ -198,6 +199,15 @@ def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterat
                 )
             if name == "position" and index and value == values[index - 1]:
                 yield Problem((*at, name, index), f"the position {value} stands twice in succession")
+
+
+def _variables_below(values: Mapping[str, Any], at: Location) -> Iterator[tuple[Location, str]]:
+    for key, value in values.items():
+        name = variable_in(value)
+        if name is not None:
+            yield (*at, key), name
+        elif isinstance(value, dict):
+            yield from _variables_below(value, (*at, key))
 
 
 def _variables_in(entries: Sequence[StepTemplate | Repeat]) -> set[str]:

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from types import MappingProxyType
 
 from bench.documents import Document, Location
 from bench.procedure.document import Procedure
@@ -19,10 +20,15 @@ class Phase(StrEnum):
     """What a step is to the dwell that it belongs to."""
 
     ALIGN = "align"
-    BEFORE = "before"
+    NAVIGATE = "navigate"
     TURN = "turn"
-    AFTER = "after"
     PAUSE = "pause"
+
+
+#: What can stand in a dwell.
+_PHASES: Mapping[type[Step], Phase] = MappingProxyType(
+    {Align: Phase.ALIGN, Navigate: Phase.NAVIGATE, Turn: Phase.TURN, Wait: Phase.PAUSE}
+)
 
 
 @dataclass(frozen=True)
@@ -49,13 +55,15 @@ class PlannedStep:
         Expected state of the bench when the step starts.
     dwell : int or None
         Number of the dwell that the step belongs to, from 1. A dwell is an alignment with the
-        navigations before and after the turns that follow it.
+        navigations before, between and after the turns that follow it.
     phase : Phase or None
         Role in the dwell.
     window : int or None
         Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
+    is_verification : bool
+        Whether its dwell verifies a calibration: one navigation straight from the alignment.
     value_places : mapping
-        Where the values stand that came from loop variables, by their keys.
+        Where the values stand that came from loop variables, by the keys that lead to them.
     """
 
     number: int
@@ -70,7 +78,8 @@ class PlannedStep:
     dwell: int | None = None
     phase: Phase | None = None
     window: int | None = None
-    value_places: Mapping[str, Location] = field(default_factory=dict, repr=False)
+    is_verification: bool = False
+    value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
 
     @property
     def end_s(self) -> float:
@@ -93,9 +102,9 @@ class PlannedStep:
         """Whether the step belongs to one position rather than to the temperature as a whole."""
         return self.step.at_position or self.dwell is not None
 
-    def place_of(self, key: str) -> Location:
-        """Where the value of a key stands: in the step, or in the list that its loop goes over."""
-        return self.value_places.get(key, (*self.location, key))
+    def place_of(self, *keys: str) -> Location:
+        """Where the value at some keys stands: in the step, or in the list that its loop goes over."""
+        return self.value_places.get(keys, (*self.location, *keys))
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,10 @@ class Plan:
     def dwell_count(self) -> int:
         """How many dwells it measures."""
         return max((step.dwell or 0 for step in self.steps), default=0)
+
+    def later(self, planned: PlannedStep) -> Iterator[PlannedStep]:
+        """Steps that come after one of them, in order."""
+        return (self.steps[index] for index in range(planned.number, len(self.steps)))
 
 
 def expand(document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
@@ -170,8 +183,7 @@ def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
     dwells = itertools.count(1)
     for group in _groups(steps):
         end = max((index for index, step in enumerate(group) if isinstance(step.step, Navigate)), default=0)
-        kinds = [type(step.step) for step in group[:end]]
-        if Turn in kinds and Navigate in kinds[: kinds.index(Turn)]:
+        if end:
             yield from _as_dwell(group[: end + 1], next(dwells))
             yield from group[end + 1 :]
         else:
@@ -192,22 +204,25 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
 
 def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
     windows = itertools.count()
-    for step in group:
-        window = next(windows) if isinstance(step.step, Navigate) else None
-        yield replace(step, dwell=dwell, phase=_phase(step.step, window), window=window)
-
-
-def _phase(step: Step, window: int | None) -> Phase:
-    if isinstance(step, Align):
-        return Phase.ALIGN
-    if isinstance(step, Turn):
-        return Phase.TURN
-    if window is None:
-        return Phase.PAUSE
-    return Phase.AFTER if window else Phase.BEFORE
+    steps = [planned.step for planned in group]
+    verifies = any(isinstance(step, Navigate) and step.purpose == "verification" for step in steps)
+    for planned in group:
+        yield replace(
+            planned,
+            dwell=dwell,
+            phase=_PHASES[type(planned.step)],
+            window=next(windows) if isinstance(planned.step, Navigate) else None,
+            is_verification=verifies,
+        )
 
 
 def turns_after(plan: Plan, position: PlannedStep) -> tuple[float, ...]:
     """Angles of the turns, in deg, between one step and the next that goes to a position."""
-    later = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.steps[position.number :])
-    return tuple(each.step.angle_deg for each in later if isinstance(each.step, Turn))
+    turns = (planned.step for planned in turn_steps_after(plan, position))
+    return tuple(turn.angle_deg for turn in turns if isinstance(turn, Turn))
+
+
+def turn_steps_after(plan: Plan, position: PlannedStep) -> list[PlannedStep]:
+    """Find the turns themselves; see :func:`turns_after`."""
+    stay = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.later(position))
+    return [planned for planned in stay if isinstance(planned.step, Turn)]

@@ -6,11 +6,12 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from pydantic import ValidationError
 
 from bench.documents import Document, Location, Problem, problems_of
-from bench.procedure.document import Procedure, Repeat, StepTemplate, Value, entry_location
+from bench.procedure.document import Procedure, Repeat, StepTemplate, Value, entry_location, variable_in
 from bench.procedure.step import Step
 
 MAX_STEPS = 100_000
@@ -37,13 +38,13 @@ class ResolvedStep:
     cycle : int or None
         Loop variable ``cycle``, where there is one.
     value_places : mapping
-        Where the values stand that came from loop variables, by their keys.
+        Where the values stand that came from loop variables, by the keys that lead to them.
     """
 
     location: Location
     step: Step
     cycle: int | None
-    value_places: Mapping[str, Location]
+    value_places: Mapping[Location, Location]
 
 
 def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
@@ -105,11 +106,18 @@ def _combinations(loop: Repeat, at: Location) -> Iterator[dict[str, _Bound]]:
 
 
 def _step(entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]) -> ResolvedStep:
-    bound = {key: scope[name] for key, name in entry.variables().items()}
-    values = {**entry.values, **{key: one.value for key, one in bound.items()}}
+    step = entry.kind.model_validate(_filled(entry.values, scope))
     cycle = int(scope["cycle"].value) if "cycle" in scope else None
-    places = {key: one.place for key, one in bound.items()}
-    return ResolvedStep(at, entry.kind.model_validate(values), cycle, places)
+    places = {keys: scope[name].place for keys, name in entry.variables().items()}
+    return ResolvedStep(at, step, cycle, places)
+
+
+def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
+    """Put the values in place of the variables."""
+    if isinstance(value, Mapping):
+        return {key: _filled(inner, scope) for key, inner in value.items()}
+    name = variable_in(value)
+    return value if name is None else scope[name].value
 
 
 def _traced(
@@ -118,9 +126,9 @@ def _traced(
     """Put problems of a value that came from a loop where the value stands."""
     variables = entry.variables()
     for problem in problems_of(error):
-        key = str(problem.location[0]) if problem.location else ""
-        if key in variables:
-            place = scope[variables[key]].place
-            yield Problem(place, f"{problem.message} (for {key} of {entry.kind.name})")
+        keys = next((keys for keys in variables if keys == problem.location[: len(keys)]), None)
+        if keys:
+            place = scope[variables[keys]].place
+            yield Problem(place, f"{problem.message} (for {keys[-1]} of {entry.kind.name})")
         else:
             yield Problem((*at, *problem.location), problem.message)

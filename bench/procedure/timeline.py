@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,9 +26,9 @@ class TimelineRow:
     start_s, duration_s : float
         Expected start, from the start of the plan, and duration.
     what : str
-        What is done, each different step once.
+        What is done: each different step once, with how often it comes in a dwell.
     where : str
-        Cycle, temperature and positions in order.
+        Cycle, temperature and positions in order, with azimuths other than 0.
     dwells : int
         Number of dwells measured.
     """
@@ -103,16 +104,32 @@ def _stop_and_part(planned: PlannedStep) -> tuple[str, bool]:
 def _row(group: Sequence[PlannedStep]) -> TimelineRow:
     first, last = group[0], group[-1]
     moves = [planned.step for planned in group if isinstance(planned.step, GoTo)]
-    others = [planned.step for planned in group if not isinstance(planned.step, GoTo)]
-    what = [step.describe() for step in others or moves]
-    where = [first.stop, *(move.position for move in moves)]
+    others = [planned for planned in group if not isinstance(planned.step, GoTo)]
+    where = [first.stop, *_places(moves)]
     return TimelineRow(
         start_s=first.start_s,
         duration_s=last.end_s - first.start_s,
-        what="; ".join(dict.fromkeys(what)),
+        what="; ".join(_different(others or group)),
         where=", ".join(part for part in where if part),
         dwells=len({planned.dwell for planned in group} - {None}),
     )
+
+
+def _different(group: Sequence[PlannedStep]) -> Iterator[str]:
+    """Each different step once, with the most times that a dwell does it."""
+    most: dict[str, int] = {}
+    for (dwell, what), count in Counter((each.dwell, each.step.describe()) for each in group).items():
+        most[what] = max(most.get(what, 1), count if dwell else 1)
+    for what, count in most.items():
+        yield f"{count} x {what}" if count > 1 else what
+
+
+def _places(moves: Sequence[GoTo]) -> Iterator[str]:
+    """Each position once for all visits in succession: "z_up, y_up 0/180 deg"."""
+    for position, visits in itertools.groupby(moves, key=lambda move: move.position):
+        azimuths_deg = dict.fromkeys(visit.azimuth_deg for visit in visits)
+        azimuths = "/".join(f"{azimuth:g}" for azimuth in azimuths_deg)
+        yield position if azimuths == "0" else f"{position} {azimuths} deg"
 
 
 def _samples(planned: PlannedStep, interval_s: float) -> list[tuple[float, float, float]]:

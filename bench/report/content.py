@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 from bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
 from bench.bias.dwell_table import DwellRow, read_dwells
+from bench.bias.joint_table import JointBiasRow, JointStopRow, read_joint_biases, read_joint_stops
+from bench.bias.noise_estimate import NoiseEstimate
+from bench.bias.noise_file import read_noise
+from bench.bias.verification_table import VerificationRow, read_verification
 from bench.documents import read_document
 from bench.errors import GyrobenchError
 from bench.run_store.folder import RunFolder
@@ -39,6 +43,9 @@ class RunContent:
     dwells, bins, telemetry
         Content of the tables; empty where missing. Bins are worked out from the dwells where
         only their own file is missing.
+    joint_biases, joint_stops, noise, verification
+        What solving dwells together, the noise of the INS and verifying a calibration gave; empty
+        where there is none.
     problems : list of str
         What is missing or can't be read.
     """
@@ -51,6 +58,10 @@ class RunContent:
     dwells: list[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, NDArray[np.float64]]
+    joint_biases: list[JointBiasRow] = field(default_factory=list)
+    joint_stops: list[JointStopRow] = field(default_factory=list)
+    noise: NoiseEstimate | None = None
+    verification: list[VerificationRow] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     def entries(self, event: str) -> list[Entry]:
@@ -81,6 +92,12 @@ def read_run(folder: RunFolder) -> RunContent:
             problems.append(f"{path.name} can't be used: {error}")
             return missing
 
+    def read_if_there(path: Path, reader: Callable[[], T], missing: T) -> T:
+        return read(path, reader, missing) if path.exists() else missing
+
+    no_joint_biases: list[JointBiasRow] = []
+    no_joint_stops: list[JointStopRow] = []
+    no_verification: list[VerificationRow] = []
     read(folder.journal, lambda: journal.extend(_entries(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
     dwells = read(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
@@ -94,6 +111,14 @@ def read_run(folder: RunFolder) -> RunContent:
         dwells=dwells,
         bins=bins or _bins(dwells, procedure, problems),
         telemetry=read(folder.telemetry, lambda: read_telemetry(folder.telemetry), no_readings),
+        joint_biases=read_if_there(
+            folder.joint_biases, lambda: read_joint_biases(folder.joint_biases), no_joint_biases
+        ),
+        joint_stops=read_if_there(folder.joint, lambda: read_joint_stops(folder.joint), no_joint_stops),
+        noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
+        verification=read_if_there(
+            folder.verification, lambda: read_verification(folder.verification), no_verification
+        ),
         problems=problems,
     )
 

@@ -15,7 +15,8 @@ from bench.bias.dwell_table import DwellRow
 from bench.bias.equality import compare_positions
 from bench.errors import RunFolderError
 from bench.navigation.positions import AXES
-from bench.report.bias_figures import bias_figure, position_difference_figure
+from bench.report.bias_figure import bias_figure
+from bench.report.difference_figure import position_difference_figure
 from bench.report.style import png_bytes, save_figure
 from bench.report.temperature_figures import Readings, plan_figure, temperature_figure
 from bench.run_store.folder import RunFolder

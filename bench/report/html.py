@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,14 @@ from bench.navigation.positions import AXES
 from bench.procedure.timeline import hours_minutes
 from bench.report.content import Entry, RunContent, read_run
 from bench.report.durations import clock_time, durations_by_kind, took_in_journal
-from bench.report.figures import save_figures
-from bench.report.tables import dwell_table, gyro_part, measured_positions
+from bench.report.dwell_lines import dwell_table
+from bench.report.estimator_sections import estimators_note, estimators_section, fit_section
+from bench.report.figures import save_figure, save_figures
+from bench.report.joint_section import joint_section
+from bench.report.noise_section import noise_section
+from bench.report.sections import Section
+from bench.report.tables import gyro_part, measured_positions
+from bench.report.verification_section import verification_section
 from bench.report.wording import position_label
 from bench.run_store.folder import RunFolder
 
@@ -29,6 +35,11 @@ def write_report(folder: RunFolder) -> Path:
 
     Parts that are missing, because the run failed or was cut off, are named in the report.
 
+    Parameters
+    ----------
+    folder : RunFolder
+        The run; its report and figures are written anew.
+
     Returns
     -------
     Path
@@ -40,12 +51,16 @@ def write_report(folder: RunFolder) -> Path:
         A file can't be written.
     """
     content = read_run(folder)
+    sections = _sections(content)
     figures = save_figures(folder, content.telemetry, content.dwells, content.bins)
-    write_whole(folder.report, render(content, figures).encode())
+    for drawn in (figure for section in sections for figure in section.figures):
+        figures.append(folder.figures / f"{drawn.name}.png")
+        save_figure(drawn.figure, figures[-1])
+    write_whole(folder.report, render(content, figures, sections).encode())
     return folder.report
 
 
-def render(content: RunContent, figures: Iterable[Path]) -> str:
+def render(content: RunContent, figures: Iterable[Path], sections: Sequence[Section] = ()) -> str:
     """Give the report as HTML text.
 
     Parameters
@@ -53,7 +68,9 @@ def render(content: RunContent, figures: Iterable[Path]) -> str:
     content : RunContent
         What the run left.
     figures : iterable of Path
-        PNG files, by the names of :func:`bench.report.figures.save_figures`.
+        PNG files, by the names of :func:`bench.report.figures.save_figures` and of the sections.
+    sections : sequence of Section
+        Parts that are not in every report.
     """
     environment = Environment(
         loader=PackageLoader("bench.report"),
@@ -74,10 +91,24 @@ def render(content: RunContent, figures: Iterable[Path]) -> str:
         versions=_versions(content.provenance),
         positions=measured_positions(content.bins),
         gyros=[gyro_part(gyro, content.bins) for gyro in AXES],
+        note=estimators_note(content.dwells),
+        sections=sections,
         dwells=dwell_table(content.dwells),
         durations=durations_by_kind(took_in_journal(content.journal)),
         clock_time=clock_time,
     )
+
+
+def _sections(content: RunContent) -> list[Section]:
+    """Parts that this run has something for."""
+    sections = [
+        estimators_section(content.dwells),
+        fit_section(content.dwells),
+        joint_section(content.joint_biases, content.joint_stops),
+        noise_section(content.noise, content.station),
+        verification_section(content.verification),
+    ]
+    return [section for section in sections if section]
 
 
 def _data_uri(path: Path) -> str:

@@ -2,38 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from bench.bias.bins import BiasBin
-from bench.bias.equality import PositionComparison
+from bench.bias.bins import BiasBin, paper_bins
+from bench.bias.equality import PositionComparison, compare_positions
 from bench.navigation.positions import AXES, POSITIONS
 from bench.procedure.timeline import TimelineRow, hours_minutes
 from bench.report.durations import Took, clock_time, durations_by_kind
+from bench.report.findings import agreement_sentence, differing, equality_sentence, scatter_sentence
 from bench.report.wording import (
+    BiasScale,
     bin_label,
     bins_by_temperature,
-    differing,
-    equality_sentence,
     gyro_label,
     p_text,
     position_label,
     scale_of_bins,
-    scatter_sentence,
 )
 
 _COLUMNS = 80
 _P_VALUE = (
     "p equal: probability of such differences if the bias were the same in all positions; * it differs."
 )
+_PAPER = "paper"
+_PAPER_METHOD = (
+    f"{_PAPER}: the same by the paper's method, which leaves out the Schuler loop, the coupling by the "
+    "Earth's rotation and the accelerometers; its uncertainty does not hold what that does to the bias."
+)
 
 
 def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison]) -> RenderableType:
     """Each gyro's bias by temperature bin and position, and whether the positions agree.
+
+    Where the paper's method applies, what it gives stands below.
 
     Parameters
     ----------
@@ -43,16 +49,17 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
         What :func:`bench.bias.equality.compare_positions` makes of them.
     """
     parts: list[RenderableType] = []
+    paper_comparisons = compare_positions(paper_bins(bins))
     for gyro in AXES:
         own = [each for each in bins if each.gyro == gyro]
         if own:
             compared = [each for each in comparisons if each.gyro == gyro]
-            sentences = [equality_sentence(compared), scatter_sentence(own)]
-            parts += [_heading(gyro, own), _gyro_table(own, compared)]
-            parts += [*(Text(one) for one in sentences if one), Text()]
+            by_paper = [each for each in paper_comparisons if each.gyro == gyro]
+            parts += _gyro_part(gyro, own, compared, by_paper)
     if not parts:
         return Text("No dwell gave a bias, so there is nothing to put into temperature bins.")
-    return Group(*parts, Text(_P_VALUE))
+    has_paper = any(not each.is_empty for each in paper_bins(bins))
+    return Group(*parts, Text(_P_VALUE), *([Text(_PAPER_METHOD)] if has_paper else []))
 
 
 def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
@@ -91,33 +98,59 @@ def durations_table(took: Took) -> RenderableType:
     return table
 
 
-def _heading(gyro: str, bins: Sequence[BiasBin]) -> Text:
+def _gyro_part(
+    gyro: str,
+    bins: Sequence[BiasBin],
+    comparisons: Sequence[PositionComparison],
+    paper_comparisons: Sequence[PositionComparison],
+) -> list[RenderableType]:
+    scale = scale_of_bins([*bins, *paper_bins(bins)])
     # Not the table's title: rich would fold that to the width of the table.
-    unit = scale_of_bins(bins).unit
-    return Text(f"{gyro_label(gyro)}: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
+    heading = Text(
+        f"{gyro_label(gyro)}: bias ± 1 sigma in {scale.unit} by gyro temperature, °C", style="bold"
+    )
+    sentences = [
+        equality_sentence(comparisons),
+        agreement_sentence(comparisons, paper_comparisons),
+        scatter_sentence(bins),
+    ]
+    table = _gyro_table(bins, scale, _p_values(comparisons), _p_values(paper_comparisons))
+    return [heading, table, *(Text(one) for one in sentences if one), Text()]
 
 
-def _gyro_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison]) -> Table:
-    scale = scale_of_bins(bins)
+def _gyro_table(
+    bins: Sequence[BiasBin], scale: BiasScale, p_values: dict[float, str], paper_p_values: dict[float, str]
+) -> Table:
     measured = {each.position for each in bins}
     positions = [name for name in POSITIONS if name in measured]
-    p_values = _p_values(comparisons)
     rows = []
     for low, high, members in bins_by_temperature(bins):
-        cells = {
-            each.position: scale.with_sigma(each.bias_dph, each.sigma_dph, "±")
-            for each in members
-            if not each.is_empty
-        }
-        texts = [cells.get(position, "empty") for position in positions]
-        rows.append([bin_label(low, high, ".."), *texts, p_values.get(low, "")])
+        cells = _cells(members, positions, scale)
+        rows.append([bin_label(low, high, ".."), *cells, p_values.get(low, "")])
+        by_paper = paper_bins(members)
+        if not all(each.is_empty for each in by_paper):
+            rows.append([_PAPER, *_cells(by_paper, positions, scale), paper_p_values.get(low, "")])
+    return _filled_table(["bin", *map(position_label, positions), "p equal"], rows)
+
+
+def _cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasScale) -> list[str]:
+    texts = {
+        each.position: scale.with_sigma(each.bias_dph, each.sigma_dph, "±")
+        for each in bins
+        if not each.is_empty
+    }
+    return [texts.get(position, "empty") for position in positions]
+
+
+def _filled_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Put uncertainties below their biases where the rows are too wide for the terminal."""
     table = _table()
-    headers = ["bin", *map(position_label, positions), "p equal"]
     for header in headers:
         table.add_column(header, justify="right", no_wrap=header in ("bin", "p equal"))
     between = "±" if _width(headers, rows) <= _COLUMNS else "\n±"
     for row in rows:
-        table.add_row(*(Text(cell.replace("±", between)) for cell in row))
+        style = "dim" if row[0] == _PAPER else None
+        table.add_row(*(Text(cell.replace("±", between)) for cell in row), style=style)
     return table
 
 

@@ -1,4 +1,4 @@
-"""Numbers and findings as people read them, the same in figures, report and terminal."""
+"""Numbers and names as people read them, the same in figures, report and terminal."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from bench.bias.bins import BiasBin
 from bench.bias.equality import PositionComparison
 
-#: Positions count as different where chance alone would show this in one of a hundred gyros.
-SIGNIFICANCE = 0.01
+#: The two estimators as people read them.
+STATE_SPACE, PAPER = "state-space estimator", "paper's method"
 
 _SMALLEST_P = 1e-9
 _PLAIN_P = 0.001
@@ -60,6 +60,12 @@ def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:
     return BiasScale.of([each.bias_dph for each in filled], [each.sigma_dph for each in filled])
 
 
+def dph_with_sigma(value_dph: float, sigma_dph: float) -> str:
+    """Write a bias with its uncertainty and unit, in deg/h whatever its size."""
+    decimals = _decimals(sigma_dph, _MOST_DECIMALS_DPH)
+    return f"{value_dph:.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
+
+
 def position_label(name: str) -> str:
     """Name of a position as the paper writes it: "Z-Up" for "z_up"."""
     return "-".join(part.capitalize() for part in name.split("_"))
@@ -77,52 +83,6 @@ def p_text(p_value: float) -> str:
     if p_value < _SMALLEST_P:
         return f"<{_SMALLEST_P:.0e}"
     return f"{p_value:.3f}" if p_value >= _PLAIN_P else f"{p_value:.0e}"
-
-
-def differing(comparisons: Iterable[PositionComparison]) -> list[PositionComparison]:
-    """Comparisons that show a difference of positions.
-
-    Every bin is one more chance for noise to look like a difference, so the significance is
-    divided by the number of bins of the gyro (Bonferroni).
-    """
-    comparisons = list(comparisons)
-    gyros = [each.gyro for each in comparisons]
-    return [each for each in comparisons if each.p_value < SIGNIFICANCE / gyros.count(each.gyro)]
-
-
-def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
-    """Say in plain words what the comparisons of one gyro's positions show."""
-    if not comparisons:
-        return "Nothing to compare: no temperature bin holds dwells of two positions."
-    count = len(comparisons)
-    allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
-    different = differing(comparisons)
-    if not different:
-        where = temperature_ranges(comparisons)
-        return f"No difference between positions found from {where} (no p < {SIGNIFICANCE:g}, {allowing})."
-    worst = max(different, key=lambda each: each.largest_difference_dph)
-    high, low = map(position_label, worst.largest_pair)
-    sigma_dph = worst.largest_difference_sigma_dph
-    decimals = _decimals(sigma_dph, _MOST_DECIMALS_DPH)
-    difference = f"{worst.largest_difference_dph:.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
-    return (
-        f"The bias differs between positions in {len(different)} of {count} bins: from "
-        f"{temperature_ranges(different)} (p < {SIGNIFICANCE:g}, {allowing}). Most from "
-        f"{temperature_ranges([worst])}: {high} above {low} by {difference}."
-    )
-
-
-def scatter_sentence(bins: Iterable[BiasBin]) -> str:
-    """Say where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
-    tested = [each for each in bins if each.count > 1]
-    wide = [each for each in tested if each.spread_p_value < SIGNIFICANCE / len(tested)]
-    if not wide:
-        return ""
-    places = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in wide)
-    return (
-        "Dwells of the same position and bin scatter more than their uncertainties explain, so the "
-        f"uncertainty of the mean and the p-value are too small here: {places}."
-    )
 
 
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
@@ -157,8 +117,12 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
             ranges[-1] = (ranges[-1][0], high)
         else:
             ranges.append((low, high))
-    labels = [f"{bin_label(low, high)} °C" for low, high in ranges]
-    return " and ".join([", ".join(labels[:-1]), labels[-1]] if len(labels) > 1 else labels)
+    return listed([f"{bin_label(low, high)} °C" for low, high in ranges])
+
+
+def listed(texts: Sequence[str]) -> str:
+    """Write some things as one: "a, b and c"."""
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def _decimals(sigma: float, most: int) -> int:

@@ -57,6 +57,31 @@ class RunFolder:
         return self.path / "bias_bins.csv"
 
     @property
+    def joint_biases(self) -> Path:
+        """Biases of the dwells of each temperature solved together."""
+        return self.path / "joint_biases.csv"
+
+    @property
+    def joint(self) -> Path:
+        """What the dwells of each temperature share."""
+        return self.path / "joint.csv"
+
+    @property
+    def noise(self) -> Path:
+        """Noise of the INS."""
+        return self.path / "noise.json"
+
+    @property
+    def calibration(self) -> Path:
+        """The dwell table that a verification was compared with."""
+        return self.path / "calibration.csv"
+
+    @property
+    def verification(self) -> Path:
+        """Verification of a calibration."""
+        return self.path / "verification.csv"
+
+    @property
     def figures(self) -> Path:
         """Folder of the figures."""
         return self.path / "figures"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bench.documents import Document, StrictModel, read_document, validate
+from bench.navigation.error_model import MAX_LATITUDE
 from drivers.ins.command_map import CommandMap
 from drivers.ins.signal_map import SignalMap
 
@@ -20,8 +22,24 @@ Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 class Location(StrictModel):
     """Where the bench stands."""
 
-    latitude_deg: float = Field(gt=-90.0, lt=90.0, description="geodetic latitude, deg")
+    latitude_deg: float = Field(
+        description="geodetic latitude, deg; near the poles gyrocompassing has no answer"
+    )
     height_m: float = Field(default=0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
+    latitude_uncertainty_arcmin: float = Field(
+        default=0.02, ge=0.0, le=60.0, description="standard uncertainty of the latitude, arcmin"
+    )
+
+    @field_validator("latitude_deg")
+    @classmethod
+    def _can_gyrocompass(cls, latitude_deg: float) -> float:
+        highest_deg = round(math.degrees(MAX_LATITUDE), 6)
+        if not abs(latitude_deg) <= highest_deg:
+            raise ValueError(
+                f"gyrocompassing has no answer at {latitude_deg:g} deg; latitudes go from "
+                f"-{highest_deg:g} to {highest_deg:g} deg"
+            )
+        return latitude_deg
 
 
 class Mounting(StrictModel):
@@ -91,10 +109,37 @@ class ChamberSection(StrictModel):
 
 
 class InsNoise(StrictModel):
-    """Noise of the INS's sensors, from its data sheet or an Allan deviation."""
+    """Noise of the INS, from its data sheet or an Allan deviation."""
 
-    angle_random_walk_deg_per_sqrt_h: Positive
-    velocity_random_walk_ug_per_sqrt_hz: NotNegative = 0.0
+    angle_random_walk_deg_per_sqrt_h: Positive = Field(description="of each gyro, deg/sqrt(h)")
+    velocity_random_walk_ug_per_sqrt_hz: NotNegative = Field(
+        default=0.0, description="of each accelerometer, ug/sqrt(Hz)"
+    )
+    velocity_output_mps: NotNegative = Field(
+        default=0.0, description="noise of the velocity output beyond its resolution, m/s"
+    )
+    heading_output_deg: NotNegative = Field(
+        default=0.0, description="noise of the heading output beyond its resolution, deg"
+    )
+
+
+class InsUncertainty(StrictModel):
+    """Standard uncertainties of the INS's errors other than bias and noise; its last calibration tells."""
+
+    accelerometer_bias_ug: NotNegative = Field(
+        default=1000.0, description="bias of each accelerometer, ug; large ones leave it to the data"
+    )
+    accelerometer_misalignment_arcsec: NotNegative = Field(
+        default=5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
+    )
+    gyro_scale_factor_ppm: NotNegative = Field(default=5.0, description="scale factor of each gyro, ppm")
+    gyro_misalignment_arcsec: NotNegative = Field(default=2.0, description="of each gyro, arcsec")
+    tilt_step_arcsec: NotNegative = Field(
+        default=1.0, description="tilt of the sensors on their mount from a turn, arcsec"
+    )
+    bias_slope_dph_per_c: NotNegative = Field(
+        default=0.001, description="change of a gyro's bias with its temperature, deg/h/K"
+    )
 
 
 class InsSection(StrictModel):
@@ -113,7 +158,10 @@ class InsSection(StrictModel):
     )
     signals: SignalMap
     commands: CommandMap = CommandMap()
-    noise: InsNoise
+    noise: InsNoise | Literal["estimated"] = Field(
+        description="of the INS; estimated: from the INS's own output in each dwell"
+    )
+    uncertainty: InsUncertainty = InsUncertainty()
 
 
 class ThermalEstimateSection(StrictModel):

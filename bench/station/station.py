@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.noise import NoiseModel
+from bench.bias.prior import PriorKnowledge
 from bench.documents import Problem
 from bench.errors import DocumentError
 from bench.limits import StationLimits
-from bench.navigation.earth import gravity
+from bench.navigation.error_model import Site
 from bench.navigation.positions import POSITIONS
 from bench.navigation.table_axes import Angles, TwoAxisTable
 from bench.procedure.estimate import BenchEstimate, ThermalEstimate
@@ -80,10 +81,10 @@ class Station:
         return self.file.safe_state
 
     @cached_property
-    def gravity(self) -> float:
-        """Gravity at the bench, m/s2."""
+    def site(self) -> Site:
+        """Where the bench stands."""
         place = self.file.location
-        return gravity(np.deg2rad(place.latitude_deg), place.height_m)
+        return Site(np.deg2rad(place.latitude_deg), place.height_m)
 
     @cached_property
     def dbc_path(self) -> Path:
@@ -119,14 +120,25 @@ class Station:
         if problems:
             raise self._document.error(problems)
 
-    def noise(self, velocity_lsb_mps: float, heading_lsb_rad: float) -> NoiseModel:
-        """Declared noise of the INS, with the output's resolution."""
+    def noise(self, velocity_lsb_mps: float, heading_lsb_rad: float) -> NoiseModel | None:
+        """Declared noise of the INS, with the output's resolution; None where it is to be estimated."""
         declared = self.file.ins.noise
+        if declared == "estimated":
+            return None
         return NoiseModel.from_datasheet(
             declared.angle_random_walk_deg_per_sqrt_h,
             declared.velocity_random_walk_ug_per_sqrt_hz,
             velocity_lsb_mps,
             heading_lsb_rad,
+            declared.velocity_output_mps,
+            np.deg2rad(declared.heading_output_deg),
+        )
+
+    def prior(self) -> PriorKnowledge:
+        """What is known of the INS and the site beforehand."""
+        return PriorKnowledge.from_datasheet(
+            latitude_arcmin=self.file.location.latitude_uncertainty_arcmin,
+            **self.file.ins.uncertainty.model_dump(),
         )
 
     def bench_at_rest(self) -> BenchEstimate:

@@ -3,22 +3,72 @@
 import io
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
+from bench.documents import find_document
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
+from bench.navigation.earth import RADPS_TO_DPH
 from bench.progress_view import ProgressView
 from bench.station.instruments import Emulation
+from drivers.emulators.bench import BenchAddress, emulated_bench
 
 
-def run(procedure, out, world="ideal", seed=0, station="emulated"):
-    """Run a procedure as the command line does; returns run folder, outcome and what was printed."""
+class Watcher(ProgressView):
+    """Prints as the command line does, and keeps what is told and what is true in the emulated world.
+
+    Attributes
+    ----------
+    estimates : list of lists of StateSpaceEstimate
+        The live ones, dwell by dwell.
+    true_bias_dph : list of ndarray, shape (3,)
+        Mean of the world's biases while the INS navigated in each dwell.
+    """
+
+    def __init__(self, console, job):
+        super().__init__(console, job.plan)
+        self.estimates, self.true_bias_dph = [], []
+        self._emulation = job.emulation if job.is_virtual else None
+        self._navigates = False
+        self._told, self._true = [], []
+
+    def step_started(self, planned, bench):
+        super().step_started(planned, bench)
+        self._navigates = planned.step.name == "navigate"
+
+    def ticked(self, bench, left_s):
+        super().ticked(bench, left_s)
+        if self._navigates and self._emulation:
+            world = str(find_document("worlds", self._emulation.world))
+            emulated = emulated_bench(BenchAddress(bench.clock.name, world, self._emulation.seed))
+            self._true.append(emulated.world.true_gyro_bias() * RADPS_TO_DPH)
+
+    def estimated(self, estimate):
+        super().estimated(estimate)
+        self._told.append(estimate)
+
+    def dwell_measured(self, row):
+        super().dwell_measured(row)
+        self.estimates.append(self._told)
+        self.true_bias_dph.append(np.mean(self._true, axis=0) if self._true else None)
+        self._told, self._true = [], []
+
+
+def watched_run(procedure, out, world="ideal", seed=0, station="emulated"):
+    """Run a procedure as the command line does; returns run folder, outcome, watcher and what was printed."""
     job = prepare_job(str(procedure), str(station), Emulation(str(world), seed))
     printed = io.StringIO()
-    with ProgressView(Console(file=printed, width=80), job.plan) as progress:
-        folder, outcome = run_job(job, Path(out), progress, ConsentingOperator())
-    return folder, outcome, printed.getvalue()
+    with Watcher(Console(file=printed, width=80), job) as watcher:
+        folder, outcome = run_job(job, Path(out), watcher, ConsentingOperator())
+    return folder, outcome, watcher, printed.getvalue()
+
+
+def run(procedure, out, *arguments, **options):
+    """Run a procedure; returns run folder, outcome and what was printed."""
+    folder, outcome, _, printed = watched_run(procedure, out, *arguments, **options)
+    return folder, outcome, printed
 
 
 @pytest.fixture(scope="session")
@@ -27,13 +77,40 @@ def run_procedure():
 
 
 @pytest.fixture(scope="session")
-def shift_runs(tmp_path_factory):
-    """The shipped eight-hour procedure, run whole on each shipped world."""
-    runs = {}
-    for world in ("ideal", "gyro_a", "gyro_b"):
-        folder, outcome, _ = run("three_temperature_shift", tmp_path_factory.mktemp(world), world)
-        runs[world] = (folder, outcome)
-    return runs
+def run_watched():
+    return watched_run
+
+
+class Runs:
+    """Runs of one procedure by world, each done when it is asked for first; ``runs[world]``."""
+
+    def __init__(self, run_in):
+        self._run_in = run_in
+        self._done = {}
+
+    def __getitem__(self, world):
+        if world not in self._done:
+            self._done[world] = self._run_in(world)
+        return self._done[world]
+
+
+@pytest.fixture(scope="session")
+def watched_shift_runs(tmp_path_factory):
+    """The shipped eight-hour procedure, run whole on a shipped world: run folder, outcome, watcher."""
+
+    def run_in(world):
+        folder, outcome, watcher, _ = watched_run(
+            "three_temperature_shift", tmp_path_factory.mktemp(world), world
+        )
+        return folder, outcome, watcher
+
+    return Runs(run_in)
+
+
+@pytest.fixture(scope="session")
+def shift_runs(watched_shift_runs):
+    """The same without the watcher."""
+    return Runs(lambda world: watched_shift_runs[world][:2])
 
 
 @pytest.fixture(scope="session")

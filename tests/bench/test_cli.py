@@ -43,11 +43,13 @@ def test_a_run_ends_by_printing_biases_and_where_report_and_figures_are(finished
 def test_bins_measures_a_run_anew(finished):
     cwd, _ = finished
     folder = cwd / "runs/ten_minute_check-001"
-    before = (folder / "dwells.csv").read_bytes()
-    (folder / "dwells.csv").unlink()
+    tables = [folder / name for name in ("dwells.csv", "bias_bins.csv", "joint_biases.csv", "joint.csv")]
+    before = [table.read_bytes() for table in tables]
+    for table in tables:
+        table.unlink()
     result = gyrobench("bins", folder, cwd=cwd)
     assert result.returncode == 0, result.stderr
-    assert (folder / "dwells.csv").read_bytes() == before
+    assert [table.read_bytes() for table in tables] == before
 
 
 def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tmp_path):

@@ -1,12 +1,15 @@
 import io
 import math
+import re
 
 import pytest
 from rich.console import Console
 
 from bench.bias.dwell_table import DwellRow
-from bench.engine.session import prepare_job
+from bench.engine.operator import ConsentingOperator
+from bench.engine.session import prepare_job, run_job
 from bench.progress_view import ProgressView
+from bench.station.instruments import Emulation
 
 ROW = DwellRow(
     unit="1000", run="1", dwell=1, cycle=1, position="z_down",
@@ -53,3 +56,47 @@ def test_the_plan_is_told_before_it_begins(procedure):
         pass
     assert procedure in stream.getvalue()
     assert "dwells" in stream.getvalue()
+
+
+class Shown(ProgressView):
+    """Keeps what the line at the bottom of a terminal says."""
+
+    def __enter__(self):
+        super().__enter__()
+        self.lines = []
+        return self
+
+    def ticked(self, bench, left_s):
+        super().ticked(bench, left_s)
+        line = str(self._status.status)
+        if line not in self.lines[-1:]:
+            self.lines.append(line)
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory):
+    """Lines of a run on a terminal, from first to last."""
+    job = prepare_job("ten_minute_check", "emulated", Emulation("ideal", 0))
+    console = Console(file=io.StringIO(), force_terminal=True, width=200)
+    with Shown(console, job.plan) as view:
+        run_job(job, tmp_path_factory.mktemp("terminal") / "run", view, ConsentingOperator())
+    return view.lines
+
+
+def test_on_a_terminal_biases_so_far_stand_beside_the_navigation_after_the_turn(lines):
+    told = [number for number, line in enumerate(lines) if "±" in line]
+    (turn,) = [number for number, line in enumerate(lines) if "turn 180 deg" in line]
+    assert told
+    assert min(told) > turn
+    value = r"[-+]\d+\.\d±\d+\.\d"
+    for number in told:
+        assert re.search(rf"z_up: navigate 2\.5 min \| x {value} y {value} z {value}$", lines[number])
+
+
+def test_the_line_says_what_is_done_how_warm_it_is_and_how_long_it_takes(lines):
+    assert all(re.match(r"\d+:\d\d h left \| chamber 2\d\.\d degC, ", line) for line in lines)
+    assert any("z_up: align 2 min" in line for line in lines)
+
+
+def test_biases_are_gone_with_the_step_that_told_them(lines):
+    assert "±" not in lines[-1]

@@ -1,10 +1,11 @@
 import math
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
 import pytest
 
-from bench.bias.bins import bin_biases, read_bins, write_bins
+from bench.bias.bins import bin_biases, paper_bins, read_bins, write_bins
 from bench.bias.dwell_table import DwellRow
 from bench.errors import DocumentError, MeasurementError
 
@@ -89,6 +90,39 @@ def test_dwells_without_result_are_left_out():
     bins = bin_biases([row(), row(bias_dph=(math.nan, 0.0, 0.0)), row(gyro_c=nan), row(sigma_dph=nan)])
     assert [each.count for each in bins] == [1, 2, 2]
     assert bin_biases([row(bias_dph=nan)]) == []
+
+
+def test_bins_hold_the_papers_mean_over_the_dwells_that_have_one():
+    by_paper = {"paper_bias_dph": (0.02, 0.0, 0.0), "paper_sigma_dph": (0.002,) * 3}
+    rows = [
+        replace(row(bias_dph=(0.01, 0.0, 0.0)), **by_paper),
+        replace(row(), **{**by_paper, "paper_bias_dph": (0.05, 0.0, 0.0), "paper_sigma_dph": (0.004,) * 3}),
+        row(),
+    ]
+    (each,) = only(bin_biases(rows), "x")
+    assert each.count == 3
+    assert each.paper_bias_dph == pytest.approx((4 * 0.02 + 0.05) / 5)
+    assert each.paper_sigma_dph == pytest.approx(1 / math.sqrt(0.002**-2 + 0.004**-2))
+    (exchanged,) = paper_bins([each])
+    assert (exchanged.bias_dph, exchanged.sigma_dph) == (each.paper_bias_dph, each.paper_sigma_dph)
+    assert (exchanged.temperature_c, exchanged.count) == (each.temperature_c, 3)
+    assert math.isnan(exchanged.chi2_reduced)
+
+
+def test_bins_that_the_papers_method_does_not_apply_to_are_empty_for_it():
+    (each,) = only(bin_biases([row()]), "x")
+    assert math.isnan(each.paper_bias_dph)
+    (exchanged,) = paper_bins([each])
+    assert exchanged.is_empty
+
+
+def test_a_table_without_the_papers_columns_is_read(tmp_path):
+    path = tmp_path / "bias_bins.csv"
+    write_bins(path, bin_biases([row()]))
+    lines = [line.rsplit(",", 2)[0] for line in path.read_text(encoding="utf-8").splitlines()]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert "paper" not in lines[0]
+    assert math.isnan(read_bins(path)[0].paper_sigma_dph)
 
 
 def test_no_dwells_give_no_bins():

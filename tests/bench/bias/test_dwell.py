@@ -1,3 +1,6 @@
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,17 +27,15 @@ def half_turned(C_nb):
     return rotation_matrix(UP, np.pi) @ C_nb
 
 
-def dwell(position="z_up", azimuth_rad=0.0, ins_before=None, table_before=None, after_s=100.0):
+def dwell(position="z_up", azimuth_rad=0.0, ins_before=None, table_before=None, after_s=100.0, **fields):
     table = POSITIONS["z_up"].C_nb(azimuth_rad) if table_before is None else table_before
     before = table if ins_before is None else ins_before
-    return Dwell(
-        position,
-        azimuth_rad,
-        window(C_nb=before),
-        window(TIME + after_s, half_turned(table)),
-        table,
-        half_turned(table),
-    )
+    fields = {
+        "windows": (window(C_nb=before), window(TIME + after_s, half_turned(table))),
+        "C_nb_table": (table, half_turned(table)),
+        "turns": (np.array([table, half_turned(table)]),),
+    } | fields
+    return Dwell(position, azimuth_rad, **fields)
 
 
 def test_a_good_window_knows_its_duration():
@@ -75,6 +76,24 @@ def test_refuses_arrays_of_different_lengths():
         window(velocity=np.zeros((5, 3)))
 
 
+def test_a_thinned_window_keeps_the_first_epoch_of_each_interval():
+    time = np.sort(np.append(np.arange(1000.0, 1060.05, 0.1), 1030.95))
+    whole = window(time, velocity=np.multiply.outer(time, np.ones(3)))
+    thin = whole.thinned(1.0)
+    np.testing.assert_allclose(thin.time_s, 1000.0 + TIME)
+    np.testing.assert_allclose(thin.velocity_enu_mps[:, 1], thin.time_s)
+    assert thin.C_nb.shape == (61, 3, 3)
+    assert thin.gyro_c is None
+
+
+def test_a_thinned_window_keeps_its_temperatures_and_goes_over_missing_epochs():
+    time = np.delete(np.arange(0.0, 60.05, 0.1), [300, 301, 302])
+    gyro_c = np.multiply.outer(time, np.ones(3))
+    thin = replace(window(time), gyro_c=gyro_c).thinned(1.0)
+    np.testing.assert_allclose(thin.time_s, np.where(TIME == 30.0, 30.3, TIME))
+    np.testing.assert_allclose(thin.gyro_c[:, 2], thin.time_s)
+
+
 def test_a_dwell_knows_its_position():
     assert dwell().position is POSITIONS["z_up"]
 
@@ -85,15 +104,43 @@ def test_refuses_an_unknown_position():
 
 
 def test_refuses_windows_that_overlap():
-    with pytest.raises(MeasurementError, match=r"begins at 60\.000 s, before the first one ends"):
+    with pytest.raises(MeasurementError, match=r"begins at 60\.000 s, before the one before it ends"):
         dwell(after_s=60.0)
+    times = (TIME, TIME + 100.0, TIME + 150.0)
+    with pytest.raises(MeasurementError, match=r"begins at 150\.000 s"):
+        dwell(
+            windows=tuple(window(time) for time in times),
+            C_nb_table=(np.eye(3),) * 3,
+            turns=(np.tile(np.eye(3), (2, 1, 1)),) * 2,
+        )
+
+
+def test_holds_as_many_windows_as_there_are():
+    table = [POSITIONS["z_up"].C_nb(azimuth) for azimuth in np.deg2rad([0.0, 90.0, 180.0, 270.0])]
+    four = dwell(
+        windows=tuple(window(TIME + 100.0 * k, C_nb) for k, C_nb in enumerate(table)),
+        C_nb_table=tuple(table),
+        turns=tuple(np.array(ends) for ends in itertools.pairwise(table)),
+    )
+    assert len(four.windows) == 4
+    one = dwell(windows=four.windows[:1], C_nb_table=(table[0],), turns=())
+    assert one.turns == ()
+
+
+@pytest.mark.parametrize("field", ["windows", "C_nb_table", "turns"])
+def test_refuses_windows_without_their_attitude_or_turn(field):
+    whole = dwell()
+    with pytest.raises(MeasurementError, match=r"windows with \d attitudes of the table and \d turns"):
+        dwell(**{field: getattr(whole, field)[:-1]})
 
 
 def test_refuses_an_ins_that_sees_another_attitude_than_the_table():
-    with pytest.raises(MeasurementError, match=r"INS and table before the turn disagree by 6\.0 deg"):
+    with pytest.raises(MeasurementError, match=r"INS and table in window 1 disagree by 6\.0 deg"):
         dwell(ins_before=rotation_matrix(UP, np.deg2rad(6.0)))
-    with pytest.raises(MeasurementError, match=r"INS and table before the turn disagree by 180\.0 deg"):
+    with pytest.raises(MeasurementError, match=r"INS and table in window 1 disagree by 180\.0 deg"):
         dwell(ins_before=POSITIONS["z_down"].C_nb())
+    with pytest.raises(MeasurementError, match=r"INS and table in window 2 disagree by 180\.0 deg"):
+        dwell(C_nb_table=(np.eye(3),) * 2)
     assert dwell(ins_before=rotation_matrix(UP, np.deg2rad(4.0)))
 
 
@@ -105,14 +152,14 @@ def test_refuses_a_table_that_stands_in_another_position():
 
 
 def test_azimuth_belongs_to_the_attitude_of_the_table():
-    assert dwell(azimuth_rad=0.5).azimuth_before_rad == 0.5
+    assert dwell(azimuth_rad=0.5).azimuth_rad == 0.5
     with pytest.raises(MeasurementError, match="position and azimuth"):
         dwell(azimuth_rad=0.5, table_before=np.eye(3))
 
 
 def test_an_estimate_gives_degrees_per_hour():
     estimate = BiasEstimate(
-        np.array([1.0, -2.0, 3.0]) * DPH_TO_RADPS, np.diag([4.0, 9.0, 16.0]) * DPH_TO_RADPS**2, (), 1.0
+        np.array([1.0, -2.0, 3.0]) * DPH_TO_RADPS, np.diag([4.0, 9.0, 16.0]) * DPH_TO_RADPS**2
     )
     np.testing.assert_allclose(estimate.bias_dph, [1.0, -2.0, 3.0])
     np.testing.assert_allclose(estimate.sigma_dph, [2.0, 3.0, 4.0])

@@ -1,14 +1,25 @@
 import math
 from contextlib import suppress
 from dataclasses import fields, replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.bias.dwell_table import COLUMNS, DwellRow, format_dwells, parse_dwells, read_dwells, write_dwells
+from bench.bias.dwell_table import (
+    COLUMNS,
+    DwellRow,
+    format_dwells,
+    paper_rows,
+    parse_dwells,
+    read_dwells,
+    write_dwells,
+)
 from bench.errors import DocumentError, RunFolderError
 from bench.navigation.positions import POSITIONS
+
+CASES = Path(__file__).parents[4] / "shared" / "cases" / "dev"
 
 ROW = DwellRow(
     unit="U7",
@@ -52,7 +63,12 @@ dwell_rows = st.builds(
     chamber_c=maybe,
     case_c=maybe,
     board_c=triples(maybe),
-    residual_ratio=maybe,
+    paper_bias_dph=triples(maybe),
+    paper_sigma_dph=triples(st.floats(1e-9, 1.0) | st.just(math.nan)),
+    accelerometer_ug=triples(maybe),
+    accelerometer_sigma_ug=triples(st.floats(1e-9, 1e3) | st.just(math.nan)),
+    fit_ratio=maybe,
+    fit_p_value=maybe,
     flags=texts,
 )
 
@@ -78,6 +94,7 @@ def test_any_cell_is_read_or_refused(column, text):
         (row,) = parse_dwells(",".join(COLUMNS) + "\n" + ",".join(cells) + "\n", "dwells.csv")
         assert row.position in POSITIONS
         assert min(row.sigma_dph) > 0.0
+        assert not any(sigma <= 0.0 for sigma in row.paper_sigma_dph)
 
 
 def test_a_row_survives_the_file(tmp_path):
@@ -98,14 +115,14 @@ def test_columns_may_come_in_any_order_with_others_among_them():
 
 
 def test_optional_columns_may_be_missing_or_nan():
-    needed = [
-        i for i, c in enumerate(COLUMNS) if not c.startswith(("board", "chamber", "case", "resid", "flag"))
-    ]
+    optional = ("board", "chamber", "case", "paper", "accelerometer", "fit", "flag")
+    needed = [i for i, c in enumerate(COLUMNS) if not c.startswith(optional)]
     text = "\n".join(
         ",".join(line.split(",")[i] for i in needed) for line in format_dwells([ROW]).splitlines()
     )
     (row,) = parse_dwells(text, "x")
-    assert math.isnan(row.board_c[2])
+    assert all(map(math.isnan, (row.board_c[2], *row.paper_bias_dph, *row.paper_sigma_dph)))
+    assert math.isnan(row.fit_p_value)
     assert row.flags == ""
     (row,) = parse_dwells(format_dwells([ROW]).replace(",,,", ",nan,NaN,"), "x")
     assert math.isnan(row.chamber_c)
@@ -119,6 +136,22 @@ def test_a_dwell_with_flags_may_be_without_result():
     assert row.flags == "gap of 6 s, at 12 s"
     with pytest.raises(DocumentError, match="x:2: column bias_x_dph"):
         parse_dwells(format_dwells([replace(failed, flags="")]), "x")
+
+
+def test_rows_by_the_papers_method_are_those_that_it_applies_to():
+    both = replace(ROW, paper_bias_dph=(0.01, 0.02, 0.03), paper_sigma_dph=(0.003,) * 3)
+    (row,) = paper_rows([ROW, both])
+    assert (row.bias_dph, row.sigma_dph) == ((0.01, 0.02, 0.03), (0.003,) * 3)
+    assert replace(row, bias_dph=ROW.bias_dph, sigma_dph=ROW.sigma_dph) == both
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="needs the shared cases beside the checkout")
+def test_tables_of_another_bench_are_read():
+    for path in sorted(CASES.glob("*/dwells.csv"))[:5]:
+        rows = read_dwells(path)
+        assert len(rows) == len(path.read_text(encoding="utf-8").splitlines()) - 1
+        assert all(math.isfinite(value) for row in rows for value in row.bias_dph)
+        assert paper_rows(rows) == []
 
 
 def test_a_mark_in_front_of_the_file_is_no_matter(tmp_path):
@@ -137,6 +170,8 @@ def test_a_mark_in_front_of_the_file_is_no_matter(tmp_path):
         ("dwell", "1.5", "x:2: column dwell: expected a whole number; found '1.5'"),
         ("position", "Z_UP", "x:2: column position: expected one of z_up, z_down, .*; found 'Z_UP'"),
         ("sigma_x_dph", "0", "x:2: column sigma_x_dph: an uncertainty must be above zero"),
+        ("paper_sigma_y_dph", "-1", "x:2: column paper_sigma_y_dph: an uncertainty must be above zero"),
+        ("fit_p_value", "good", "x:2: column fit_p_value: expected a number; found 'good'"),
         ("end_s", "0", "x:2: column end_s: the dwell ends at 0 s, before it starts"),
     ],
 )
@@ -164,7 +199,7 @@ def test_refuses_a_dwell_number_given_twice():
         ("", "x:1: the header lacks the columns unit, run"),
         ("unit,run\n", "x:1: the header lacks the columns dwell, cycle"),
         (",".join((*COLUMNS, "unit")) + "\n", "x:1: the header gives unit more than once"),
-        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 28"),
+        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 41"),
         (",".join(COLUMNS) + '\n"open', "x:2: not valid CSV"),
     ],
 )

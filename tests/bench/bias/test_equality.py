@@ -1,10 +1,11 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.bias.bins import BiasBin
+from bench.bias.bins import BiasBin, paper_bins
 from bench.bias.equality import compare_positions
 from bench.navigation.positions import POSITIONS
 
@@ -29,6 +30,17 @@ def test_two_positions_by_hand():
     assert result.largest_difference_dph == pytest.approx(0.005)
     assert result.largest_difference_sigma_dph == pytest.approx(math.hypot(0.001, 0.002))
     assert result.temperature_spread_c == pytest.approx(1.5)
+
+
+def test_the_papers_method_is_compared_in_the_same_way():
+    bins = [
+        replace(position_bin(p, 0.0), paper_bias_dph=b, paper_sigma_dph=0.002)
+        for p, b in (("z_up", 0.01), ("y_up", 0.0))
+    ]
+    (result,) = compare_positions(paper_bins([*bins, position_bin("x_up", 0.5)]))
+    assert result.positions == ("z_up", "y_up")
+    assert result.largest_difference_dph == pytest.approx(0.01)
+    assert result.p_value == pytest.approx(math.erfc(math.sqrt(12.5 / 2.0)))
 
 
 def test_freedom_is_one_less_than_the_positions():

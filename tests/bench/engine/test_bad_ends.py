@@ -4,57 +4,22 @@ import os
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from bench.documents import find_document
+from bench.bias.dwell_table import read_dwells
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
 from bench.errors import DocumentError
 from bench.run_store.journal import read_journal
 from bench.station.instruments import Emulation
 from drivers.emulators.acl_axis import SoftwareFault
-from drivers.emulators.bench import BenchAddress, emulated_bench
-
-
-class Meddler:
-    """Watches a run and does something to the emulated bench, once, in a step of some kind."""
-
-    def __init__(self, kind, deed):
-        self.kind = kind
-        self.deed = deed
-        self.done = False
-        self.now = ""
-        self.bench = None
-
-    def told(self, text):
-        pass
-
-    def step_started(self, planned, bench):
-        self.now = planned.step.name
-
-    def ticked(self, live, left_s):
-        clock = live.clock
-        world = str(find_document("worlds", "ideal"))
-        self.bench = emulated_bench(BenchAddress(clock.name, world, 0))
-        if self.now == self.kind and not self.done:
-            self.done = True
-            self.deed(self.bench, clock)
-
-    def dwell_measured(self, row):
-        pass
+from tests.bench.engine.meddler import Meddler, run_with
 
 
 class RefusingOperator(ConsentingOperator):
     def ask(self, question, answers):
         self._answer = answers[-1]
-
-
-def run_with(tmp_path, kind, deed, procedure="ten_minute_check"):
-    meddler = Meddler(kind, deed)
-    job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0))
-    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
-    assert meddler.done
-    return folder, outcome, meddler.bench
 
 
 def assert_safe(folder, outcome, bench):
@@ -106,8 +71,28 @@ def test_a_broken_chamber_sensor_fails_the_run(tmp_path):
 def test_an_ins_that_loses_power_fails_the_step_in_its_time(tmp_path):
     folder, outcome, bench = run_with(tmp_path, "align", lambda bench, clock: bench.world.power_unit(False))
     assert outcome.ended == "failed"
-    assert outcome.rows == []
+    assert outcome.dwells == []
     assert_safe(folder, outcome, bench)
+
+
+def test_an_ins_that_falls_silent_while_it_navigates_fails_the_run_without_a_dwell(tmp_path):
+    folder, outcome, bench = run_with(
+        tmp_path, "navigate", lambda bench, clock: bench.world.power_unit(False), nth=2
+    )
+    assert outcome.ended == "failed"
+    assert "INS: has sent nothing for" in outcome.reason
+    assert outcome.dwells == []
+    assert outcome.results.bins == []
+    assert_safe(folder, outcome, bench)
+
+
+def test_an_ins_that_falls_back_to_alignment_gives_a_flag_and_no_number(tmp_path):
+    folder, outcome, _ = run_with(tmp_path, "navigate", lambda bench, clock: bench.world.unit.align(), nth=2)
+    assert outcome.ended == "finished", outcome.reason
+    (row,) = read_dwells(folder.dwells)
+    assert "the INS left navigation" in row.flags
+    assert np.isnan([row.bias_dph, row.sigma_dph, row.paper_bias_dph, row.paper_sigma_dph]).all()
+    assert (outcome.results.bins, outcome.results.joint, outcome.results.noise) == ([], [], None)
 
 
 def test_a_chamber_switched_off_at_its_panel_fails_the_step_with_its_place_in_the_file(tmp_path):

@@ -117,6 +117,31 @@ def test_refuses_angles_beyond_the_limits():
         table.angles(POSITIONS["z_down"].C_nb())
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "count"),
+    [
+        ((0.0, 0.0), (0.0, 180.0), 19),
+        ((90.0, 0.0), (-90.0, 180.0), 19),
+        ((-90.0, -90.0), (90.0, -270.0), 19),
+        ((5.0, 7.0), (5.0, -8.0), 3),
+        ((5.0, 7.0), (5.0, 7.0), 2),
+    ],
+)
+def test_path_goes_from_attitude_to_attitude_with_both_axes_moving_at_once(start, end, count):
+    path = CARDAN.path(start, end)
+    assert path.shape == (count, 3, 3)
+    for attitude, share in zip(path, np.linspace(0.0, 1.0, count), strict=True):
+        expected = CARDAN.attitude(*(a + share * (b - a) for a, b in zip(start, end, strict=True)))
+        np.testing.assert_allclose(attitude, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle_deg", [180.0, -180.0])
+def test_path_of_a_turn_about_an_axis_that_is_vertical_is_that_turn(angle_deg):
+    path = CARDAN.path((0.0, 0.0), CARDAN.turn((0.0, 0.0), angle_deg))
+    for attitude, turned_deg in zip(path, np.linspace(0.0, angle_deg, len(path)), strict=True):
+        np.testing.assert_allclose(attitude, turned(np.eye(3), turned_deg), atol=1e-12)
+
+
 @given(st.floats(-179.9, 180.0), st.floats(-179.9, 180.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 def test_angles_undo_the_attitude_of_any_mounting(outer_deg, inner_deg, heading, mounting):
     frame = rotation_matrix(UP, heading)

@@ -76,6 +76,42 @@ WRONG_FILES = {
         "3:49",
         ["no variable $tim_s", "did you mean 'time_s'", "$time_s"],
     ),
+    "undefined variable below a key": (
+        "- navigate: {until: {bias_sigma_below_dph: $sigma}, at_most_s: 900}",
+        "3:22",
+        ["no variable $sigma", "defined here: none"],
+    ),
+    "variable of a key below another that nobody uses": (
+        "- repeat: {over: {bias_sigma_below_dph: [1]}, steps: [power_off]}",
+        "3:19",
+        ["no step in it uses $bias_sigma_below_dph"],
+    ),
+    "unknown key below another": (
+        "- navigate: {until: {bias_sigma_below_dph: 1, sigma: 1}, at_most_s: 900}",
+        "3:47",
+        ["unknown key 'sigma'", "allowed here: bias_sigma_below_dph"],
+    ),
+    "missing key below another": (
+        "- navigate: {until: {}, at_most_s: 900}",
+        "3:14",
+        ["the key 'bias_sigma_below_dph' is missing"],
+    ),
+    "number for keys": ("- navigate: {until: 0.002, at_most_s: 900}", "3:14", ["found 0.002"]),
+    "value out of range below a key": (
+        "- navigate: {until: {bias_sigma_below_dph: 0}, at_most_s: 900}",
+        "3:22",
+        ["greater than or equal to 0.00001", "found 0"],
+    ),
+    "navigation with two ends": (
+        "- navigate: {duration_s: 600, until: {bias_sigma_below_dph: 1}, at_most_s: 900}",
+        "3:3",
+        ["either duration_s, or until"],
+    ),
+    "unknown purpose": (
+        "- navigate: {duration_s: 600, purpose: verify}",
+        "3:31",
+        ["'calibration' or 'verification'", '"verify"'],
+    ),
     "variable after its loop": (
         "- repeat: {over: {a: [1]}, steps: [power_off]}\n- wait: {duration_s: $a}",
         "4:10",
@@ -110,6 +146,12 @@ WRONG_FILES = {
         "- repeat: {over: {t: [20, -500]}, steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}",
         "3:27",
         ["greater than -273.15", "found -500", "for temperature_c of chamber"],
+    ),
+    "loop value out of range below a key": (
+        "- repeat: {over: {s: [1, 20]}, "
+        "steps: [{navigate: {until: {bias_sigma_below_dph: $s}, at_most_s: 900}}]}",
+        "3:26",
+        ["less than or equal to 10", "found 20", "for bias_sigma_below_dph of navigate"],
     ),
     "loop value of wrong kind": (
         "- repeat: {over: {t: [20, warm]}, steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}",
@@ -149,7 +191,10 @@ steps:
               - navigate: {duration_s: 600}
               - turn: {angle_deg: 90, rate_dps: 5, settle_s: 5}
               - wait: {duration_s: 1}
-              - navigate: {duration_s: 600}
+              - navigate: {until: {bias_sigma_below_dph: 0.002}, at_least_s: 120, at_most_s: 900}
+              - go_to: {position: $position, azimuth_deg: 180}
+              - align: {duration_s: 600}
+              - navigate: {duration_s: 600, purpose: verification}
   - soak: {for_s: 100}
   - power_off
   - chamber_off:
@@ -210,11 +255,13 @@ def test_a_value_wrong_in_every_pass_is_reported_once(
 
 
 def test_a_variable_stands_for_the_value_of_any_key(planned: Callable[[str], tuple[Document, Plan]]) -> None:
-    over = "{rate: [5], angle: [-90], sequence: [rpy_321], time: [7.5], text: ['Ready?']}"
+    over = "{rate: [5], angle: [-90], sequence: [rpy_321], time: [7.5], text: ['Ready?'], "
+    over += "sigma: [0.002], purpose: [calibration]}"
     steps = (
         f"- repeat:\n    over: {over}\n    steps:\n"
         "      - align: {duration_s: $time, euler_sequence: $sequence}\n"
         "      - turn: {angle_deg: $angle, rate_dps: $rate}\n"
+        "      - navigate: {until: {bias_sigma_below_dph: $sigma}, at_most_s: 900, purpose: $purpose}\n"
         "      - ask_operator: {question: $text}\n"
     )
     _, plan = planned(steps)
@@ -222,6 +269,7 @@ def test_a_variable_stands_for_the_value_of_any_key(planned: Callable[[str], tup
     assert values == [
         {"duration_s": 7.5, "euler_sequence": "rpy_321"},
         {"angle_deg": -90, "rate_dps": 5},
+        {"until": {"bias_sigma_below_dph": 0.002}, "at_most_s": 900, "purpose": "calibration"},
         {"question": "Ready?"},
     ]
 

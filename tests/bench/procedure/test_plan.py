@@ -6,7 +6,7 @@ import pytest
 from bench.documents import Document
 from bench.procedure.document import load_procedure
 from bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from bench.procedure.plan import Phase, Plan, expand
+from bench.procedure.plan import Phase, Plan, expand, turn_steps_after, turns_after
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 
@@ -31,19 +31,35 @@ def test_a_pair_of_navigations_around_a_turn_is_a_dwell(planned: PlanOf) -> None
         (None, None, None),
         (None, None, None),
         (1, Phase.ALIGN, None),
-        (1, Phase.BEFORE, 0),
+        (1, Phase.NAVIGATE, 0),
         (1, Phase.TURN, None),
-        (1, Phase.AFTER, 1),
+        (1, Phase.NAVIGATE, 1),
     ]
     assert plan.dwell_count == 1
 
 
-def test_four_azimuths_are_one_dwell_with_four_windows(planned: PlanOf) -> None:
-    quarter = "- turn: {angle_deg: 90}\n- navigate: {duration_s: 600}\n"
+@pytest.mark.parametrize(("angle_deg", "azimuths_deg"), [(90, [0, 90, 180, 270]), (-90, [0, 270, 180, 90])])
+def test_four_azimuths_are_one_dwell_with_four_windows(
+    planned: PlanOf, angle_deg: float, azimuths_deg: list[float]
+) -> None:
+    quarter = f"- turn: {{angle_deg: {angle_deg}, rate_dps: 10}}\n- navigate: {{duration_s: 600}}\n"
     _, plan = planned(START + "- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n" + 3 * quarter)
     assert {one.dwell for one in plan.steps[2:]} == {1}
-    assert [one.window for one in plan.steps if one.window is not None] == [0, 1, 2, 3]
-    assert [one.phase for one in plan.steps if one.window] == [Phase.AFTER] * 3
+    windows = [one for one in plan.steps if one.phase is Phase.NAVIGATE]
+    assert [one.window for one in windows] == [0, 1, 2, 3]
+    assert [one.before.azimuth_deg for one in windows] == pytest.approx(azimuths_deg)
+    assert [one.start_s for one in windows] == pytest.approx([383 + 614 * count for count in range(4)])
+    assert [one.phase for one in plan.steps[2:]].count(Phase.TURN) == 3
+    assert turns_after(plan, plan.steps[1]) == (angle_deg,) * 3
+
+
+def test_the_turns_of_a_position_are_those_before_the_next_go_to(planned: PlanOf) -> None:
+    back = PAIR.replace("180", "-180")
+    _, plan = planned(START + PAIR + back + "- go_to: {position: y_up}\n" + back)
+    moves = [one for one in plan.steps if one.step.name == "go_to"]
+    assert [turns_after(plan, move) for move in moves] == [(180, -180), (-180,)]
+    assert [one.number for one in turn_steps_after(plan, moves[0])] == [5, 9]
+    assert plan.steps[9].before.azimuth_deg == pytest.approx(0.0)
 
 
 def test_dwells_are_numbered_in_time_order(planned: PlanOf) -> None:
@@ -59,28 +75,41 @@ def test_a_wait_before_the_last_navigation_belongs_to_the_dwell_and_one_after_it
         START + PAIR.replace("- navigate", wait + "- navigate") + wait + "- turn: {angle_deg: 180}\n"
     )
     assert [one.phase for one in plan.steps[2:]] == [
-        Phase.ALIGN, Phase.PAUSE, Phase.BEFORE, Phase.TURN, Phase.PAUSE, Phase.AFTER, None, None,
+        Phase.ALIGN, Phase.PAUSE, Phase.NAVIGATE, Phase.TURN, Phase.PAUSE, Phase.NAVIGATE, None, None,
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "steps",
-    [
-        "- align: {duration_s: 300}\n- navigate: {duration_s: 3600}\n",
-        "- align: {duration_s: 300}\n- turn: {angle_deg: 180}\n- navigate: {duration_s: 600}\n",
-        "- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n- turn: {angle_deg: 180}\n",
-        "- align: {duration_s: 300}\n",
-    ],
-)
-def test_without_navigation_on_both_sides_of_a_turn_there_is_no_dwell(planned: PlanOf, steps: str) -> None:
-    _, plan = planned(START + steps)
+def test_an_alignment_without_navigation_is_no_dwell(planned: PlanOf) -> None:
+    _, plan = planned(START + "- align: {duration_s: 300}\n- wait: {duration_s: 5}\n")
     assert plan.dwell_count == 0
     assert {one.phase for one in plan.steps} == {None}
 
 
 def test_a_soak_ends_a_dwell(planned: PlanOf) -> None:
     _, plan = planned(START + PAIR.replace("- turn", "- soak: {for_s: 5}\n- turn"))
-    assert plan.dwell_count == 0
+    assert [one.dwell for one in plan.steps[2:]] == [1, 1, None, None, None]
+
+
+def test_one_navigation_straight_from_the_alignment_is_a_dwell_that_tells_its_purpose(
+    planned: PlanOf,
+) -> None:
+    verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: verification}\n"
+    _, plan = planned(START + verify + "- go_to: {position: z_up, azimuth_deg: 180}\n" + verify + PAIR)
+    assert [(one.dwell, one.is_verification, one.window) for one in plan.steps[2:]] == [
+        (1, True, None), (1, True, 0), (None, False, None), (2, True, None), (2, True, 0),
+        (3, False, None), (3, False, 0), (3, False, None), (3, False, 1),
+    ]  # fmt: skip
+    azimuths = {one.dwell: one.before.azimuth_deg for one in plan.steps if one.phase is Phase.ALIGN}
+    assert azimuths == {1: 0.0, 2: 180.0, 3: 180.0}
+
+
+def test_a_navigation_that_may_end_early_is_planned_at_its_longest(planned: PlanOf) -> None:
+    until = "- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900}\n"
+    _, plan = planned(START + PAIR + "- turn: {angle_deg: 180, rate_dps: 10, settle_s: 5}\n" + until)
+    last = plan.steps[-1]
+    assert (last.start_s, last.duration_s, last.window) == (pytest.approx(1629), 900, 2)
+    assert last.timeout_s > 900
+    assert plan.duration_s == pytest.approx(2529)
 
 
 def test_cycle_is_that_of_the_loop_and_one_elsewhere(planned: PlanOf) -> None:
@@ -128,4 +157,5 @@ def test_the_times_of_the_shipped_procedures(shipped: Path) -> None:
         hours[path.stem] = expand(document, procedure).duration_s / 3600.0
     assert 40.0 < hours["six_position_fig7"] < 46.0
     assert 7.0 < hours["three_temperature_shift"] < 8.0
+    assert 9.0 < hours["verification"] < 10.5
     assert 8.0 < hours["ten_minute_check"] * 60.0 < 11.0

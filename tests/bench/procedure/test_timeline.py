@@ -7,6 +7,7 @@ import pytest
 from bench.documents import Document
 from bench.navigation.positions import POSITIONS
 from bench.procedure.document import load_procedure
+from bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from bench.procedure.plan import Plan, expand
 from bench.procedure.timeline import hours_minutes, position_spans, temperature_profile, timeline_rows
 
@@ -35,7 +36,7 @@ def test_a_stop_has_a_row_for_the_way_there_and_one_for_its_positions(planned: P
     assert [(row.what, row.where, row.dwells) for row in rows] == [
         ("power on, settle 60 s", "", 0),
         ("chamber to 53 degC at 1 degC/min; soak 60 min", "53 degC", 0),
-        ("align 5 min; navigate 10 min; turn 180 deg; wait 60 s", "53 degC, z_up, x_down", 2),
+        ("align 5 min; 2 x navigate 10 min; turn 180 deg; wait 60 s", "53 degC, z_up, x_down", 2),
         ("power off", "53 degC", 0),
     ]
     assert [row.start for row in rows] == ["0:00", "0:01", "1:32", "2:26"]
@@ -52,6 +53,66 @@ def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
 def test_a_row_of_nothing_but_moves_tells_them(planned: PlanOf) -> None:
     _, plan = planned("- go_to: {position: y_up}")
     assert [(row.what, row.where) for row in timeline_rows(plan)] == [("go to y_up, azimuth 0 deg", "y_up")]
+
+
+DWELL = "- go_to: {position: z_up}\n- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n"
+
+
+def test_a_row_tells_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> None:
+    quarter = "- turn: {angle_deg: 90}\n- navigate: {duration_s: 600}\n"
+    four = DWELL + 3 * quarter
+    _, plan = planned("- power_on\n" + four + four.replace("z_up", "z_down"))
+    row = timeline_rows(plan)[-1]
+    assert (row.what, row.where, row.dwells) == (
+        "align 5 min; 4 x navigate 10 min; 3 x turn 90 deg", "z_up, z_down", 2,
+    )  # fmt: skip
+
+
+def test_a_row_tells_what_may_end_early(planned: PlanOf) -> None:
+    until = "- turn: {angle_deg: 180}\n- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900}\n"
+    _, plan = planned("- power_on\n" + DWELL + until)
+    assert timeline_rows(plan)[-1].what == (
+        "align 5 min; navigate 10 min; turn 180 deg; "
+        "navigate until bias sigma below 0.002 deg/h, 15 min at most"
+    )
+
+
+def test_visits_of_one_position_in_succession_stand_together_with_their_azimuths(planned: PlanOf) -> None:
+    moves = [("z_up", 0), ("z_up", 180), ("y_up", 90), ("z_up", 0), ("z_up", 0)]
+    steps = [f"- go_to: {{position: {position}, azimuth_deg: {azimuth}}}\n" for position, azimuth in moves]
+    _, plan = planned("".join(steps) + "- power_off\n")
+    assert timeline_rows(plan)[0].where == "z_up 0/180 deg, y_up 90 deg, z_up"
+
+
+def test_the_shipped_verification_visits_both_azimuths_of_two_positions_at_each_temperature(
+    shipped: Path,
+) -> None:
+    plan = expand(*load_procedure(shipped / "verification.yaml"))
+    measured = [row for row in timeline_rows(plan) if row.dwells]
+    assert [(row.where, row.what, row.dwells) for row in measured] == [
+        (
+            f"cycle 1, {temperature} degC, z_up 0/180 deg, y_up 0/180 deg",
+            "align 10 min; navigate 10 min for verification",
+            4,
+        )
+        for temperature in ("54", "20.5", "-23")
+    ]
+    assert all(one.is_verification for one in plan.steps if one.dwell)
+
+
+def test_the_verification_is_hot_and_cold_where_the_paper_procedure_was_not_and_at_room_where_it_was(
+    shipped: Path,
+) -> None:
+    bench = BenchEstimate.at_rest(ThermalEstimate(self_heating_c=12.0))
+
+    def gyro_c(name: str) -> np.ndarray:
+        plan = expand(*load_procedure(shipped / f"{name}.yaml"), bench)
+        return np.array([one.before.gyro_c for one in plan.steps if one.window is not None])
+
+    distance_c = np.abs(gyro_c("verification")[:, None] - gyro_c("six_position_fig7")).min(axis=1)
+    hot, room, cold = distance_c.reshape(3, 4)
+    assert min(*hot, *cold) > 2.0
+    assert max(room) < 2.0
 
 
 def test_a_plan_of_two_days_stays_readable(shipped: Path) -> None:

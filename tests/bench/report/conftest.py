@@ -1,32 +1,43 @@
-"""A made-up run in six positions whose biases part below 50 degC, and what it leaves on disk."""
+"""A made-up run in six positions whose biases part below 50 degC, and what it leaves on disk.
+
+The paper's method reads level gyros wrong by 0.004 deg/h, up or down by the position.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 
 from bench.bias.bins import BiasBin, bin_biases, write_bins
 from bench.bias.dwell_table import DwellRow, Triple, write_dwells
+from bench.bias.joint_table import JointBiasRow, JointStopRow, write_joint
+from bench.bias.noise_file import write_noise
 from bench.clock import VirtualClock
 from bench.navigation.positions import POSITIONS
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
 from bench.run_store.telemetry import COLUMNS, Telemetry
+from tests.bench.report.made_up_noise import made_up_noise
 
 CHAMBER_C = (62.0, 47.0, 22.0, 5.0, -8.0, -36.0)
 STOP_S = 13_500.0
 SIGMA_DPH = 0.0009
+LEAK_DPH = 0.004
+FREEDOM = 50
 SERIAL_NUMBER = "1001"
+NOTHING: Triple = (math.nan, math.nan, math.nan)
 
 
 def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow]:
     """Six temperatures in each cycle, six positions at each; the biases part below 50 degC by so much."""
-    random = np.random.default_rng(1)
+    random, paper_random = np.random.default_rng(1), np.random.default_rng(2)
     rows = []
     for cycle in range(1, cycles + 1):
         for stop, chamber_c in enumerate(CHAMBER_C if cycle % 2 else reversed(CHAMBER_C)):
@@ -38,6 +49,10 @@ def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow
                     0.002 * (axis + 1) + 4e-5 * (gyro_c[axis] - 25.0) + (place - 2.5) / 2.5 * part[axis]
                     for axis in range(3)
                 ]
+                bias_dph = _triple([one + random.normal(0.0, SIGMA_DPH) for one in bias])
+                leak = [(-1) ** place * LEAK_DPH * (axis != place // 2) for axis in (2, 1, 0)]
+                apart = np.array(leak) + paper_random.normal(0.0, 0.5 * SIGMA_DPH, 3)
+                chi2 = paper_random.chisquare(FREEDOM)
                 rows.append(
                     DwellRow(
                         unit=SERIAL_NUMBER,
@@ -50,22 +65,66 @@ def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow
                         since_power_on_s=start_s - 60.0,
                         gyro_c=_triple(gyro_c),
                         gyro_rate_c_per_h=(0.5, 0.5, 0.5),
-                        bias_dph=_triple([one + random.normal(0.0, SIGMA_DPH) for one in bias]),
+                        bias_dph=bias_dph,
                         sigma_dph=(SIGMA_DPH, SIGMA_DPH, 0.8 * SIGMA_DPH),
                         chamber_set_c=chamber_c,
                         chamber_c=chamber_c + 0.1,
                         case_c=chamber_c + 6.0,
                         board_c=_triple([one + 11.0 for one in gyro_c]),
-                        residual_ratio=1.0,
+                        paper_bias_dph=_triple(list(bias_dph + apart)),
+                        paper_sigma_dph=(1.3 * SIGMA_DPH, 1.3 * SIGMA_DPH, SIGMA_DPH),
+                        fit_ratio=math.sqrt(chi2 / FREEDOM),
+                        fit_p_value=float(chdtrc(FREEDOM, chi2)),
                     )
                 )
     return rows
 
 
+def without_paper(row: DwellRow) -> DwellRow:
+    """Make the dwell one that the paper's method does not apply to."""
+    return replace(row, paper_bias_dph=NOTHING, paper_sigma_dph=NOTHING)
+
+
 def flagged(row: DwellRow, reason: str) -> DwellRow:
     """Make the dwell one that gave no bias."""
-    nothing: Triple = (math.nan, math.nan, math.nan)
-    return DwellRow(**{**vars(row), "bias_dph": nothing, "sigma_dph": nothing, "flags": reason})
+    nothing = {"bias_dph": NOTHING, "sigma_dph": NOTHING, "fit_ratio": math.nan, "fit_p_value": math.nan}
+    return replace(without_paper(row), **nothing, flags=reason)
+
+
+def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointStopRow]]:
+    """Biases a tenth better known together, and what each stop and all of them share."""
+    stops = sorted({(row.cycle, row.chamber_set_c) for row in rows}, key=lambda key: (key[0], -key[1]))
+    biases = [
+        JointBiasRow(
+            1 + stops.index((row.cycle, row.chamber_set_c)), row.dwell, row.position, gyro, row.gyro_c[axis],
+            row.bias_dph[axis], row.sigma_dph[axis], row.bias_dph[axis], 0.9 * row.sigma_dph[axis],
+            math.nan, math.nan,
+        )
+        for row in rows
+        for axis, gyro in enumerate("xyz")
+    ]  # fmt: skip
+    up = (0.0021, 0.0003, -0.6, 0.09, 1e-7, "different")
+    shared = [
+        JointStopRow(
+            1 + number,
+            cycle,
+            6,
+            set_c,
+            24.0,
+            -15.5,
+            8.1,
+            1.8,
+            1.8,
+            5.8,
+            0.0003,
+            0.0008,
+            *up,
+            0.4 / (1 + number),
+        )
+        for number, (cycle, set_c) in enumerate(stops)
+    ]
+    last = JointStopRow(0, 0, len(rows), *[math.nan] * 9, *up, math.nan)
+    return biases, [*shared, last]
 
 
 def made_up_telemetry(duration_s: float, step_s: float = 60.0) -> dict[str, np.ndarray]:
@@ -118,7 +177,12 @@ def write_run(folder: RunFolder, rows: list[DwellRow]) -> RunFolder:
     folder.path.mkdir(parents=True, exist_ok=True)
     write_journal(folder)
     write_dwells(folder.dwells, rows)
-    write_bins(folder.bias_bins, bin_biases([row for row in rows if not row.flags]))
+    good = [row for row in rows if not row.flags]
+    write_bins(folder.bias_bins, bin_biases(good))
+    biases, stops = made_up_joint(good)
+    write_joint(folder.joint_biases, biases, JointBiasRow)
+    write_joint(folder.joint, stops, JointStopRow)
+    write_noise(folder.noise, made_up_noise())
     telemetry = Telemetry(folder.telemetry)
     columns = made_up_telemetry(max((row.end_s for row in rows), default=3600.0))
     for values in zip(*(columns[name] for name in COLUMNS), strict=True):
@@ -160,6 +224,12 @@ def dwells() -> list[DwellRow]:
 def equal_dwells() -> list[DwellRow]:
     """A run whose positions agree."""
     return made_up_dwells(parting_dph=0.0)
+
+
+@pytest.fixture(scope="session")
+def old_dwells(dwells: list[DwellRow]) -> list[DwellRow]:
+    """The first run as a table tells it that knows nothing of estimators."""
+    return [replace(without_paper(row), fit_ratio=math.nan, fit_p_value=math.nan) for row in dwells]
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
-from bench.bias.bins import BiasBin
+from bench.bias.bins import BiasBin, bin_biases
 from bench.bias.dwell_table import DwellRow
 from bench.bias.equality import compare_positions
 from bench.documents import find_document
@@ -70,11 +70,30 @@ def test_positions_differ_without_their_colours() -> None:
 
 def test_bias_figure_joins_the_bins_of_each_position(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
     axes = bias_figure("y", dwells, bins).axes[0]
-    assert axes.get_title(loc="left") == "Y gyro"
     lines = series(axes, labelled=True)
     assert [one.get_label() for one in lines] == ["Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down"]
     mine = [each for each in bins if each.gyro == "y" and each.position == "z_up" and not each.is_empty]
     assert points(lines[0]) == ([each.temperature_c for each in mine], [1e3 * each.bias_dph for each in mine])
+
+
+def test_bias_figure_shows_both_estimators_on_one_scale(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+    left, right = bias_figure("y", dwells, bins).axes
+    assert left.get_title(loc="left") == "Y gyro, state-space estimator"
+    assert right.get_title(loc="left") == "paper's method"
+    assert left.get_ylim() == right.get_ylim()
+    mine = [each for each in bins if each.gyro == "y" and each.position == "x_up" and not each.is_empty]
+    for axes, biases in (
+        (left, [each.bias_dph for each in mine]),
+        (right, [each.paper_bias_dph for each in mine]),
+    ):
+        line = next(one for one in series(axes, labelled=True) if one.get_label() == "X-Up")
+        assert points(line)[1] == pytest.approx([1e3 * bias for bias in biases])
+
+
+def test_bias_figure_without_the_papers_method_has_one_panel(old_dwells: list[DwellRow]) -> None:
+    (axes,) = bias_figure("y", old_dwells, bin_biases([row for row in old_dwells if not row.flags])).axes
+    assert axes.get_title(loc="left") == "Y gyro"
+    assert len(series(axes, labelled=True)) == 6
 
 
 def test_bias_figure_shows_every_good_dwell(dwells: list[DwellRow], bins: list[BiasBin]) -> None:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import base64
+import re
+import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 
 import pytest
 
-from bench.bias.bins import bin_biases, write_bins
+from bench.bias.bins import BiasBin, bin_biases, write_bins
 from bench.bias.dwell_table import DwellRow, write_dwells
-from bench.report.html import write_report
+from bench.documents import find_document
+from bench.report.bias_figure import bias_figure
+from bench.report.content import read_run
+from bench.report.figures import save_figure
+from bench.report.html import render, write_report
+from bench.report.sections import Section, SectionFigure, SectionTable
 from bench.run_store.folder import RunFolder
 
 
@@ -49,12 +56,16 @@ class Page(HTMLParser):
         return " ".join(self.words)
 
 
-def page_of(folder: RunFolder) -> Page:
+def page_with(html: str) -> Page:
     page = Page()
-    page.feed(write_report(folder).read_text(encoding="utf-8"))
+    page.feed(html)
     page.close()
     assert page.open_tags == []
     return page
+
+
+def page_of(folder: RunFolder) -> Page:
+    return page_with(write_report(folder).read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +74,7 @@ def page(run_folder: RunFolder) -> Page:
 
 
 def test_report_needs_nothing_from_outside(page: Page, run_folder: RunFolder) -> None:
-    assert len(page.loads) == 5
+    assert len(page.loads) == 8
     for load in page.loads:
         assert load.startswith("data:image/png;base64,")
     embedded = {base64.b64decode(load.partition(",")[2]) for load in page.loads}
@@ -107,9 +118,128 @@ def test_findings_are_told_in_words(page: Page) -> None:
 
 def test_tables_hold_biases_counts_and_empty_bins(page: Page) -> None:
     assert "-20 to 5 empty in all positions" in page.text
-    assert "-25 to -20 -6.8 ± 0.6 (2) -5.0 ± 0.6 (2)" in page.text
-    assert page.text.count("Positions compared.") == 3
+    assert re.search(r"-25 to -20 -6\.8 ± 0\.6 \(2\) \S+ ± 0\.8 -5\.0 ± 0\.6 \(2\) \S+ ± 0\.8", page.text)
+    assert page.text.count("Positions compared;") == 3
     assert "<1e-09" in page.text
+
+
+def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwells: list[DwellRow]) -> None:
+    first = dwells[0]
+    pairs = zip(first.bias_dph, first.sigma_dph, first.paper_bias_dph, first.paper_sigma_dph, strict=True)
+    cells = " ".join(
+        f"{1e3 * bias:.1f} ± {1e3 * sigma:.1f} {1e3 * paper:.1f} ± {1e3 * paper_sigma:.1f}"
+        for bias, sigma, paper, paper_sigma in pairs
+    )
+    assert f"{cells} {first.fit_p_value:.3f}" in page.text
+
+
+def test_estimators_are_explained_and_compared(page: Page) -> None:
+    for words in (
+        "Biases are those of the state-space estimator",
+        "What the paper's method makes of the same data stands beside them in grey",
+        "The two estimators The paper's method leaves out",
+        "over 71 dwells",
+        "Does the model explain the data?",
+        "Error model and noise explain the data.",
+    ):
+        assert words in page.text
+    assert page.text.count("The paper's method judges otherwise") == 3
+
+
+def test_verdict_tells_which_estimators_find_a_difference(page: Page) -> None:
+    for verdict in ("differs by both", "only by the paper's"):
+        assert verdict in page.text
+
+
+def test_table_that_knows_no_estimators_gives_a_report_without_them(
+    empty_folder: RunFolder, old_dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, old_dwells)
+    page = page_of(empty_folder)
+    assert "does not tell by which estimator" in page.text
+    assert "paper" not in page.text
+    assert len(page.loads) == 5
+
+
+def test_run_that_the_papers_method_does_not_apply_to_says_so(
+    empty_folder: RunFolder, dwells: list[DwellRow], old_dwells: list[DwellRow]
+) -> None:
+    tested = [
+        replace(old, fit_ratio=row.fit_ratio, fit_p_value=row.fit_p_value)
+        for old, row in zip(old_dwells, dwells, strict=True)
+    ]
+    write_dwells(empty_folder.dwells, tested)
+    page = page_of(empty_folder)
+    assert "so it does not apply to these dwells" in page.text
+    assert "The two estimators" not in page.text
+    assert "Does the model explain the data?" in page.text
+
+
+def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> None:
+    for words in (
+        "All dwells of one temperature together",
+        "level gyros 10.0 % smaller and that of vertical ones 10.0 % smaller",
+        "Over all stops the half-differences amount to +2.10 ± 0.30",
+        "1 62 6 +24.0 ± 1.8 -15.5 ± 1.8 +8.1 ± 5.8 +0.30 ± 0.80 +2.10 ± 0.30 0.400",
+        "all 71",
+        "Noise of the INS Allan deviation of the rates and accelerations at rest",
+    ):
+        assert words in page.text
+    assert (
+        page.text.index("The two estimators")
+        < page.text.index("Does the model explain the data?")
+        < page.text.index("All dwells of one temperature together")
+        < page.text.index("Noise of the INS")
+        < page.text.index("Dwells Biases ± standard uncertainty")
+    )
+
+
+def test_noise_is_held_against_what_the_station_declares(
+    empty_folder: RunFolder, run_folder: RunFolder
+) -> None:
+    shutil.copy(run_folder.noise, empty_folder.noise)
+    shutil.copy(find_document("stations", "emulated"), empty_folder.station)
+    page = page_of(empty_folder)
+    assert re.search(r"velocity random walk (19|20)\.\d+ ± \d", page.text)
+    assert "declared 5 ug/sqrt(Hz): larger than declared" in page.text
+    assert "declares no noise" not in page.text
+    assert len(page.loads) == 1
+    assert (empty_folder.figures / "noise.png").exists()
+
+
+def test_damaged_results_are_named_and_leave_their_sections_out(
+    empty_folder: RunFolder, run_folder: RunFolder
+) -> None:
+    for path in (run_folder.dwells, run_folder.joint_biases):
+        shutil.copy(path, empty_folder.path)
+    empty_folder.joint.write_text("stop\n1\n", encoding="utf-8")
+    empty_folder.noise.write_text("{", encoding="utf-8")
+    page = page_of(empty_folder)
+    assert "joint.csv can't be used:" in page.text
+    assert "noise.json can't be used:" in page.text
+    assert "All dwells of one temperature together" not in page.text
+    assert "Noise of the INS" not in page.text
+
+
+def test_sections_stand_before_the_dwells(
+    empty_folder: RunFolder, dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    write_dwells(empty_folder.dwells, dwells)
+    drawn = SectionFigure("made_up", "the caption", bias_figure("x", dwells, bins))
+    section = Section(
+        "One bias for all positions",
+        ["What <follows> is made up."],
+        [drawn],
+        [SectionTable("its caption", ["temperature / °C", "X gyro"], [["72", "1.0 ± 0.2"]])],
+    )
+    path = empty_folder.path / "made_up.png"
+    save_figure(drawn.figure, path)
+    page = page_with(render(read_run(empty_folder), [path], [section]))
+    assert (
+        "One bias for all positions What <follows> is made up. the caption its caption "
+        "temperature / °C X gyro 72 1.0 ± 0.2 Dwells Biases" in page.text
+    )
+    assert len(page.loads) == 1
 
 
 def test_single_position_without_a_dwell_in_a_bin_is_empty(

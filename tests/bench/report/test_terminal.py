@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from rich.console import Console, RenderableType
@@ -27,11 +29,26 @@ def printed(renderable: RenderableType) -> list[str]:
     return lines
 
 
+def coldest_of_x(bins: list[BiasBin]) -> list[BiasBin]:
+    return [each for each in bins if each.gyro == "x" and each.bin_low_c == -25.0]
+
+
+def test_papers_method_is_explained_where_it_is_shown(bins: list[BiasBin]) -> None:
+    lines = printed(bins_table(bins, compare_positions(bins)))
+    assert sum(line.startswith("paper: the same by the paper's method") for line in lines) == 1
+    assert sum(line.startswith("The paper's method judges otherwise") for line in lines) == 3
+
+
+def test_run_without_the_papers_method_does_not_mention_it(bins: list[BiasBin]) -> None:
+    alone = [replace(each, paper_bias_dph=math.nan, paper_sigma_dph=math.nan) for each in bins]
+    assert not any("paper" in line for line in printed(bins_table(alone, compare_positions(alone))))
+
+
 def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
     lines = printed(bins_table(bins, compare_positions(bins)))
     assert lines[0] == "X gyro: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
     assert lines[1].split() == ["bin", "Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down", "p", "equal"]
-    coldest = next(line for line in lines if line.startswith("-25..-20"))
+    coldest, by_paper = next((line, below) for line, below in pairwise(lines) if line.startswith("-25..-20"))
     assert coldest.split()[1:] == [
         "-6.8±0.6",
         "-5.0±0.6",
@@ -39,6 +56,11 @@ def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
         "3.0±0.6",
         "5.2±0.6",
         "8.2±0.6",
+        "<1e-09*",
+    ]
+    assert by_paper.split() == [
+        "paper",
+        *(f"{1e3 * each.paper_bias_dph:.1f}±{1e3 * each.paper_sigma_dph:.1f}" for each in coldest_of_x(bins)),
         "<1e-09*",
     ]
     assert next(line for line in lines if line.startswith("  -20..5")).split()[1:] == ["empty"] * 6
@@ -51,7 +73,7 @@ def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
 def test_sentences_of_a_run_without_differences_say_so(equal_bins: list[BiasBin]) -> None:
     lines = printed(bins_table(equal_bins, compare_positions(equal_bins)))
     assert sum(line.startswith("No difference between positions") for line in lines) == 3
-    assert not any(line.endswith("*") for line in lines)
+    assert {line.split()[0] for line in lines if line.endswith("*")} == {"paper"}
 
 
 @pytest.mark.parametrize(("bias_dph", "narrowing"), [(0.9, 30.0), (123.0, 1000.0), (0.0, 0.01)])

@@ -4,7 +4,7 @@ import pytest
 
 from bench.errors import RunFolderError
 from bench.files import write_whole
-from bench.run_store.folder import create_run_folder, open_run_folder
+from bench.run_store.folder import RunFolder, create_run_folder, open_run_folder
 
 
 def test_new_folders_are_numbered_under_runs(tmp_path, monkeypatch):
@@ -38,3 +38,10 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     write_whole(path, b"new")
     assert path.read_bytes() == b"new"
     assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_everything_in_a_folder_has_a_name_of_its_own(tmp_path):
+    folder = RunFolder(tmp_path)
+    paths = [getattr(folder, name) for name, value in vars(RunFolder).items() if isinstance(value, property)]
+    assert len(set(paths)) == len(paths)
+    assert {path.parent for path in paths} == {tmp_path}

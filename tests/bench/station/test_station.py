@@ -1,8 +1,7 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from bench.bias.prior import PriorKnowledge
 from bench.clock import VirtualClock, WallClock
 from bench.documents import find_document
 from bench.errors import ConnectionFailedError, DocumentError
@@ -10,16 +9,10 @@ from bench.station.instruments import Emulation, Instruments
 from bench.station.station import Station
 
 SHIPPED = find_document("stations", "emulated")
-
-
-def changed(tmp_path, *pairs):
-    text = SHIPPED.read_text()
-    for old, new in pairs:
-        assert old in text
-        text = text.replace(old, new)
-    path = tmp_path / "station.yaml"
-    path.write_text(text)
-    return path
+NOISE = """  noise:
+    angle_random_walk_deg_per_sqrt_h: 0.0006
+    velocity_random_walk_ug_per_sqrt_hz: 5
+"""
 
 
 def test_the_shipped_station_reaches_all_six_positions_at_azimuth_zero_and_half_a_turn():
@@ -29,46 +22,32 @@ def test_the_shipped_station_reaches_all_six_positions_at_azimuth_zero_and_half_
             assert limits.reachable(position, azimuth_deg, (180.0,)) is None
 
 
-def test_a_table_with_a_vertical_outer_axis_says_which_positions_it_can_not_reach(tmp_path):
-    path = changed(tmp_path, ("outer_axis: east", "outer_axis: up"), ("inner_axis: up", "inner_axis: east"))
+@pytest.mark.parametrize("name", ["emulated", "example_bench"])
+def test_shipped_stations_are_right(name):
+    Station(find_document("stations", name)).check_dbc()
+
+
+def test_a_table_with_a_vertical_outer_axis_says_which_positions_it_can_not_reach(changed):
+    path = changed(("outer_axis: east", "outer_axis: up"), ("inner_axis: up", "inner_axis: east"))
     limits = Station(path).limits()
     assert limits.reachable("z_up", 0.0, (90.0, 90.0)) is None
     assert "can't reach" in limits.reachable("x_up", 0.0, ())
 
 
-def test_a_left_handed_mounting_is_an_error_with_its_place(tmp_path):
-    path = changed(tmp_path, ("y: north, z: up", "y: south, z: up"))
+def test_a_left_handed_mounting_is_an_error_with_its_place(changed):
+    path = changed(("y: north, z: up", "y: south, z: up"))
     with pytest.raises(DocumentError, match=r"station\.yaml:\d+:\d+: .*right-handed"):
         Station(path)
 
 
-def test_virtual_time_needs_every_instrument_emulated(tmp_path):
-    path = changed(tmp_path, ("port: emulator://chamber", "port: /dev/ttyUSB0"))
-    with pytest.raises(DocumentError, match="clock: virtual needs every instrument emulated"):
-        Station(path)
-
-
-def test_every_mistake_is_listed_with_its_place(tmp_path):
-    path = changed(
-        tmp_path, ("latitude_deg: 36.4", "latitude_deg: 96.4"), ("dialect: watlow_f4", "dialect: watlow_f5")
-    )
-    with pytest.raises(DocumentError) as caught:
-        Station(path)
-    lines = str(caught.value).splitlines()
-    assert len(lines) == 2
-    assert "latitude_deg" in Path(path).read_text().splitlines()[int(lines[0].split(":")[1]) - 1]
-    assert "watlow_f4" in lines[1]
-
-
-def test_an_absent_dbc_file_is_named(tmp_path):
-    path = changed(tmp_path, ("dbc: gyrobench_ins.dbc", "dbc: absent.dbc"))
+def test_an_absent_dbc_file_is_named(changed):
+    path = changed(("dbc: gyrobench_ins.dbc", "dbc: absent.dbc"))
     with pytest.raises(DocumentError, match=r"absent\.dbc"):
         Station(path).dbc_path  # noqa: B018
 
 
-def test_outer_and_inner_follow_the_controllers_axis_numbers(tmp_path):
+def test_outer_and_inner_follow_the_controllers_axis_numbers(changed):
     path = changed(
-        tmp_path,
         ("outer_axis_number: 1", "outer_axis_number: 2"),
         ("inner_axis_number: 2", "inner_axis_number: 1"),
     )
@@ -77,8 +56,56 @@ def test_outer_and_inner_follow_the_controllers_axis_numbers(tmp_path):
     assert station.table_axes_of((20.0, 10.0)) == (10.0, 20.0)
 
 
-def test_gravity_is_that_of_the_bench():
-    assert Station(SHIPPED).gravity == pytest.approx(9.79835, abs=1e-4)
+def test_site_is_that_of_the_bench():
+    site = Station(SHIPPED).site
+    assert (np.degrees(site.latitude), site.height) == (pytest.approx(36.4), 60.0)
+    assert site.gravity == pytest.approx(9.79835, abs=1e-4)
+
+
+@pytest.mark.parametrize("latitude_deg", ["85", "-85", "0"])
+def test_a_bench_may_stand_wherever_an_ins_can_gyrocompass(changed, latitude_deg):
+    station = Station(changed(("latitude_deg: 36.4", f"latitude_deg: {latitude_deg}")))
+    assert np.degrees(station.site.latitude) == pytest.approx(float(latitude_deg))
+
+
+def test_declared_noise_adds_to_that_of_the_resolution(changed):
+    output = (
+        "{angle_random_walk_deg_per_sqrt_h: 0.003, velocity_output_mps: 0.004, heading_output_deg: 0.001}"
+    )
+    noise = Station(changed((NOISE, f"  noise: {output}\n"))).noise(0.003 * 12**0.5, 0.0)
+    assert noise.angle_random_walk == pytest.approx(np.radians(0.003) / 60.0)
+    assert noise.velocity_random_walk == 0.0
+    assert noise.velocity_white == pytest.approx(0.005)
+    assert noise.heading_white == pytest.approx(np.radians(0.001))
+
+
+def test_noise_may_be_left_to_the_dwells(changed):
+    path = changed((NOISE, "  noise: estimated\n"))
+    assert Station(path).noise(1e-4, 1e-7) is None
+
+
+def test_what_is_known_beforehand_comes_from_location_and_ins(changed):
+    uncertainty = (
+        "{accelerometer_bias_ug: 50, accelerometer_misalignment_arcsec: 4, gyro_scale_factor_ppm: 1, "
+        "gyro_misalignment_arcsec: 3, tilt_step_arcsec: 0, bias_slope_dph_per_c: 0.002}"
+    )
+    path = changed(
+        ("height_m: 60", "height_m: 60, latitude_uncertainty_arcmin: 1.5"),
+        (NOISE, f"{NOISE}  uncertainty: {uncertainty}\n"),
+    )
+    assert Station(path).prior() == PriorKnowledge.from_datasheet(
+        accelerometer_bias_ug=50.0,
+        gyro_scale_factor_ppm=1.0,
+        gyro_misalignment_arcsec=3.0,
+        tilt_step_arcsec=0.0,
+        latitude_arcmin=1.5,
+        bias_slope_dph_per_c=0.002,
+        accelerometer_misalignment_arcsec=4.0,
+    )
+
+
+def test_without_a_word_on_uncertainty_the_usual_sizes_hold():
+    assert Station(SHIPPED).prior() == PriorKnowledge.from_datasheet()
 
 
 def test_instruments_are_opened_on_the_runs_clock_and_name_themselves():
@@ -92,10 +119,8 @@ def test_instruments_are_opened_on_the_runs_clock_and_name_themselves():
         np.testing.assert_allclose(instruments.chamber.read().temperature_c, 23.0, atol=0.1)
 
 
-def test_a_port_that_can_not_be_opened_names_instrument_and_port(tmp_path):
-    path = changed(
-        tmp_path, ("port: emulator://table", "port: /dev/does-not-exist"), ("clock: virtual", "clock: wall")
-    )
+def test_a_port_that_can_not_be_opened_names_instrument_and_port(changed):
+    path = changed(("port: emulator://table", "port: /dev/does-not-exist"), ("clock: virtual", "clock: wall"))
     with pytest.raises(ConnectionFailedError, match=r"rate table: can't open /dev/does-not-exist"):
         Instruments(Station(path), WallClock(), Emulation())
 

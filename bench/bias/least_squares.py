@@ -1,0 +1,33 @@
+"""Least squares of white rows with prior knowledge of the unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def solve(
+    rows: NDArray[np.float64], data: NDArray[np.float64], prior_root: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unknowns (p,) and their covariance (p, p).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, p)
+        Response of each datum to the unknowns, in standard deviations.
+    data : ndarray, shape (n,)
+        The data, in standard deviations.
+    prior_root : ndarray, shape (p, k)
+        Root ``L`` of the prior covariance ``L @ L.T``; its k independent causes are solved for, so
+        unknowns may be tied to one another or known exactly.
+    """
+    count = prior_root.shape[1]
+    stacked = np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
+    root = compress(stacked)
+    spread = prior_root @ np.linalg.inv(root[:count, :count])
+    return spread @ root[:count, count], spread @ spread.T
+
+
+def compress(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fewest rows with the same normal equations as these (n, c); at most c of them."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows

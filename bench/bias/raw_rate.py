@@ -1,0 +1,406 @@
+"""Gyro bias and Earth rate from raw angular rates at rest, for a unit that does not navigate.
+
+At rest a gyro feels its bias and its part of the Earth's rotation; turned upside down it feels the
+same bias and the opposite part. So two opposite attitudes give both, and more attitudes give the
+biases of all three gyros with a test of whether they are the same in all of them.
+
+The rate of a recording is not its plain mean. The angle of a dithered ring laser gyro carries noise
+that does not grow with time (quantisation, remains of the dither), and the mean, which is the angle
+between the first and the last sample, has all of that of two samples. The generalised
+least-squares slope of the angle weighs it against the random walk, both as the recording's own
+Allan variance tells them.
+
+References
+----------
+IEEE Std 952-1997, annex C (noise terms). Titterton and Weston, *Strapdown Inertial Navigation
+Technology*, 2nd ed., chapter 8 (multi-position tests). Aitken, "On Least Squares and Linear
+Combination of Observations", 1935.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+from scipy.stats import chi2, norm
+
+from bench.bias.allan import (
+    RANDOM_WALK,
+    WHITE_ANGLE,
+    AllanVariance,
+    RateNoise,
+    allan_variance,
+    fit_rate_noise,
+)
+from bench.errors import MeasurementError
+from bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH, earth_rate_enu
+from bench.navigation.positions import AXES
+
+#: Shortest recording, s, and fewest samples.
+MIN_DURATION_S = 55.0
+MIN_SAMPLES = 100
+#: Longest time between two samples, as a multiple of the usual one.
+MAX_GAP_SAMPLES = 1.5
+#: Angles and forces averaged over this time, s, are compared to see motion.
+MOTION_BLOCK_S = 1.0
+#: Second differences of these averages are motion above so many robust standard deviations, and
+#: above 5 arcsec and 0.5 mm/s^2: at most 0.03 deg/h over 300 s.
+MOTION_SIGMAS = 8.0
+MOTION_RAD = np.deg2rad(5.0 / 3600.0)
+MOTION_MPS2 = 5e-4
+#: Largest angle between a body axis and the vertical that it should be on, rad.
+MAX_TILT = np.deg2rad(5.0)
+
+_LEAST_IN_BLOCK = 5
+_IQR_TO_SIGMA = 1.0 / 1.349
+
+
+@dataclass(frozen=True, eq=False)
+class RateRecording:
+    """Output of the inertial sensors at rest, in body axes.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Increasing.
+    rate_radps : ndarray, shape (n, 3)
+        Mean angular rate since the sample before. A coarse output must carry over what it rounds
+        off, as counted pulses do, or its noise must exceed the rounding.
+    specific_force_mps2 : ndarray, shape (n, 3), optional
+        Tells the vertical.
+
+    Raises
+    ------
+    MeasurementError
+        Not a number, times that do not increase, a gap, too short, a gyro that never changes, motion.
+    """
+
+    time_s: NDArray[np.float64]
+    rate_radps: NDArray[np.float64]
+    specific_force_mps2: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        self._check_shapes()
+        _check_times(self.time_s)
+        for axis, rate in zip(AXES, self.rate_radps.T, strict=True):
+            if np.ptp(rate) == 0.0:
+                raise MeasurementError(
+                    f"the rate of the {axis} gyro never changes: its resolution hides its noise, or it is "
+                    "dead. Record increments or a finer output"
+                )
+        self._check_rest("angle", self.angle_rad, MOTION_RAD)
+        if self.specific_force_mps2 is not None:
+            self._check_rest("specific force", self.specific_force_mps2, MOTION_MPS2)
+
+    @property
+    def interval_s(self) -> float:
+        """Mean time between two samples."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    @property
+    def angle_rad(self) -> NDArray[np.float64]:
+        """Integral of the rates since one interval before the first sample, (n + 1, 3)."""
+        return np.vstack([np.zeros(3), np.cumsum(self.rate_radps * self.interval_s, axis=0)])
+
+    @property
+    def up(self) -> NDArray[np.float64] | None:
+        """Unit vector Up (3,) in body axes, if the specific force is there."""
+        if self.specific_force_mps2 is None:
+            return None
+        mean = self.specific_force_mps2.mean(axis=0)
+        return np.asarray(mean / np.linalg.norm(mean))
+
+    def _check_shapes(self) -> None:
+        count = len(self.time_s)
+        named = {"rate": self.rate_radps, "specific force": self.specific_force_mps2}
+        for name, values in named.items():
+            if values is None:
+                continue
+            if values.shape != (count, 3):
+                raise MeasurementError(
+                    f"{count} times with a {name} of shape {values.shape}; give three a time"
+                )
+            bad = ~np.isfinite(values).all(axis=1)
+            if bad.any():
+                raise MeasurementError(
+                    f"{name} is not a number in {bad.sum()} samples, first at {self.time_s[bad][0]:.3f} s. "
+                    f"{_CHECK}"
+                )
+        if count < MIN_SAMPLES:
+            raise MeasurementError(f"only {count} samples; a recording needs {MIN_SAMPLES}. Record longer")
+
+    def _check_rest(self, name: str, values: NDArray[np.float64], least: float) -> None:
+        block = max(_LEAST_IN_BLOCK, round(MOTION_BLOCK_S / self.interval_s))
+        whole = len(values) // block * block
+        bends = np.diff(values[:whole].reshape(-1, block, 3).mean(axis=1), 2, axis=0)
+        low, high = np.quantile(bends, [0.25, 0.75], axis=0)
+        limit = np.maximum(MOTION_SIGMAS * _IQR_TO_SIGMA * (high - low), least)
+        moved = (np.abs(bends) > limit).any(axis=1)
+        if moved.any():
+            about_s = self.time_s[(int(np.argmax(moved)) + 1) * block]
+            raise MeasurementError(
+                f"the {name} jumps at about {about_s:.0f} s: the unit was not at rest. Record with the table "
+                "standing still"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class RateEstimate:
+    """Mean rate of a recording.
+
+    Attributes
+    ----------
+    rate_radps : ndarray, shape (3,)
+        Rate of each gyro.
+    sigma_radps : ndarray, shape (3,)
+        Its standard uncertainty from the noise in the recording.
+    allan : tuple of AllanVariance
+        Of each gyro.
+    noise : tuple of RateNoise
+        What was fitted to them.
+    """
+
+    rate_radps: NDArray[np.float64]
+    sigma_radps: NDArray[np.float64]
+    allan: tuple[AllanVariance, ...]
+    noise: tuple[RateNoise, ...]
+
+
+@dataclass(frozen=True)
+class UpDownEstimate:
+    """Bias of a gyro and vertical Earth rate from two opposite attitudes.
+
+    Attributes
+    ----------
+    axis : str
+        "x", "y" or "z".
+    bias_radps, bias_sigma_radps : float
+        Bias of that gyro and its standard uncertainty.
+    earth_radps, earth_sigma_radps : float
+        Vertical part of the Earth's rotation, positive in the northern hemisphere.
+    """
+
+    axis: str
+    bias_radps: float
+    bias_sigma_radps: float
+    earth_radps: float
+    earth_sigma_radps: float
+
+    def sigmas_from(self, latitude_rad: float) -> float:
+        """How many standard uncertainties the Earth rate lies above that of a latitude."""
+        return (self.earth_radps - EARTH_RATE * float(np.sin(latitude_rad))) / self.earth_sigma_radps
+
+    def latitude_rad(self) -> tuple[float, float]:
+        """Latitude that the Earth rate implies, and its standard uncertainty.
+
+        Raises
+        ------
+        MeasurementError
+            The rate is not that of the Earth at any latitude.
+        """
+        sine = self.earth_radps / EARTH_RATE
+        if abs(sine) >= 1.0:
+            raise MeasurementError(
+                f"{self.earth_radps * RADPS_TO_DPH:.4f} deg/h about the vertical is more than the Earth "
+                "turns. Check the scale factor of the gyro and its unit"
+            )
+        return float(np.arcsin(sine)), self.earth_sigma_radps / EARTH_RATE / float(np.sqrt(1.0 - sine**2))
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudesEstimate:
+    """Biases of the three gyros from several attitudes.
+
+    Attributes
+    ----------
+    bias_radps : ndarray, shape (3,)
+        Biases.
+    covariance : ndarray, shape (3, 3)
+        Of the biases.
+    earth_rate_enu_radps : ndarray, shape (3,)
+        Estimated, or that of the latitude.
+    chi_squared : float
+        Sum of squares of what the model leaves, over the variances.
+    degrees_of_freedom : int
+        Rates less unknowns.
+    """
+
+    bias_radps: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    earth_rate_enu_radps: NDArray[np.float64]
+    chi_squared: float
+    degrees_of_freedom: int
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger misfit if the biases are the same in all attitudes."""
+        return float(chi2.sf(self.chi_squared, self.degrees_of_freedom))
+
+
+def estimate_rate(recording: RateRecording) -> RateEstimate:
+    """Estimate the mean rate of a recording by generalised least squares.
+
+    Raises
+    ------
+    MeasurementError
+        The recording is too short to tell its noise.
+    """
+    interval = recording.interval_s
+    allans, noises, slopes = [], [], []
+    for rate, angle in zip(recording.rate_radps.T, recording.angle_rad.T, strict=True):
+        allan = allan_variance([angle], interval)
+        noise = fit_rate_noise(allan)
+        expected = _expected_terms(noise)
+        allans.append(allan)
+        noises.append(noise)
+        slopes.append(_slope(rate, interval, expected[WHITE_ANGLE], expected[RANDOM_WALK]))
+    rates, variances = np.array(slopes).T
+    return RateEstimate(rates, np.sqrt(variances), tuple(allans), tuple(noises))
+
+
+def up_down_pair(
+    up: RateRecording, down: RateRecording, axis: str, tilt_sigma_rad: float = 0.0
+) -> UpDownEstimate:
+    """Separate bias and Earth rate by two recordings with one body axis up and down.
+
+    Where specific forces are recorded, the rates are projected on the vertical that they tell;
+    otherwise the axis is taken to be on it, and a tilt reads the horizontal Earth rate.
+
+    Parameters
+    ----------
+    up, down : RateRecording
+        With the axis up, and down.
+    axis : {"x", "y", "z"}
+        Which.
+    tilt_sigma_rad : float
+        Standard uncertainty of the vertical in body axes.
+
+    Raises
+    ------
+    MeasurementError
+        No such axis, an axis far from the vertical, too short recordings.
+    """
+    if axis not in AXES:
+        raise MeasurementError(f"there is no body axis '{axis}'; the axes are {', '.join(AXES)}")
+    turned_up, variance_up = _vertical_rate(up, axis, 1.0, tilt_sigma_rad)
+    turned_down, variance_down = _vertical_rate(down, axis, -1.0, tilt_sigma_rad)
+    sigma = 0.5 * float(np.sqrt(variance_up + variance_down))
+    return UpDownEstimate(
+        axis, 0.5 * (turned_up - turned_down), sigma, 0.5 * (turned_up + turned_down), sigma
+    )
+
+
+def estimate_attitudes(
+    recordings: Sequence[RateRecording],
+    C_nb: NDArray[np.float64],
+    latitude_rad: float | None,
+) -> AttitudesEstimate:
+    """Estimate the biases of three gyros from recordings in known attitudes.
+
+    Parameters
+    ----------
+    recordings : sequence of RateRecording, length m
+        One for each attitude.
+    C_nb : ndarray, shape (m, 3, 3)
+        The attitudes.
+    latitude_rad : float or None
+        Where the Earth rate is taken from; None to estimate its North and Up parts too.
+
+    Raises
+    ------
+    MeasurementError
+        Too few attitudes to tell the unknowns apart, too short recordings.
+    """
+    if len(recordings) < 2 or C_nb.shape != (len(recordings), 3, 3):
+        raise MeasurementError(
+            f"{len(recordings)} recordings with attitudes {C_nb.shape}; at least two, with one 3 by 3 "
+            "attitude each, are needed"
+        )
+    rates = [estimate_rate(recording) for recording in recordings]
+    weight = 1.0 / np.concatenate([rate.sigma_radps for rate in rates])
+    measured = np.concatenate([rate.rate_radps for rate in rates])
+    of_earth = np.concatenate([C.T for C in C_nb])
+    design = np.tile(np.eye(3), (len(recordings), 1))
+    if latitude_rad is None:
+        design = np.hstack([design, of_earth[:, 1:]])
+    else:
+        measured = measured - of_earth @ earth_rate_enu(latitude_rad)
+    weighted = design * weight[:, np.newaxis]
+    unknowns, _, rank, _ = np.linalg.lstsq(weighted, measured * weight)
+    if rank < design.shape[1]:
+        raise MeasurementError(
+            "biases and Earth rate can't be told apart in these attitudes. Add the opposite ones, or give "
+            "the latitude"
+        )
+    earth = earth_rate_enu(latitude_rad) if latitude_rad is not None else np.array([0.0, *unknowns[3:]])
+    return AttitudesEstimate(
+        bias_radps=np.asarray(unknowns[:3]),
+        covariance=np.asarray(np.linalg.inv(weighted.T @ weighted)[:3, :3]),
+        earth_rate_enu_radps=earth,
+        chi_squared=float((((measured - design @ unknowns) * weight) ** 2).sum()),
+        degrees_of_freedom=len(measured) - design.shape[1],
+    )
+
+
+_CHECK = "Check the recording"
+
+
+def _check_times(time_s: NDArray[np.float64]) -> None:
+    if not np.isfinite(time_s).all():
+        raise MeasurementError(f"the time of a sample is not a number. {_CHECK}")
+    steps = np.diff(time_s)
+    if not (steps > 0.0).all():
+        raise MeasurementError(f"time does not increase after {time_s[:-1][steps <= 0.0][0]:.3f} s. {_CHECK}")
+    if time_s[-1] - time_s[0] < MIN_DURATION_S:
+        raise MeasurementError(
+            f"the recording lasts {time_s[-1] - time_s[0]:.1f} s; it needs {MIN_DURATION_S:g} s. "
+            "Record longer"
+        )
+    widest = int(np.argmax(steps))
+    if steps[widest] > MAX_GAP_SAMPLES * np.median(steps):
+        raise MeasurementError(
+            f"no sample for {steps[widest]:.4f} s after {time_s[widest]:.3f} s, where one is expected every "
+            f"{np.median(steps):.4f} s: the angle in between is lost. Use the longer part alone"
+        )
+
+
+def _expected_terms(noise: RateNoise) -> NDArray[np.float64]:
+    """Expectation of the terms, given that none is below zero: their truncated normal distribution."""
+    z = noise.unbounded / noise.sigmas
+    # exp(logs) instead of the ratio, which is 0 / 0 far below zero.
+    return np.asarray(noise.unbounded + noise.sigmas * np.exp(norm.logpdf(z) - norm.logcdf(z)))
+
+
+def _slope(rate: NDArray[np.float64], interval: float, white: float, walk: float) -> tuple[float, float]:
+    """Generalised least-squares slope of the angle, and its variance.
+
+    Neighbouring increments share the white noise of the angle between them.
+    """
+    count = len(rate)
+    bands = np.empty((2, count))
+    bands[0], bands[1] = 2.0 * white + walk * interval, -white
+    weights = solveh_banded(bands, np.ones(count), lower=True)
+    total = weights.sum()
+    return float(weights @ rate / total), float(1.0 / (total * interval**2))
+
+
+def _vertical_rate(
+    recording: RateRecording, axis: str, sign: float, tilt_sigma_rad: float
+) -> tuple[float, float]:
+    """Rate about Up and its variance."""
+    nominal = sign * np.eye(3)[AXES.index(axis)]
+    up = nominal if recording.up is None else recording.up
+    tilt = float(np.arccos(np.clip(up @ nominal, -1.0, 1.0)))
+    if not tilt <= MAX_TILT:
+        raise MeasurementError(
+            f"the {axis} axis should point {'up' if sign > 0 else 'down'}, but by the specific force it is "
+            f"{np.rad2deg(tilt):.1f} deg away from that. Check the order of the recordings"
+        )
+    estimate = estimate_rate(recording)
+    about_up = float(estimate.rate_radps @ up)
+    horizontal = estimate.rate_radps - about_up * up
+    variance = (up**2) @ estimate.sigma_radps**2 + tilt_sigma_rad**2 * horizontal @ horizontal
+    return about_up, float(variance)

@@ -1,0 +1,82 @@
+"""The estimate of the dwell under way, from the frames that are there so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from bench.bias.dwell import NavigationWindow
+from bench.bias.state_space import BiasFilter, StateSpaceEstimate
+from bench.errors import MeasurementError
+from bench.measurement.dwell import MeasurementSetup, rest_output
+from bench.measurement.marks import WindowMark
+from drivers.ins.frames import FrameBlock
+from drivers.ins.navigation_data import NavigationData
+
+#: Frames before the new ones that are decoded with them, for the status that they belong to.
+_OVERLAP = 400
+
+
+class LiveEstimate:
+    """Biases of one dwell while its last window goes on.
+
+    Nothing is done before the first turn, since nothing can be told before it.
+
+    Parameters
+    ----------
+    setup : MeasurementSetup
+        As for the dwell as a whole.
+    frames : callable
+        The frames of the dwell from a number on.
+    """
+
+    def __init__(self, setup: MeasurementSetup, frames: Callable[[int], FrameBlock]) -> None:
+        self._setup = setup
+        self._frames = frames
+        self._filter: BiasFilter | None = None
+        self._begun: list[WindowMark] = []
+        self._next_frame = 0
+
+    def update(self, windows: Sequence[WindowMark]) -> StateSpaceEstimate | None:
+        """Take what has come since the last call.
+
+        Parameters
+        ----------
+        windows : sequence of WindowMark
+            The windows so far; the last one is under way and ends with the last frame that has come.
+
+        Returns
+        -------
+        StateSpaceEstimate or None
+            None as long as the biases can't be told, or where the data can't be used.
+        """
+        if len(windows) < 2:
+            return None
+        try:
+            navigation, first_frame = self._decoded()
+            for number, mark in enumerate(windows):
+                if mark.end_frame > self._next_frame:
+                    self._take(number, mark, navigation, first_frame)
+            self._next_frame = windows[-1].end_frame
+            return self._filter.estimate() if self._filter else None
+        except MeasurementError:
+            return None
+
+    def _decoded(self) -> tuple[NavigationData, int]:
+        first_frame = max(0, self._next_frame - _OVERLAP)
+        return self._setup.decode(self._frames(first_frame)), first_frame
+
+    def _take(self, number: int, mark: WindowMark, navigation: NavigationData, first_frame: int) -> None:
+        begin = max(mark.first_frame, self._next_frame)
+        new = replace(mark, first_frame=begin - first_frame, end_frame=mark.end_frame - first_frame)
+        time_s, velocity, C_nb, gyro_c = rest_output(navigation, new)
+        if not len(time_s):
+            return
+        if self._filter is None:
+            window = NavigationWindow(time_s, velocity, C_nb)
+            self._filter = BiasFilter(self._setup.site, self._setup.noise_in((window,)), self._setup.prior)
+        if number == len(self._begun):
+            turn = self._setup.turn(self._begun[-1], mark) if self._begun else None
+            self._filter.begin_window(time_s[0], C_nb[0], turn)
+            self._begun.append(mark)
+        self._filter.add(time_s, velocity[:, :2], C_nb, gyro_c)

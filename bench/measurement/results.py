@@ -1,0 +1,118 @@
+"""What the dwells of a run give together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from bench.bias.bins import BiasBin, bin_biases, write_bins
+from bench.bias.dwell_table import DwellRow
+from bench.bias.joint import JointDwell, JointSolution, group_stops, pooled_up_rate, solve_jointly
+from bench.bias.joint_table import (
+    JointBiasRow,
+    JointStopRow,
+    joint_bias_rows,
+    joint_stop_rows,
+    write_joint,
+)
+from bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from bench.bias.noise_file import write_noise
+from bench.bias.verification_table import VerificationRow, write_verification
+from bench.bias.vertical_pairs import UpRate
+from bench.errors import MeasurementError
+from bench.measurement.dwell import MeasuredDwell, MeasurementSetup
+from bench.measurement.verification import VerificationDwell, verification_rows
+from bench.run_store.folder import RunFolder
+
+
+@dataclass(frozen=True, eq=False)
+class RunResults:
+    """Results of a run beyond its dwells.
+
+    Attributes
+    ----------
+    bins : list of BiasBin
+        Bias per gyro, position and temperature.
+    joint : list of JointSolution
+        One for each stop of the chamber.
+    up_rate : UpRate or None
+        Rate Up fixed in the navigation frame, from all stops; None without any.
+    noise : NoiseEstimate or None
+        Of the INS, from its output; None where that does not tell it.
+    verification : list of VerificationRow
+        Biases that verifications show.
+    """
+
+    bins: list[BiasBin] = field(default_factory=list)
+    joint: list[JointSolution] = field(default_factory=list)
+    up_rate: UpRate | None = None
+    noise: NoiseEstimate | None = None
+    verification: list[VerificationRow] = field(default_factory=list)
+
+
+def evaluate(
+    dwells: Sequence[MeasuredDwell],
+    verifications: Sequence[VerificationDwell],
+    calibration: Sequence[DwellRow],
+    setup: MeasurementSetup,
+    bin_width_c: float,
+) -> RunResults:
+    """Evaluate the dwells of one run; those with flags are left out.
+
+    Parameters
+    ----------
+    dwells, verifications : sequence of MeasuredDwell, sequence of VerificationDwell
+        What was measured.
+    calibration : sequence of DwellRow
+        What verifications are compared with; without any, the dwells of the same run.
+    bin_width_c : float
+        Width of the temperature bins, K.
+    """
+    good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
+    joint = [solve_jointly(stop, setup.prior) for stop in group_stops(_joint_dwells(good))]
+    return RunResults(
+        bins=bin_biases([dwell.row for dwell in good], bin_width_c),
+        joint=joint,
+        up_rate=pooled_up_rate(joint) if joint else None,
+        noise=_noise(good, setup),
+        verification=verification_rows(verifications, calibration or [each.row for each in good], setup),
+    )
+
+
+def write_results(folder: RunFolder, results: RunResults) -> None:
+    """Write the tables of a run beyond that of its dwells.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be written.
+    """
+    write_bins(folder.bias_bins, results.bins)
+    write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
+    write_joint(folder.joint, joint_stop_rows(results.joint, results.up_rate), JointStopRow)
+    if results.noise is not None:
+        write_noise(folder.noise, results.noise)
+    if results.verification:
+        write_verification(folder.verification, results.verification)
+
+
+def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
+    return [
+        JointDwell(
+            number=dwell.row.dwell,
+            position_name=dwell.row.position,
+            information=dwell.estimate.information,
+            cycle=dwell.row.cycle,
+            chamber_set_c=dwell.row.chamber_set_c,
+            gyro_c=dwell.row.gyro_c,
+        )
+        for dwell in dwells
+        if dwell.estimate
+    ]
+
+
+def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEstimate | None:
+    try:
+        return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
+    except MeasurementError:
+        return None

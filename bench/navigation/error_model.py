@@ -1,0 +1,132 @@
+"""How the errors of an INS at rest develop: the paper's (3) and (4) with the terms that it drops.
+
+The state is ``(phi_E, phi_N, phi_U, dV_E, dV_N, dL)``: attitude error in rad, velocity error in
+m/s and latitude error in rad, at fixed altitude. Beyond the paper it holds the transport rate (the
+Schuler loop), Coriolis, and the Earth rate that changes with the latitude error.
+
+References
+----------
+Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
+Navigation System Based on Ring Laser Gyroscope", equations (3) and (4).
+Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 12.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import MeasurementError
+from bench.navigation.earth import curvature_radii, earth_rate_enu, gravity
+
+#: Components of the state and of the input.
+STATES, INPUTS = 6, 5
+
+#: Highest latitude, rad, at which the Earth's horizontal rate is enough to gyrocompass with.
+MAX_LATITUDE = np.deg2rad(85.0)
+
+_INPUT = np.zeros((STATES, INPUTS))
+_INPUT[:3, :3] = -np.eye(3)
+_INPUT[3:5, 3:] = np.eye(2)
+_TERMS = 16
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the bench stands.
+
+    Attributes
+    ----------
+    latitude, height : float
+        Geodetic latitude in rad, height above the ellipsoid in m.
+
+    Raises
+    ------
+    MeasurementError
+        Near a pole the Earth's rotation is all but vertical: gyrocompassing has no answer there.
+    """
+
+    latitude: float
+    height: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.latitude) <= MAX_LATITUDE:
+            raise MeasurementError(
+                f"at a latitude of {np.rad2deg(self.latitude):.1f} deg gyrocompassing has no answer; "
+                f"at most {np.rad2deg(MAX_LATITUDE):g} deg North or South"
+            )
+
+    @property
+    def gravity(self) -> float:
+        """Normal gravity, m/s^2."""
+        return gravity(self.latitude, self.height)
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """The error model integrated over n times.
+
+    Attributes
+    ----------
+    transition : ndarray, shape (n, 6, 6)
+        State after for a state before.
+    response : ndarray, shape (n, 6, 5)
+        State after for a constant input: gyro error East, North, Up in rad/s, acceleration error
+        East, North in m/s^2.
+    covariance : ndarray, shape (n, 6, 6)
+        State after for white noise of the rates and accelerations.
+    """
+
+    transition: NDArray[np.float64]
+    response: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+def dynamics(site: Site) -> NDArray[np.float64]:
+    """Matrix (6, 6) that gives the derivative of the state."""
+    _, rate_n, rate_u = earth_rate_enu(site.latitude)
+    meridian, across = curvature_radii(site.latitude, site.height)
+    tangent = np.tan(site.latitude)
+    g = site.gravity
+    return np.array(
+        [
+            [0.0, rate_u, -rate_n, 0.0, -1.0 / meridian, 0.0],
+            [-rate_u, 0.0, 0.0, 1.0 / across, 0.0, -rate_u],
+            [rate_n, 0.0, 0.0, tangent / across, 0.0, rate_n],
+            [0.0, -g, 0.0, 0.0, 2.0 * rate_u, 0.0],
+            [g, 0.0, 0.0, -2.0 * rate_u, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 1.0 / meridian, 0.0],
+        ]
+    )
+
+
+def integrate(
+    site: Site, durations: NDArray[np.float64], angle_random_walk: float, velocity_random_walk: float
+) -> Intervals:
+    """Integrate the model over times at rest.
+
+    Parameters
+    ----------
+    durations : ndarray, shape (n,)
+        Times, s; power series in them, good to 1e-7 up to a quarter of an hour.
+    angle_random_walk, velocity_random_walk : float
+        Noise of each gyro and accelerometer, rad/sqrt(s) and m/s/sqrt(s).
+    """
+    F = dynamics(site)
+    transition, response, covariance = np.eye(STATES), _INPUT, np.zeros((STATES, STATES))
+    noise = np.diag([angle_random_walk**2] * 3 + [velocity_random_walk**2] * 2 + [0.0])
+    terms = []
+    for order in range(_TERMS):
+        terms.append((transition, response / (order + 1), covariance))
+        covariance = (noise if order == 0 else F @ covariance + covariance @ F.T) / (order + 1)
+        transition = F @ transition / (order + 1)
+        response = F @ response / (order + 1)
+    powers = np.power.outer(durations, np.arange(_TERMS))
+    transitions, responses, covariances = (np.stack(each) for each in zip(*terms, strict=True))
+    return Intervals(
+        np.tensordot(powers, transitions, 1),
+        np.tensordot(powers * durations[:, np.newaxis], responses, 1),
+        np.tensordot(powers, covariances, 1),
+    )

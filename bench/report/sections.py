@@ -1,0 +1,47 @@
+"""Parts of a report as data: what they say, their tables and figures. The template lays them out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class SectionTable:
+    """A table of texts.
+
+    Attributes
+    ----------
+    caption : str
+        What it shows, with units.
+    header, rows : sequence of str, sequence of sequences of str
+        One cell for each column.
+    words : int
+        So many columns at the left hold words; those after them hold numbers.
+    """
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class SectionFigure:
+    """A figure, the name of its file without suffix, and what it shows."""
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """One part of a report; paragraphs first, then figures, then tables."""
+
+    title: str
+    paragraphs: Sequence[str] = ()
+    figures: Sequence[SectionFigure] = ()
+    tables: Sequence[SectionTable] = ()

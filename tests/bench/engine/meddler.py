@@ -1,0 +1,49 @@
+"""Somebody who watches a run and does something to the emulated bench."""
+
+from bench.documents import find_document
+from bench.engine.operator import ConsentingOperator
+from bench.engine.session import prepare_job, run_job
+from bench.station.instruments import Emulation
+from drivers.emulators.bench import BenchAddress, emulated_bench
+
+
+class Meddler:
+    """Does its deed once, in the nth step of some kind; the world is ``ideal``."""
+
+    def __init__(self, kind, deed, nth=1):
+        self.kind = kind
+        self.deed = deed
+        self.left = nth
+        self.done = False
+        self.now = ""
+        self.bench = None
+
+    def told(self, text):
+        pass
+
+    def step_started(self, planned, bench):
+        self.now = planned.step.name
+        self.left -= self.now == self.kind
+
+    def ticked(self, live, left_s):
+        clock = live.clock
+        world = str(find_document("worlds", "ideal"))
+        self.bench = emulated_bench(BenchAddress(clock.name, world, 0))
+        if self.now == self.kind and self.left == 0 and not self.done:
+            self.done = True
+            self.deed(self.bench, clock)
+
+    def estimated(self, estimate):
+        pass
+
+    def dwell_measured(self, row):
+        pass
+
+
+def run_with(tmp_path, kind, deed, procedure="ten_minute_check", nth=1):
+    """Run a procedure while somebody meddles; returns run folder, outcome and emulated bench."""
+    meddler = Meddler(kind, deed, nth)
+    job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0))
+    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    assert meddler.done
+    return folder, outcome, meddler.bench

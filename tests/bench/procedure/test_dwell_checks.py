@@ -1,0 +1,113 @@
+from collections.abc import Callable
+
+import pytest
+
+from bench.documents import Document
+from bench.errors import DocumentError
+from bench.procedure.checks import check
+from bench.procedure.plan import Plan
+
+PlanOf = Callable[[str], tuple[Document, Plan]]
+
+# Lines 3 to 5; what follows begins in line 6.
+GO_TO = "- go_to: {position: z_up}\n"
+ALIGN = "- align: {duration_s: 300}\n"
+START = "- power_on\n" + GO_TO + ALIGN
+WINDOW = "- navigate: {duration_s: 600}\n"
+SHORT = "- navigate: {duration_s: 59}\n"
+VERIFY = "- navigate: {duration_s: 600, purpose: verification}\n"
+UNTIL = "- navigate: {until: {bias_sigma_below_dph: 0.002}, at_least_s: 120, at_most_s: 900}\n"
+TURN = "- turn: {angle_deg: 180}\n"
+QUARTER = "- turn: {angle_deg: 90}\n"
+WAIT = "- wait: {duration_s: 5}\n"
+
+NO_TURN = (
+    "no turn: the biases can't be told from the initial errors; "
+    "add a turn and a second navigation, or set purpose: verification"
+)
+TURNED_VERIFICATION = "straight from the alignment, without a turn before or after it"
+
+WRONG = {
+    "too short": (WINDOW + TURN + SHORT, "8:14", "59 s is too short .* at least 60 s"),
+    "may end too soon": (WINDOW + TURN + UNTIL.replace("120", "30"), "8:52", "30 s is too short"),
+    "verification too short": (VERIFY.replace("600", "30"), "6:14", "30 s is too short"),
+    "loop value too short": (
+        "- repeat: {over: {t: [90, 30]}, steps: [{navigate: {duration_s: $t}}, {turn: {angle_deg: 180}}]}",
+        "6:27",
+        "30 s is too short",
+    ),
+    "no turn": (WINDOW, "6:3", NO_TURN),
+    "purpose calibration, no turn": (
+        "- navigate: {duration_s: 600, purpose: calibration}", "6:3", "no turn: .* purpose: verification",
+    ),
+    "no turn before another dwell": (WINDOW + GO_TO + ALIGN + WINDOW + TURN + WINDOW, "6:3", NO_TURN),
+    "nothing after the turn": (WINDOW + TURN, "6:3", "one side of the turn alone"),
+    "nothing after the turn and a wait": (WINDOW + WAIT + TURN, "6:3", "one side of the turn alone"),
+    "nothing before the turn": (TURN + WINDOW, "7:3", "navigate before and after the turn"),
+    "two navigations": (WINDOW + WINDOW + TURN + WINDOW, "7:3", "put a turn between"),
+    "a wait between two": (WINDOW + TURN + WINDOW + WAIT + WINDOW, "10:3", "put a turn between"),
+    "full circle": (
+        WINDOW + "- turn: {angle_deg: 360}\n" + WINDOW, "7:10", "all navigations stand at azimuth 0 deg",
+    ),
+    "there and back": (WINDOW + TURN + "- turn: {angle_deg: -180}\n" + WINDOW, "8:10", "full circles"),
+    "verification before a turn": (VERIFY + TURN, "6:31", TURNED_VERIFICATION),
+    "verification before a wait and a turn": (VERIFY + WAIT + TURN, "6:31", TURNED_VERIFICATION),
+    "verification before a turn and a navigation": (VERIFY + TURN + WINDOW, "6:31", TURNED_VERIFICATION),
+    "verification after a turn": (WINDOW + TURN + VERIFY, "8:31", TURNED_VERIFICATION),
+    "verification after a turn alone": (TURN + VERIFY, "7:31", TURNED_VERIFICATION),
+    "verification twice": (VERIFY + VERIFY, "7:3", "put a turn between"),
+    "until before the turn": (UNTIL + TURN + WINDOW, "6:14", "until needs a navigation and a turn before it"),
+    "until in a verification": (
+        "- navigate: {purpose: verification, until: {bias_sigma_below_dph: 1}, at_most_s: 900}",
+        "6:37",
+        "give duration_s",
+    ),
+    "alignment interrupted": ("- soak: {for_s: 5}\n" + WINDOW, "7:3", "belongs to no dwell"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("steps", "place", "message"), WRONG.values(), ids=WRONG)
+def test_what_gives_no_bias_is_named_with_its_place(
+    planned: PlanOf, steps: str, place: str, message: str
+) -> None:
+    document, plan = planned(START + steps)
+    with pytest.raises(DocumentError, match=message) as caught:
+        check(document, plan)
+    assert str(caught.value).startswith(f"test.yaml:{place}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_dwell_that_is_interrupted_is_told_on_both_sides(planned: PlanOf) -> None:
+    document, plan = planned(START + WINDOW + "- soak: {for_s: 5}\n" + TURN + WINDOW)
+    with pytest.raises(DocumentError) as caught:
+        check(document, plan)
+    first, second = str(caught.value).splitlines()
+    assert first == f"test.yaml:6:3: {NO_TURN}"
+    assert second.startswith("test.yaml:9:3: this navigation belongs to no dwell")
+
+
+GOOD = {
+    "the paper's": WINDOW + TURN + WINDOW,
+    "turned back": WINDOW + TURN.replace("180", "-180") + WINDOW,
+    "four azimuths": WINDOW + 3 * (QUARTER + WINDOW),
+    "four azimuths, the other way": WINDOW + 3 * (QUARTER.replace("90", "-90") + WINDOW),
+    "there and back": WINDOW + TURN + WINDOW + TURN.replace("180", "-180") + WINDOW,
+    "until after the turn": WINDOW + TURN + UNTIL,
+    "until in each window after a turn": WINDOW + 3 * (QUARTER + UNTIL),
+    "two turns between": WINDOW + QUARTER + QUARTER + WINDOW,
+    "a turn before and one between": QUARTER + WINDOW + TURN + WINDOW,
+    "a turn back at the end": WINDOW + TURN + WINDOW + TURN,
+    "waits": WAIT + WINDOW + WAIT + TURN + WAIT + WINDOW + WAIT,
+    "verification": VERIFY,
+    "verification with waits": WAIT + VERIFY + WAIT,
+    "verification at two azimuths": VERIFY
+    + "- go_to: {position: z_up, azimuth_deg: 180}\n- align: {duration_s: 600}\n"
+    + VERIFY,
+    "an alignment without navigation": "",
+}
+
+
+@pytest.mark.parametrize("steps", GOOD.values(), ids=GOOD)
+def test_what_gives_a_bias_or_verifies_one_is_allowed(planned: PlanOf, steps: str) -> None:
+    document, plan = planned(START + steps)
+    check(document, plan)

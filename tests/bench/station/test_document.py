@@ -1,0 +1,63 @@
+from pathlib import Path
+
+import pytest
+
+from bench.errors import DocumentError
+from bench.station.station import Station
+
+NOISE = """  noise:
+    angle_random_walk_deg_per_sqrt_h: 0.0006
+    velocity_random_walk_ug_per_sqrt_hz: 5
+"""
+
+
+def test_virtual_time_needs_every_instrument_emulated(changed):
+    path = changed(("port: emulator://chamber", "port: /dev/ttyUSB0"))
+    with pytest.raises(DocumentError, match="clock: virtual needs every instrument emulated"):
+        Station(path)
+
+
+def test_every_mistake_is_listed_with_its_place(changed):
+    path = changed(("latitude_deg: 36.4", "latitude_deg: 96.4"), ("dialect: watlow_f4", "dialect: watlow_f5"))
+    with pytest.raises(DocumentError) as caught:
+        Station(path)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert "latitude_deg" in Path(path).read_text().splitlines()[int(lines[0].split(":")[1]) - 1]
+    assert "watlow_f4" in lines[1]
+
+
+@pytest.mark.parametrize("latitude_deg", ["85.01", "-90", "135"])
+def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_told(changed, latitude_deg):
+    path = changed(("latitude_deg: 36.4", f"latitude_deg: {latitude_deg}"))
+    with pytest.raises(
+        DocumentError, match=r"station\.yaml:6:\d+: gyrocompassing has no answer .* -85 to 85 deg"
+    ):
+        Station(path)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ("guessed", "should be 'estimated'"),
+        ("{angle_random_walk_deg_per_sqrt_h: 0}", "greater than 0"),
+        ("{angle_random_walk_deg_per_sqrt_h: 0.001, velocity_output_mps: -1}", "greater than or equal to 0"),
+        ("{velocity_output_mps: 0.001}", "'angle_random_walk_deg_per_sqrt_h' is missing"),
+        ("{angle_random_walk_deg_per_sqrt_h: 0.001, heading_output: 1}", "unknown key 'heading_output'"),
+    ],
+)
+def test_noise_that_can_not_be_is_refused(changed, noise, message):
+    with pytest.raises(DocumentError, match=message):
+        Station(changed((NOISE, f"  noise: {noise}\n")))
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("tilt_step_arcsec: -1", r"station\.yaml:\d+:\d+: .*greater than or equal to 0"),
+        ("acelerometer_bias_ug: 1", "did you mean 'accelerometer_bias_ug'"),
+    ],
+)
+def test_uncertainties_that_can_not_be_are_refused(changed, key, message):
+    with pytest.raises(DocumentError, match=message):
+        Station(changed((NOISE, f"{NOISE}  uncertainty: {{{key}}}\n")))
