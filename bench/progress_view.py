@@ -90,8 +90,8 @@ class ProgressView:
             optics = bench.readings.ins.optics_c
             gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
             chamber = f"chamber {bench.readings.chamber_c:.1f} degC"
-            doing = f"{self._step} | {self._so_far}" if self._so_far else self._step
-            text = f"{hours_minutes(left_s)} h left | {chamber}, {gyro}{doing}"
+            where = f"{self._so_far} | " if self._so_far else f"{chamber}, {gyro}"
+            text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
     def estimated(self, estimate: StateSpaceEstimate) -> None:

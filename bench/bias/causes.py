@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.prior import PriorKnowledge
+from bench.navigation.earth import STANDARD_GRAVITY
 from bench.navigation.error_model import INPUTS
 
 #: Biases of the gyros and their slopes with temperature, accelerometer biases (body axes), rate
 #: North and Up that is fixed in the navigation frame, gyro error matrix by rows.
 GYRO_BIAS, GYRO_SLOPE, ACCELEROMETER_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
 NAVIGATION_RATE, GYRO_MATRIX = slice(9, 11), slice(11, 20)
-COMMON = 20
+#: Drift of the accelerometer biases, m/s^3, body axes.
+ACCELEROMETER_DRIFT = slice(20, 23)
+COMMON = 23
 
 #: Of each window: constant of the heading, jumps of velocity East and North and of the attitude
 #: error East, North and Up at its start.
@@ -42,6 +45,9 @@ def inputs(C_nb: NDArray[np.float64], rate_body: NDArray[np.float64], count: int
     result[3:, ACCELEROMETER_BIAS] = C_nb[:2]
     result[1:3, NAVIGATION_RATE] = np.eye(2)
     result[:3, GYRO_MATRIX] = np.kron(C_nb, rate_body)
+    # On velocity a steady drift acts as the bias of the level gyro across it does: no fit tells them apart.
+    result[0, ACCELEROMETER_DRIFT] = -C_nb[1] / STANDARD_GRAVITY
+    result[1, ACCELEROMETER_DRIFT] = C_nb[0] / STANDARD_GRAVITY
     return result
 
 
@@ -62,6 +68,7 @@ def prior_root(prior: PriorKnowledge, windows: int, earth_rate: NDArray[np.float
     sigmas = np.diagonal(root).copy()
     sigmas[GYRO_BIAS], sigmas[GYRO_SLOPE] = _GYRO_BIAS, prior.bias_slope
     sigmas[ACCELEROMETER_BIAS] = prior.accelerometer_bias
+    sigmas[ACCELEROMETER_DRIFT] = prior.accelerometer_drift
     matrix = np.full((3, 3), prior.gyro_misalignment)
     np.fill_diagonal(matrix, prior.gyro_scale_factor)
     sigmas[GYRO_MATRIX] = matrix.ravel()

@@ -62,7 +62,7 @@ class DwellRows:
         rows, slope = information.rows.copy(), causes.GYRO_SLOPE
         # Biases at the mean temperatures become unknowns; the slopes turn about those temperatures.
         rows[:, slope] -= rows[:, causes.GYRO_BIAS] @ information.bias_at_mean[:, slope]
-        own = np.r_[slope, causes.COMMON : rows.shape[1]]
+        own = np.r_[slope, causes.ACCELEROMETER_DRIFT, causes.COMMON : rows.shape[1]]
         root = causes.prior_root(prior, information.windows, information.earth_rate)
         stacked = np.block(
             [

@@ -78,8 +78,9 @@ class JointStopRow:
     finding : str
         What the half-differences of the vertical gyros are: name of a
         :class:`bench.bias.vertical_pairs.Finding`.
-    fit_p_value : float
-        Test that the dwells agree on what they share.
+    fit_p_value, any_north_p_value : float
+        Test that the dwells agree on what they share, with the latitude as declared and with any
+        rate North.
     """
 
     stop: int
@@ -101,6 +102,7 @@ class JointStopRow:
     up_rate_p_value: float
     finding: str
     fit_p_value: float
+    any_north_p_value: float
 
 
 Row = TypeVar("Row", JointBiasRow, JointStopRow)
@@ -185,6 +187,7 @@ def _stop_row(stop: int, solution: JointSolution) -> JointStopRow:
         north_rate_dph=north * RADPS_TO_DPH,
         north_rate_sigma_dph=north_sigma * RADPS_TO_DPH,
         fit_p_value=solution.fit.p_value,
+        any_north_p_value=solution.north_free_fit.p_value,
         **values,
         **_up(solution.up_rate),
     )

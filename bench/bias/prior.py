@@ -24,6 +24,8 @@ class PriorKnowledge:
     ----------
     accelerometer_bias : float
         m/s^2; so large that the data decide.
+    accelerometer_drift : float
+        Change of an accelerometer's bias in a dwell, m/s^3.
     gyro_scale_factor, gyro_misalignment : float
         Errors of the gyros in the turn and to the Earth's rotation, 1 and rad.
     tilt_step : float
@@ -49,6 +51,7 @@ class PriorKnowledge:
     latitude: float = 0.02 * _ARCMIN
     bias_slope: float = 0.001 * DPH_TO_RADPS
     accelerometer_misalignment: float = 5.0 * _ARCSEC
+    accelerometer_drift: float = 2.0 * _UG / 3600.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -66,6 +69,7 @@ class PriorKnowledge:
         latitude_arcmin: float = 0.02,
         bias_slope_dph_per_c: float = 0.001,
         accelerometer_misalignment_arcsec: float = 5.0,
+        accelerometer_drift_ug_per_h: float = 2.0,
     ) -> PriorKnowledge:
         """The same in the units of data sheets."""
         return cls(
@@ -76,4 +80,5 @@ class PriorKnowledge:
             latitude_arcmin * _ARCMIN,
             bias_slope_dph_per_c * DPH_TO_RADPS,
             accelerometer_misalignment_arcsec * _ARCSEC,
+            accelerometer_drift_ug_per_h * _UG / 3600.0,
         )

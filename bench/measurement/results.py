@@ -90,6 +90,8 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_bins(folder.bias_bins, results.bins)
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_stop_rows(results.joint, results.up_rate), JointStopRow)
+    for stale in (folder.noise, folder.verification):
+        stale.unlink(missing_ok=True)
     if results.noise is not None:
         write_noise(folder.noise, results.noise)
     if results.verification:

@@ -23,6 +23,11 @@ _UP = (
     "that points up and takes from it when it points down: half the sum of the two is the bias, half their "
     "difference the rate, if the bias is the same both ways."
 )
+_LATITUDE = (
+    "they do once a rate North is allowed, so the latitude is wrong by more than declared. The biases "
+    "without the rate Up are right where it applies; check the latitude that station and INS have."
+)
+_NOT_TRUSTED = "the joint biases of this stop are not to be trusted."
 _WRONG_FIT_P = 1e-3
 
 
@@ -78,11 +83,11 @@ def _finding_sentence(stops: Sequence[JointStopRow]) -> str:
 
 
 def _misfits(stops: Sequence[JointStopRow]) -> list[str]:
-    wrong = [row for row in stops if row.fit_p_value < _WRONG_FIT_P]
     return [
         f"At stop {row.stop} the dwells do not agree on what they share{_p_in_brackets(row.fit_p_value)}: "
-        "the joint biases of this stop are not to be trusted."
-        for row in wrong
+        + (_LATITUDE if row.any_north_p_value >= _WRONG_FIT_P else _NOT_TRUSTED)
+        for row in stops
+        if row.fit_p_value < _WRONG_FIT_P
     ]
 
 

@@ -129,6 +129,9 @@ class InsUncertainty(StrictModel):
     accelerometer_bias_ug: NotNegative = Field(
         default=1000.0, description="bias of each accelerometer, ug; large ones leave it to the data"
     )
+    accelerometer_drift_ug_per_h: NotNegative = Field(
+        default=2.0, description="change of each accelerometer's bias in a dwell, ug/h"
+    )
     accelerometer_misalignment_arcsec: NotNegative = Field(
         default=5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
     )

@@ -90,11 +90,12 @@ def test_on_a_terminal_biases_so_far_stand_beside_the_navigation_after_the_turn(
     assert min(told) > turn
     value = r"[-+]\d+\.\d±\d+\.\d"
     for number in told:
-        assert re.search(rf"z_up: navigate 2\.5 min \| x {value} y {value} z {value}$", lines[number])
+        assert re.search(rf"left \| x {value} y {value} z {value} \| z_up: navigate 2\.5 min$", lines[number])
 
 
 def test_the_line_says_what_is_done_how_warm_it_is_and_how_long_it_takes(lines):
-    assert all(re.match(r"\d+:\d\d h left \| chamber 2\d\.\d degC, ", line) for line in lines)
+    warm = [line for line in lines if "±" not in line]
+    assert all(re.match(r"\d+:\d\d h left \| chamber 2\d\.\d degC, ", line) for line in warm)
     assert any("z_up: align 2 min" in line for line in lines)
 
 

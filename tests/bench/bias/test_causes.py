@@ -3,7 +3,7 @@ import pytest
 
 from bench.bias import causes
 from bench.bias.prior import PriorKnowledge
-from bench.navigation.earth import DPH_TO_RADPS, earth_rate_enu
+from bench.navigation.earth import DPH_TO_RADPS, STANDARD_GRAVITY, earth_rate_enu
 from bench.navigation.positions import POSITIONS
 
 LATITUDE = np.radians(36.4)
@@ -27,6 +27,7 @@ def test_inputs_are_the_sensors_errors_in_the_navigation_frame(position):
     random = np.random.default_rng(4)
     C_nb = POSITIONS[position].C_nb(0.7)
     unknowns = random.standard_normal(TWO_WINDOWS)
+    unknowns[causes.ACCELEROMETER_DRIFT] = 0.0
     gyro_bias, accelerometer_bias = unknowns[causes.GYRO_BIAS], unknowns[causes.ACCELEROMETER_BIAS]
     matrix, rate_body = unknowns[causes.GYRO_MATRIX].reshape(3, 3), random.standard_normal(3)
     gyros = C_nb @ (gyro_bias + matrix @ rate_body)
@@ -34,6 +35,18 @@ def test_inputs_are_the_sensors_errors_in_the_navigation_frame(position):
     expected = np.concatenate([gyros, (C_nb @ accelerometer_bias)[:2]])
     given = causes.inputs(C_nb, rate_body, TWO_WINDOWS) @ unknowns
     np.testing.assert_allclose(given, expected, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("position", POSITIONS)
+def test_a_drift_of_the_accelerometers_acts_as_the_bias_of_the_level_gyro_across_it(position):
+    """V_E'' = drift_E + g b_N and V_N'' = drift_N - g b_E: one cancels the other."""
+    C_nb = POSITIONS[position].C_nb(0.7)
+    drift = np.array([1e-6, -2e-6, 3e-6])
+    east, north, _ = C_nb @ drift / STANDARD_GRAVITY
+    unknowns = np.zeros(TWO_WINDOWS)
+    unknowns[causes.ACCELEROMETER_DRIFT] = drift
+    unknowns[causes.GYRO_BIAS] = C_nb.T @ [north, -east, 0.0]
+    np.testing.assert_allclose(causes.inputs(C_nb, np.zeros(3), TWO_WINDOWS) @ unknowns, 0.0, atol=1e-20)
 
 
 def test_a_window_acts_at_its_start_alone():
@@ -51,6 +64,7 @@ def test_every_unknown_has_its_own_place():
             causes.ACCELEROMETER_BIAS,
             causes.NAVIGATION_RATE,
             causes.GYRO_MATRIX,
+            causes.ACCELEROMETER_DRIFT,
         )
     ]
     assert np.concatenate(places).tolist() == list(range(causes.COMMON))

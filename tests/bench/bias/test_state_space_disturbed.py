@@ -9,6 +9,7 @@ from bench.bias.prior import PriorKnowledge
 from bench.bias.state_space import estimate_state_space
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensors, site
+from tests.bench.bias.pyins_dwells import RestingIns, simulate
 
 NOISE = noise_model(0.0006)
 DEFAULT = PriorKnowledge()
@@ -27,7 +28,11 @@ def error_dph(dwell, bias_dph=BIAS_DPH):
 def assert_declared(dwell, truth_dph=(0.0, 0.0, 0.0), **declared):
     """The error without noise is within three times the uncertainty that what is declared adds."""
     nothing = dict.fromkeys(
-        ("gyro_scale_factor_ppm", "gyro_misalignment_arcsec", "tilt_step_arcsec", "latitude_arcmin"), 0.0
+        (
+            *("gyro_scale_factor_ppm", "gyro_misalignment_arcsec", "tilt_step_arcsec", "latitude_arcmin"),
+            "accelerometer_drift_ug_per_h",
+        ),
+        0.0,
     )
     prior = PriorKnowledge.from_datasheet(**nothing | declared)
     known = estimate(dwell, prior)
@@ -43,6 +48,15 @@ def test_errors_of_scale_and_misalignment_in_the_turn_stay_within_their_uncertai
     assert np.abs(assert_declared(scale, gyro_scale_factor_ppm=5.0).bias_dph).max() < EXACT_DPH
     crossed = emulate(position, sensors(gyro_matrix=off_axis), outer_level=outer_level)
     assert np.abs(assert_declared(crossed, gyro_misalignment_arcsec=5.0).bias_dph).max() < 1e-3
+
+
+def test_a_drift_of_an_accelerometer_stays_within_the_uncertainty_that_it_adds():
+    """10 ug over 2 x 600 s and the turn pass for 1.7e-3 deg/h, as 30 ug/h lead to expect."""
+    ug = 9.80665e-6
+    dwell = simulate(RestingIns(accelerometer_drift_mps2=(10.0 * ug, 0.0, 0.0)))
+    drift_ug_per_h = 10.0 * 3600.0 / (dwell.windows[1].time_s[-1] - dwell.windows[0].time_s[0])
+    known = assert_declared(dwell, accelerometer_drift_ug_per_h=drift_ug_per_h)
+    assert 1e-3 < np.abs(known.bias_dph).max() < 2e-3
 
 
 def test_a_scale_factor_error_makes_no_vertical_bias_out_of_the_turn():

@@ -120,10 +120,11 @@ def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointS
             0.0008,
             *up,
             0.4 / (1 + number),
+            0.5 / (1 + number),
         )
         for number, (cycle, set_c) in enumerate(stops)
     ]
-    last = JointStopRow(0, 0, len(rows), *[math.nan] * 9, *up, math.nan)
+    last = JointStopRow(0, 0, len(rows), *[math.nan] * 9, *up, math.nan, math.nan)
     return biases, [*shared, last]
 
 

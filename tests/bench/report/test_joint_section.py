@@ -29,6 +29,7 @@ def stop_row(stop: int = 1, finding: str = "different", **changed: float) -> Joi
         "latitude_error_sigma_arcmin": 0.11,
         "up_rate_p_value": 0.0123,
         "fit_p_value": 0.98,
+        "any_north_p_value": 0.97,
     }
     return JointStopRow(stop=stop, cycle=1, dwells=4, finding=finding, **{**values, **changed})
 
@@ -108,11 +109,14 @@ def test_one_gyro_has_nothing_to_be_compared_with() -> None:
 
 
 def test_stops_whose_dwells_do_not_agree_are_named() -> None:
-    section = section_of([stop_row(), stop_row(2, fit_p_value=1e-12), stop_row(3, fit_p_value=2e-4)])
+    wrong = stop_row(2, fit_p_value=1e-12, any_north_p_value=1e-12)
+    section = section_of([stop_row(), wrong, stop_row(3, fit_p_value=2e-4)])
     assert [text[: text.index(":")] for text in section.paragraphs[2:]] == [
         "At stop 2 the dwells do not agree on what they share (p <1e-09)",
         "At stop 3 the dwells do not agree on what they share (p = 2e-04)",
     ]
+    assert "are not to be trusted" in section.paragraphs[2]
+    assert "the latitude is wrong by more than declared" in section.paragraphs[3]
 
 
 def test_table_of_stops_has_values_with_uncertainties_and_a_row_of_all() -> None:
