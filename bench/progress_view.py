@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.status import Status
 from rich.text import Text
 
-from bench.bias.dwell_table import DwellRow
-from bench.bias.state_space import StateSpaceEstimate
+from bench.bias.state_space.bias_filter import StateSpaceEstimate
+from bench.bias.tables.dwell_table import DwellRow
 from bench.engine.live_bench import LiveBench
 from bench.navigation.positions import AXES
 from bench.procedure.plan import Plan, PlannedStep

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
-from bench.bias.csv_text import CsvTable, format_csv, format_number, read_text, write_text
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.csv_text import CsvTable, format_csv, format_number, read_text, write_text
+from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.weighted_mean import weighted_mean
 from bench.errors import MeasurementError
 from bench.navigation.positions import AXES, POSITIONS

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
-from bench.bias.noise import NoiseModel
+from bench.bias.noise.model import NoiseModel
 from bench.errors import MeasurementError
 from bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
 

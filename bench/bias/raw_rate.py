@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.stats import chi2, norm
 
-from bench.bias.allan import (
+from bench.bias.noise.allan import (
     RANDOM_WALK,
     WHITE_ANGLE,
     AllanVariance,

@@ -12,7 +12,7 @@ from functools import singledispatch
 
 import numpy as np
 
-from bench.bias.state_space import StateSpaceEstimate
+from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator

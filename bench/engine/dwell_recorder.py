@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench.bias.state_space import StateSpaceEstimate
+from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.engine.live_bench import LiveBench
 from bench.measurement.dwell import MeasurementSetup
 from bench.measurement.live import LiveEstimate

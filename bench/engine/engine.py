@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
-from bench.bias.dwell_table import DwellRow, write_dwells
-from bench.bias.state_space import StateSpaceEstimate
+from bench.bias.state_space.bias_filter import StateSpaceEstimate
+from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.clock import Deadline
 from bench.documents import Document
 from bench.engine.actions import Context, perform

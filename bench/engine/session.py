@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
+from bench.bias.tables.dwell_table import DwellRow, read_dwells, write_dwells
 from bench.clock import Clock, VirtualClock, WallClock
 from bench.documents import Document, find_document
 from bench.engine.engine import Engine, Progress, RunOutcome

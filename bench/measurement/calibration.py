@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.bias.dwell_table import DwellRow, read_dwells
+from bench.bias.tables.dwell_table import DwellRow, read_dwells
 from bench.errors import DocumentError
 from bench.run_store.folder import RunFolder
 

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
-from bench.bias.dwell_table import DwellRow
-from bench.bias.fit_test import FitTest
-from bench.bias.noise import NoiseModel
-from bench.bias.noise_estimate import estimate_noise
+from bench.bias.noise.estimate import estimate_noise
+from bench.bias.noise.model import NoiseModel
 from bench.bias.paper import estimate_paper
 from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space import StateSpaceEstimate, estimate_state_space
-from bench.bias.window_filter import EPOCH_S
+from bench.bias.state_space.bias_filter import StateSpaceEstimate, estimate_state_space
+from bench.bias.state_space.fit_test import FitTest
+from bench.bias.state_space.window_filter import EPOCH_S
+from bench.bias.tables.dwell_table import DwellRow
 from bench.errors import MeasurementError
 from bench.measurement.marks import DwellMarks, WindowMark
 from bench.measurement.temperatures import (

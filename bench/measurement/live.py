@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from bench.bias.dwell import NavigationWindow
-from bench.bias.state_space import BiasFilter, StateSpaceEstimate
+from bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate
 from bench.errors import MeasurementError
 from bench.measurement.dwell import MeasurementSetup, rest_output
 from bench.measurement.marks import WindowMark

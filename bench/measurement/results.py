@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from bench.bias.bins import BiasBin, bin_biases, write_bins
-from bench.bias.dwell_table import DwellRow
-from bench.bias.joint import JointDwell, JointSolution, group_stops, pooled_up_rate, solve_jointly
-from bench.bias.joint_table import (
+from bench.bias.joint.solution import JointDwell, JointSolution, group_stops, pooled_up_rate, solve_jointly
+from bench.bias.joint.vertical_pairs import UpRate
+from bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from bench.bias.tables.dwell_table import DwellRow
+from bench.bias.tables.joint_table import (
     JointBiasRow,
     JointStopRow,
     joint_bias_rows,
     joint_stop_rows,
     write_joint,
 )
-from bench.bias.noise_estimate import NoiseEstimate, estimate_noise
-from bench.bias.noise_file import write_noise
-from bench.bias.verification_table import VerificationRow, write_verification
-from bench.bias.vertical_pairs import UpRate
+from bench.bias.tables.noise_file import write_noise
+from bench.bias.tables.verification_table import VerificationRow, write_verification
 from bench.errors import MeasurementError
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup
 from bench.measurement.verification import VerificationDwell, verification_rows

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.dwell_table import Triple
+from bench.bias.tables.dwell_table import Triple
 from bench.errors import MeasurementError
 from drivers.ins.navigation_data import NavigationData, Temperatures
 

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from bench.bias.calibration import Calibration
-from bench.bias.dwell_table import DwellRow, Triple
-from bench.bias.verification import (
+from bench.bias.tables.dwell_table import DwellRow, Triple
+from bench.bias.tables.verification_table import VerificationRow
+from bench.bias.verification.calibration import Calibration
+from bench.bias.verification.estimators import (
     AxisBias,
     KnownAccelerometers,
     bias_from_alignments,
     bias_from_velocity,
     bias_from_velocity_slope,
 )
-from bench.bias.verification_table import VerificationRow
 from bench.measurement.dwell import MeasurementSetup
 from bench.measurement.marks import DwellMarks
 from bench.measurement.verification_dwell import VerificationDwell as VerificationDwell

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 from bench.bias.dwell import Dwell
-from bench.bias.dwell_table import Triple
-from bench.bias.noise import NoiseModel
-from bench.bias.verification import navigation_fit
-from bench.bias.window_filter import EPOCH_S
+from bench.bias.noise.model import NoiseModel
+from bench.bias.state_space.window_filter import EPOCH_S
+from bench.bias.tables.dwell_table import Triple
+from bench.bias.verification.estimators import navigation_fit
 from bench.errors import MeasurementError
 from bench.measurement.dwell import LEAST_FIT_P, MeasurementSetup, dwell_at_rest, misfit_text
 from bench.measurement.marks import DwellMarks

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bench.bias.bins import BiasBin, paper_bins
-from bench.bias.dwell_table import DwellRow, paper_rows
+from bench.bias.tables.dwell_table import DwellRow, paper_rows
 from bench.navigation.positions import AXES, POSITIONS
 from bench.report.style import (
     POSITION_STYLES,

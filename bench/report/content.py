@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
-from bench.bias.dwell_table import DwellRow, read_dwells
-from bench.bias.joint_table import JointBiasRow, JointStopRow, read_joint_biases, read_joint_stops
-from bench.bias.noise_estimate import NoiseEstimate
-from bench.bias.noise_file import read_noise
-from bench.bias.verification_table import VerificationRow, read_verification
+from bench.bias.noise.estimate import NoiseEstimate
+from bench.bias.tables.dwell_table import DwellRow, read_dwells
+from bench.bias.tables.joint_table import JointBiasRow, JointStopRow, read_joint_biases, read_joint_stops
+from bench.bias.tables.noise_file import read_noise
+from bench.bias.tables.verification_table import VerificationRow, read_verification
 from bench.documents import read_document
 from bench.errors import GyrobenchError
 from bench.run_store.folder import RunFolder

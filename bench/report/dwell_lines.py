@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.bias.dwell_table import DwellRow, paper_rows
+from bench.bias.tables.dwell_table import DwellRow, paper_rows
 from bench.procedure.timeline import hours_minutes
 from bench.report.wording import BiasScale, p_text, position_label
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from bench.bias.dwell_table import DwellRow, paper_rows
+from bench.bias.tables.dwell_table import DwellRow, paper_rows
 from bench.navigation.positions import AXES
 from bench.report.estimator_figure import differences_dph, estimators_figure, with_both
 from bench.report.findings import fit_sentence

@@ -11,8 +11,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from bench.bias.bins import BiasBin
-from bench.bias.dwell_table import DwellRow
 from bench.bias.equality import compare_positions
+from bench.bias.tables.dwell_table import DwellRow
 from bench.errors import RunFolderError
 from bench.navigation.positions import AXES
 from bench.report.bias_figure import bias_figure

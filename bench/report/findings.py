@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 
 from bench.bias.bins import BiasBin
-from bench.bias.dwell_table import DwellRow
 from bench.bias.equality import PositionComparison
+from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.uniformity import uniformity_p_value
 from bench.report.wording import dph_with_sigma, listed, p_text, position_label, temperature_ranges
 

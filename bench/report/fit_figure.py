@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.uniformity import uniformity_band
 from bench.navigation.positions import POSITIONS
 from bench.report.style import POSITION_STYLES, house_style, new_figure, say_empty

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.bias.joint_table import JointBiasRow, JointStopRow
-from bench.bias.vertical_pairs import Finding
+from bench.bias.joint.vertical_pairs import Finding
+from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
 from bench.navigation.positions import AXES, POSITIONS
 from bench.report.sections import Section, SectionTable
 from bench.report.wording import p_text

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from bench.bias.noise import NoiseModel
-from bench.bias.noise_estimate import ChannelNoise, NoiseEstimate, NoiseParameter
+from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
+from bench.bias.noise.model import NoiseModel
 from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from bench.navigation.positions import AXES
 from bench.report.style import GYRO_STYLES, house_style, new_figure, say_empty

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from bench.bias.noise import NoiseModel
-from bench.bias.noise_estimate import NoiseEstimate, compare_noise
+from bench.bias.noise.estimate import NoiseEstimate, compare_noise
+from bench.bias.noise.model import NoiseModel
 from bench.report.noise_figure import noise_figure
 from bench.report.sections import Section, SectionFigure, SectionTable
 

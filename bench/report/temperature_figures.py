@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.navigation.positions import POSITIONS
 from bench.procedure.plan import Plan
 from bench.procedure.timeline import position_spans, temperature_profile

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
-from bench.bias.verification_table import VerificationRow
+from bench.bias.tables.verification_table import VerificationRow
 from bench.report.findings import SIGNIFICANCE
 from bench.report.sections import Section, SectionTable
 from bench.report.wording import BiasScale, dph_with_sigma, gyro_label, position_label

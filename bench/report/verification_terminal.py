@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from bench.bias.verification_table import VerificationRow
+from bench.bias.tables.verification_table import VerificationRow
 from bench.report.verification_section import (
     accelerometer_sentence,
     flag_lines,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.noise import NoiseModel
+from bench.bias.noise.model import NoiseModel
 from bench.bias.prior import PriorKnowledge
 from bench.documents import Problem
 from bench.errors import DocumentError

@@ -5,7 +5,7 @@ import re
 import pytest
 from rich.console import Console
 
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
 from bench.progress_view import ProgressView

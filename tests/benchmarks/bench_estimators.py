@@ -20,10 +20,10 @@ import numpy as np
 from scipy.stats import kstest
 
 from bench.bias.dwell import Dwell
-from bench.bias.noise import NoiseModel
+from bench.bias.noise.model import NoiseModel
 from bench.bias.paper import estimate_paper
 from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space import BiasFilter, StateSpaceEstimate, estimate_state_space
+from bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate, estimate_state_space
 from bench.errors import MeasurementError
 from bench.navigation.positions import POSITIONS
 from tests.bench.bias import disturbances

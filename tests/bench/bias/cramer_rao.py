@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from bench.bias.noise import NoiseModel
+from bench.bias.noise.model import NoiseModel
 from drivers.emulators.world.strapdown import (
     STATE_SIZE,
     gyrocompass,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bench.bias.dwell import Dwell, NavigationWindow
-from bench.bias.noise import NoiseModel
+from bench.bias.noise.model import NoiseModel
 from bench.bias.prior import PriorKnowledge
 from bench.navigation.attitude import euler_pry231, euler_rpy321
 from bench.navigation.error_model import Site
@@ -27,7 +27,7 @@ LATITUDE_DEG = 36.4
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 #: Nothing acts but biases and noise.
-CLEAN = PriorKnowledge.from_datasheet(1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+CLEAN = PriorKnowledge.from_datasheet(1000.0, 0.0, 0.0, 0.0, 0.0, 0.0, accelerometer_drift_ug_per_h=0.0)
 _TURN_ATTITUDES = 19
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.bias.bins import bin_biases, paper_bins, read_bins, write_bins
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.errors import DocumentError, MeasurementError
 
 numbers = count()

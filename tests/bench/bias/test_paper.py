@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.noise import NoiseModel
+from bench.bias.noise.model import NoiseModel
 from bench.bias.paper import estimate_paper
 from bench.errors import MeasurementError
 from bench.navigation.attitude import euler_pry231, euler_rpy321

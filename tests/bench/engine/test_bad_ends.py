@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.bias.dwell_table import read_dwells
+from bench.bias.tables.dwell_table import read_dwells
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
 from bench.errors import DocumentError

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.bias.dwell_table import read_dwells
-from bench.bias.verification_table import read_verification
+from bench.bias.tables.dwell_table import read_dwells
+from bench.bias.tables.verification_table import read_verification
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import measure_again, prepare_job, run_job
 from bench.errors import DocumentError

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from bench.bias.dwell_table import read_dwells
+from bench.bias.tables.dwell_table import read_dwells
 from bench.documents import find_document
 from bench.run_store.journal import read_journal
 from bench.run_store.telemetry import read_telemetry

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench.bias.bins import read_bins
-from bench.bias.dwell_table import read_dwells
 from bench.bias.equality import compare_positions
+from bench.bias.tables.dwell_table import read_dwells
 from bench.measurement.setup import measurement_setup
 from bench.run_store.can_log import read_can_log
 from bench.run_store.journal import read_journal

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.bias.dwell_table import read_dwells
-from bench.bias.joint_table import read_joint_biases, read_joint_stops
-from bench.bias.noise_estimate import compare_noise
-from bench.bias.noise_file import read_noise
+from bench.bias.noise.estimate import compare_noise
+from bench.bias.tables.dwell_table import read_dwells
+from bench.bias.tables.joint_table import read_joint_biases, read_joint_stops
+from bench.bias.tables.noise_file import read_noise
 from bench.bias.uniformity import uniformity_p_value
 from bench.measurement.setup import measurement_setup
 from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.bias.dwell_table import write_dwells
+from bench.bias.tables.dwell_table import write_dwells
 from bench.errors import DocumentError
 from bench.measurement.calibration import read_calibration
 from tests.bench.measurement.test_verification import calibrated

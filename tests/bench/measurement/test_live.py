@@ -6,7 +6,7 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from bench.bias import causes
+from bench.bias.state_space import causes
 from bench.measurement.dwell import measure_dwell
 from bench.measurement.live import LiveEstimate
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from bench.bias.bins import read_bins
-from bench.bias.joint_table import (
+from bench.bias.tables.joint_table import (
     joint_bias_rows,
     joint_stop_rows,
     read_joint_biases,
     read_joint_stops,
 )
-from bench.bias.noise_file import read_noise
+from bench.bias.tables.noise_file import read_noise
 from bench.errors import RunFolderError
 from bench.measurement.results import RunResults, evaluate, write_results
 from bench.measurement.setup import measurement_setup

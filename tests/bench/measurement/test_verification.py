@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bench.bias.dwell_table import DwellRow
 from bench.bias.prior import PriorKnowledge
+from bench.bias.tables.dwell_table import DwellRow
 from bench.measurement.dwell import MeasurementSetup
 from bench.measurement.marks import DwellMarks
 from bench.measurement.temperatures import DwellTemperatures

@@ -16,9 +16,9 @@ import pytest
 from scipy.special import chdtrc
 
 from bench.bias.bins import BiasBin, bin_biases, write_bins
-from bench.bias.dwell_table import DwellRow, Triple, write_dwells
-from bench.bias.joint_table import JointBiasRow, JointStopRow, write_joint
-from bench.bias.noise_file import write_noise
+from bench.bias.tables.dwell_table import DwellRow, Triple, write_dwells
+from bench.bias.tables.joint_table import JointBiasRow, JointStopRow, write_joint
+from bench.bias.tables.noise_file import write_noise
 from bench.clock import VirtualClock
 from bench.navigation.positions import POSITIONS
 from bench.run_store.folder import RunFolder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bench.bias.bins import BiasBin
-from bench.bias.dwell_table import DwellRow, write_dwells
+from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.report.content import read_run
 from bench.run_store.folder import RunFolder
 

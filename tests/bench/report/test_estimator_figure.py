@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.report.estimator_figure import differences_dph, estimators_figure, with_both
 
 

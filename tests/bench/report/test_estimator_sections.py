@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.report.estimator_sections import estimators_note, estimators_section, fit_section
 
 

@@ -16,8 +16,8 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from bench.bias.bins import BiasBin, bin_biases
-from bench.bias.dwell_table import DwellRow
 from bench.bias.equality import compare_positions
+from bench.bias.tables.dwell_table import DwellRow
 from bench.documents import find_document
 from bench.errors import RunFolderError
 from bench.navigation.positions import POSITIONS

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench.bias.bins import BiasBin, paper_bins
-from bench.bias.dwell_table import DwellRow
 from bench.bias.equality import PositionComparison, compare_positions
+from bench.bias.tables.dwell_table import DwellRow
 from bench.report.findings import (
     agreement_sentence,
     differing,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from bench.bias.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import DwellRow
 from bench.report.fit_figure import fit_figure
 
 

@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 import pytest
 
 from bench.bias.bins import BiasBin, bin_biases, write_bins
-from bench.bias.dwell_table import DwellRow, write_dwells
+from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.documents import find_document
 from bench.report.bias_figure import bias_figure
 from bench.report.content import read_run

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.bias.joint_table import JointBiasRow, JointStopRow
+from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
 from bench.report.joint_section import joint_section
 from bench.report.sections import Section
 

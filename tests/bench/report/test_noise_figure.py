@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from bench.bias.dwell import NavigationWindow
-from bench.bias.noise import NoiseModel
-from bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from bench.bias.noise.model import NoiseModel
 from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
 from bench.report.noise_figure import noise_figure
 from bench.report.style import png_bytes

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bench.bias.noise_estimate import NoiseEstimate
+from bench.bias.noise.estimate import NoiseEstimate
 from bench.report.noise_section import noise_section
 from bench.report.sections import Section
 from bench.report.style import png_bytes

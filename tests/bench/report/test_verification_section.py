@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.bias.verification_table import VerificationRow
+from bench.bias.tables.verification_table import VerificationRow
 from bench.report.verification_section import verification_section, verification_sentence
 
 NOTHING = math.nan

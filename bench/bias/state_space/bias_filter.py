@@ -1,0 +1,288 @@
+"""Gyro bias of one dwell from the full error model of an INS at rest.
+
+What the paper's method leaves out, the Schuler loop, the Earth rate and the accelerometers, is
+part of the model here; what is unknown about it is estimated along with the bias. The sensors'
+random walk enters as what it is, noise that is integrated, so every epoch has its right weight and
+the covariance is that of the data. Level gyros are measured by velocity, which stays true if the
+mount creeps; the vertical gyro by the heading inside each window, so that whatever happens to the
+heading in a turn plays no part.
+
+The estimate is recursive: epochs may be added as they come, and it may be asked for at any time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from bench.bias.dwell import BiasEstimate, Dwell
+from bench.bias.least_squares import solve
+from bench.bias.noise.model import NoiseModel
+from bench.bias.prior import PriorKnowledge
+from bench.bias.state_space import causes, whitening
+from bench.bias.state_space.fit_test import FitTest, fit_test
+from bench.bias.state_space.window_filter import WindowFilter
+from bench.errors import MeasurementError
+from bench.navigation.earth import earth_rate_enu
+from bench.navigation.error_model import STATES, Site, integrate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DwellInformation:
+    """What the data of a dwell say of its unknowns, without prior knowledge.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n, p)
+        White rows with unit variance, for the unknowns of :mod:`bench.bias.state_space.causes`.
+    data : ndarray, shape (n,)
+        What they are to give.
+    bias_at_mean : ndarray, shape (3, p)
+        What the gyros' biases at their mean temperatures are of the unknowns.
+    earth_rate : ndarray, shape (3,)
+        ENU, rad/s.
+    """
+
+    rows: Array
+    data: Array
+    bias_at_mean: Array
+    earth_rate: Array
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return int(self.rows.shape[1] - causes.COMMON) // causes.PER_WINDOW
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpaceEstimate(BiasEstimate):
+    """Gyro bias of one dwell at the mean temperature of each gyro, and what was found with it.
+
+    Attributes
+    ----------
+    accelerometer_bias, accelerometer_sigma : ndarray, shape (3,)
+        m/s^2, body axes; an axis that stays vertical is not measured and keeps its prior uncertainty.
+    fit : FitTest
+        Whether the model explains the data.
+    information : DwellInformation
+        For the joint solution of several dwells.
+    """
+
+    accelerometer_bias: Array
+    accelerometer_sigma: Array
+    fit: FitTest
+    information: DwellInformation
+
+
+class BiasFilter:
+    """The estimate of one dwell while it goes on.
+
+    Parameters
+    ----------
+    site : Site
+        Where the bench stands.
+    noise : NoiseModel
+        Noise of the INS.
+    prior : PriorKnowledge
+        What is known beforehand.
+    """
+
+    def __init__(self, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> None:
+        self._site, self._noise, self._prior = site, noise, prior
+        self._earth_rate = earth_rate_enu(site.latitude)
+        self._windows: list[WindowFilter] = []
+        self._expansions: list[Array] = []
+        self._reference_c: Array | None = None
+        self._last_k = np.zeros(3)
+
+    def begin_window(
+        self, time_s: float, C_nb: NDArray[np.float64], turn: NDArray[np.float64] | None = None
+    ) -> None:
+        """Begin a stretch of navigation at rest.
+
+        Parameters
+        ----------
+        time_s : float
+            Its first epoch on the clock of the INS.
+        C_nb : ndarray, shape (3, 3)
+            Attitude that the INS computes then.
+        turn : ndarray, shape (k, 3, 3), optional
+            Attitudes by the table's word from the last window to this one, ends included.
+
+        Raises
+        ------
+        MeasurementError
+            A window after the first comes without its turn, or before the last one is over.
+        """
+        count = causes.COMMON + causes.PER_WINDOW * (len(self._windows) + 1)
+        state, known, covariance = np.zeros((STATES, count)), np.zeros(STATES), np.zeros((STATES, STATES))
+        if self._windows:
+            if turn is None or len(turn) < 2:
+                raise MeasurementError("a window after the first one needs the turn that led to it")
+            if not time_s > self._windows[-1].last_s:
+                raise MeasurementError(
+                    f"a window begins at {time_s:.3f} s, where the one before has epochs until "
+                    f"{self._windows[-1].last_s:.3f} s. Are they in order, and is none empty?"
+                )
+            state[:, : -causes.PER_WINDOW], known, covariance = self._through_turn(time_s, turn)
+        state[3:5, count - causes.PER_WINDOW :][:, causes.VELOCITY] = np.eye(2)
+        state[:3, count - causes.PER_WINDOW :][:, causes.ATTITUDE] = np.eye(3)
+        self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
+        self._expansions.append(_expansion(state, C_nb, self._earth_rate))
+
+    def add(
+        self,
+        time_s: NDArray[np.float64],
+        velocity_en_mps: NDArray[np.float64],
+        C_nb: NDArray[np.float64],
+        gyro_c: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Add the next epochs of the present window.
+
+        Parameters
+        ----------
+        time_s : ndarray, shape (n,)
+            On the clock of the INS; the first epoch of each second is used.
+        velocity_en_mps : ndarray, shape (n, 2)
+            Velocity East and North.
+        C_nb : ndarray, shape (n, 3, 3)
+            Attitude that the INS computes.
+        gyro_c : ndarray, shape (n, 3), optional
+            Temperatures of the gyros; the biases may change with them.
+
+        Raises
+        ------
+        MeasurementError
+            No window has begun, or something is not a number.
+        """
+        if not self._windows:
+            raise MeasurementError("epochs need a window that they belong to: begin one first")
+        if not all(np.isfinite(each).all() for each in (time_s, velocity_en_mps, C_nb)):
+            raise MeasurementError(f"an epoch after {time_s[0]:.3f} s is not a number")
+        chosen = self._windows[-1].choose(time_s)
+        if len(chosen):
+            temperatures = np.zeros((len(chosen), 3)) if gyro_c is None else self._from_first(gyro_c[chosen])
+            self._last_k = temperatures[-1]
+            self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
+
+    def estimate(self) -> StateSpaceEstimate:
+        """Estimate the biases from what has been added so far.
+
+        Raises
+        ------
+        MeasurementError
+            There was no turn yet, or nothing has been added after it.
+        """
+        if len(self._windows) < 2 or not self._windows[-1].epochs:
+            raise MeasurementError(
+                "no navigation after a turn: the biases can't be told from the initial errors. "
+                "Turn the unit and navigate again"
+            )
+        information = self.information()
+        prior_root = causes.prior_root(self._prior, len(self._windows), self._earth_rate)
+        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        at_mean, acceleration = information.bias_at_mean, causes.ACCELEROMETER_BIAS
+        return StateSpaceEstimate(
+            bias_radps=at_mean @ unknowns,
+            covariance=at_mean @ covariance @ at_mean.T,
+            accelerometer_bias=unknowns[acceleration],
+            accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
+            fit=self._fit_test(unknowns, covariance),
+            information=information,
+        )
+
+    def _from_first(self, gyro_c: Array) -> Array:
+        if self._reference_c is None:
+            self._reference_c = gyro_c[0].copy()
+        return gyro_c - self._reference_c
+
+    def _through_turn(self, time_s: float, turn: Array) -> tuple[Array, Array, Array]:
+        """What each unknown, the data and the noise made of the state when a turn ends at ``time_s``."""
+        last = self._windows[-1]
+        state = last.columns[:, : whitening.DATA] @ self._expansions[-1]
+        known, covariance = last.columns[:, whitening.DATA], last.covariance
+        duration = (time_s - last.last_s) / (len(turn) - 1)
+        noise = self._noise
+        step = integrate(
+            self._site, np.array([duration]), noise.angle_random_walk, noise.velocity_random_walk
+        )
+        transition, response = step.transition[0], step.response[0]
+        # The INS's own attitude before the turn, carried on by the table.
+        path = last.C_nb @ turn[0].T @ turn
+        turned = Rotation.from_matrix(path[:-1].transpose(0, 2, 1) @ path[1:]).as_rotvec()
+        middle = path[:-1] @ Rotation.from_rotvec(0.5 * turned).as_matrix()
+        for C_nb, angle in zip(middle, turned, strict=True):
+            rate_body = C_nb.T @ self._earth_rate + angle / duration
+            driven = causes.inputs(C_nb, rate_body, state.shape[1])
+            driven[:3, causes.GYRO_SLOPE] = C_nb * self._last_k
+            state = transition @ state + response @ driven
+            known = transition @ known
+            covariance = transition @ covariance @ transition.T + step.covariance[0]
+        return state, known, covariance
+
+    def information(self) -> DwellInformation:
+        """What has been added so far says of the unknowns, without prior knowledge."""
+        count = self._expansions[-1].shape[1]
+        pairs = list(zip(self._windows, self._expansions, strict=True))
+        mean_k = sum(each.temperature_sum for each in self._windows) / sum(
+            each.epochs for each in self._windows
+        )
+        at_mean = np.zeros((3, count))
+        at_mean[:, causes.GYRO_BIAS] = np.eye(3)
+        at_mean[:, causes.GYRO_SLOPE] = np.diag(mean_k)
+        return DwellInformation(
+            rows=np.vstack([_expanded(window.root, expansion, count) for window, expansion in pairs]),
+            data=np.concatenate([window.root[:, whitening.DATA] for window in self._windows]),
+            bias_at_mean=at_mean,
+            earth_rate=self._earth_rate,
+        )
+
+    def _fit_test(self, unknowns: Array, covariance: Array) -> FitTest:
+        blocks = [
+            (time_s, total[:, whitening.DATA], _expanded(total, expansion, len(unknowns)))
+            for window, expansion in zip(self._windows, self._expansions, strict=True)
+            for time_s, total in window.blocks()
+        ]
+        time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
+        return fit_test(time_s, sums, responses, unknowns, covariance)
+
+
+def estimate_state_space(
+    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
+) -> StateSpaceEstimate:
+    """Estimate the gyro biases of one dwell; see the module.
+
+    Raises
+    ------
+    MeasurementError
+        The dwell has no turn.
+    """
+    bias_filter = BiasFilter(site, noise, prior)
+    for number, window in enumerate(dwell.windows):
+        turn = dwell.turns[number - 1] if number else None
+        bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
+        bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
+    return bias_filter.estimate()
+
+
+def _expansion(state: Array, C_nb: Array, earth_rate: Array) -> Array:
+    """What each column of a window (15) is of the unknowns (p), given its first state (6, p)."""
+    count = state.shape[1]
+    expansion = np.zeros((whitening.DATA, count))
+    expansion[: whitening.INPUT] = state
+    expansion[whitening.INPUT : whitening.HEADING] = causes.inputs(C_nb, C_nb.T @ earth_rate, count)
+    expansion[whitening.HEADING, count - causes.PER_WINDOW + causes.HEADING] = 1.0
+    expansion[whitening.SLOPE : whitening.DATA, causes.GYRO_SLOPE] = np.eye(3)
+    return expansion
+
+
+def _expanded(rows: Array, expansion: Array, count: int) -> Array:
+    """Rows of a window (n, 16) for all unknowns of the dwell (n, count)."""
+    result = np.zeros((len(rows), count))
+    result[:, : expansion.shape[1]] = rows[:, : whitening.DATA] @ expansion
+    return result

@@ -1,0 +1,132 @@
+"""One stretch of navigation at rest, made white epoch by epoch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.bias.least_squares import compress
+from bench.bias.noise.model import NoiseModel
+from bench.bias.state_space import whitening
+from bench.navigation.attitude import rotation_vector_enu
+from bench.navigation.error_model import STATES, Site, integrate
+
+Array = NDArray[np.float64]
+
+#: Velocity and heading hold all that happened before, so epochs closer than this, s, would only
+#: average noise of the output.
+EPOCH_S = 1.0
+#: Time, s, over which innovations are summed for the test of fit.
+BLOCK_S = 60.0
+
+# Noise of an output without any, m/s and rad: far below what an INS resolves.
+_LEAST_WHITE = np.array([1e-7, 1e-7, 1e-10])
+_SLOT_TOLERANCE = 1e-3
+
+
+@dataclass
+class _Block:
+    total: Array = field(default_factory=lambda: np.zeros((3, whitening.COLUMNS)))
+    times_s: list[float] = field(default_factory=list)
+
+
+class WindowFilter:
+    """Innovations of one window and of the responses to what may act in it.
+
+    Parameters
+    ----------
+    site, noise
+        Where the bench stands, and the noise of the INS.
+    time_s : float
+        First epoch on the clock of the INS.
+    C_nb : ndarray, shape (3, 3)
+        Attitude that the INS computes then.
+    known : ndarray, shape (6,)
+        Minus what the filter knows of the state from earlier windows.
+    covariance : ndarray, shape (6, 6)
+        Covariance of that from the noise alone; changed as epochs are added.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (6, 16)
+        What the filter does not know of the state at the last epoch, for the columns of
+        :mod:`bench.bias.state_space.whitening`.
+    root : ndarray, shape (k, 16)
+        Rows with the same normal equations as the white ones of all epochs.
+    last_s : float
+        Time of the last epoch used; NaN before the first one.
+    temperature_sum, epochs : ndarray of shape (3,), int
+        Sum of the gyros' temperatures over the epochs used, and their number.
+    """
+
+    def __init__(
+        self, site: Site, noise: NoiseModel, time_s: float, C_nb: Array, known: Array, covariance: Array
+    ) -> None:
+        self._site, self._noise = site, noise
+        self._first_s = time_s
+        white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
+        self._variances = np.maximum(white, _LEAST_WHITE) ** 2
+        self._blocks: dict[int, _Block] = {}
+        self.C_nb = np.ascontiguousarray(C_nb)
+        self.covariance = covariance
+        self.columns = np.zeros((STATES, whitening.COLUMNS))
+        self.columns[:, : whitening.INPUT] = np.eye(STATES)
+        self.columns[:, whitening.DATA] = known
+        self.root = np.zeros((0, whitening.COLUMNS))
+        self.last_s = math.nan
+        self.temperature_sum = np.zeros(3)
+        self.epochs = 0
+
+    def choose(self, time_s: Array) -> NDArray[np.int64]:
+        """Choose the first epoch of each second that has none yet; indices."""
+        slots = np.array(self._slots(time_s, EPOCH_S))
+        last = -1 if math.isnan(self.last_s) else self._slots(np.array([self.last_s]), EPOCH_S)[0]
+        return np.flatnonzero(slots > np.maximum.accumulate(np.append(last, slots[:-1])))
+
+    def add(self, time_s: Array, velocity_en_mps: Array, C_nb: Array, temperatures: Array) -> None:
+        """Filter the next epochs (n,); temperatures (n, 3) count from where the bias slopes do, K."""
+        steps = integrate(
+            self._site,
+            np.diff(time_s, prepend=time_s[0] if math.isnan(self.last_s) else self.last_s),
+            self._noise.angle_random_walk,
+            self._noise.velocity_random_walk,
+        )
+        heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
+        rows = whitening.whiten(
+            self.columns,
+            self.covariance,
+            np.column_stack([velocity_en_mps, heading]),
+            self._variances,
+            steps.transition,
+            steps.response,
+            steps.covariance,
+            self.C_nb,
+            temperatures,
+        )
+        self.root = compress(np.vstack([self.root, rows.reshape(-1, whitening.COLUMNS)]))
+        self._sum_up(time_s, rows)
+        self.last_s = float(time_s[-1])
+        self.temperature_sum += temperatures.sum(axis=0)
+        self.epochs += len(time_s)
+
+    def blocks(self) -> Iterator[tuple[float, Array]]:
+        """Middle of each minute, and the sum of its rows (3, 16) with unit variance."""
+        for block in self._blocks.values():
+            times_s = block.times_s
+            yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
+
+    def _sum_up(self, time_s: Array, rows: Array) -> None:
+        numbers = np.array(self._slots(time_s, BLOCK_S))
+        for number in np.unique(numbers).tolist():
+            block = self._blocks.setdefault(number, _Block())
+            block.total += rows[numbers == number].sum(axis=0)
+            block.times_s += time_s[numbers == number].tolist()
+
+    def _slots(self, time_s: Array, length_s: float) -> list[int]:
+        elapsed = (time_s - self._first_s) / length_s
+        slots: list[int] = np.floor(elapsed + _SLOT_TOLERANCE).astype(int).tolist()
+        return slots

@@ -1,0 +1,1 @@
+"""Results as files: the tables of a run, written and read again."""

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from bench.bias.prior import PriorKnowledge
+from bench.bias.state_space import causes
+from bench.navigation.earth import DPH_TO_RADPS, STANDARD_GRAVITY, earth_rate_enu
+from bench.navigation.positions import POSITIONS
+
+LATITUDE = np.radians(36.4)
+EARTH = earth_rate_enu(LATITUDE)
+TWO_WINDOWS = causes.COMMON + 2 * causes.PER_WINDOW
+
+
+def covariance(prior, windows=2):
+    root = causes.prior_root(prior, windows, EARTH)
+    return root @ root.T
+
+
+def nothing(**sizes):
+    """Prior knowledge that nothing acts but what is named."""
+    return PriorKnowledge(**dict.fromkeys(PriorKnowledge.__dataclass_fields__, 0.0) | sizes)
+
+
+@pytest.mark.parametrize("position", POSITIONS)
+def test_inputs_are_the_sensors_errors_in_the_navigation_frame(position):
+    """The paper's (1) and (2): a matrix times what is felt, plus a bias."""
+    random = np.random.default_rng(4)
+    C_nb = POSITIONS[position].C_nb(0.7)
+    unknowns = random.standard_normal(TWO_WINDOWS)
+    unknowns[causes.ACCELEROMETER_DRIFT] = 0.0
+    gyro_bias, accelerometer_bias = unknowns[causes.GYRO_BIAS], unknowns[causes.ACCELEROMETER_BIAS]
+    matrix, rate_body = unknowns[causes.GYRO_MATRIX].reshape(3, 3), random.standard_normal(3)
+    gyros = C_nb @ (gyro_bias + matrix @ rate_body)
+    gyros[1:] += unknowns[causes.NAVIGATION_RATE]
+    expected = np.concatenate([gyros, (C_nb @ accelerometer_bias)[:2]])
+    given = causes.inputs(C_nb, rate_body, TWO_WINDOWS) @ unknowns
+    np.testing.assert_allclose(given, expected, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("position", POSITIONS)
+def test_a_drift_of_the_accelerometers_acts_as_the_bias_of_the_level_gyro_across_it(position):
+    """V_E'' = drift_E + g b_N and V_N'' = drift_N - g b_E: one cancels the other."""
+    C_nb = POSITIONS[position].C_nb(0.7)
+    drift = np.array([1e-6, -2e-6, 3e-6])
+    east, north, _ = C_nb @ drift / STANDARD_GRAVITY
+    unknowns = np.zeros(TWO_WINDOWS)
+    unknowns[causes.ACCELEROMETER_DRIFT] = drift
+    unknowns[causes.GYRO_BIAS] = C_nb.T @ [north, -east, 0.0]
+    np.testing.assert_allclose(causes.inputs(C_nb, np.zeros(3), TWO_WINDOWS) @ unknowns, 0.0, atol=1e-20)
+
+
+def test_a_window_acts_at_its_start_alone():
+    inputs = causes.inputs(np.eye(3), np.ones(3), TWO_WINDOWS)
+    assert not inputs[:, causes.COMMON :].any()
+    assert not inputs[:, causes.GYRO_SLOPE].any()
+
+
+def test_every_unknown_has_its_own_place():
+    places = [
+        np.arange(TWO_WINDOWS)[part]
+        for part in (
+            causes.GYRO_BIAS,
+            causes.GYRO_SLOPE,
+            causes.ACCELEROMETER_BIAS,
+            causes.NAVIGATION_RATE,
+            causes.GYRO_MATRIX,
+            causes.ACCELEROMETER_DRIFT,
+        )
+    ]
+    assert np.concatenate(places).tolist() == list(range(causes.COMMON))
+    own = [[causes.HEADING], *(np.arange(causes.PER_WINDOW)[p] for p in (causes.VELOCITY, causes.ATTITUDE))]
+    assert np.concatenate(own).tolist() == list(range(causes.PER_WINDOW))
+
+
+def test_sizes_of_prior_knowledge_are_standard_deviations_of_the_unknowns():
+    prior = PriorKnowledge(2e-3, 3e-6, 4e-5, 5e-6, 0.0, 6e-9)
+    sigmas = np.sqrt(np.diag(covariance(prior)))
+    np.testing.assert_allclose(sigmas[causes.ACCELEROMETER_BIAS], 2e-3)
+    np.testing.assert_allclose(sigmas[causes.GYRO_SLOPE], 6e-9)
+    matrix = sigmas[causes.GYRO_MATRIX].reshape(3, 3)
+    np.testing.assert_allclose(np.diag(matrix), 3e-6)
+    np.testing.assert_allclose(matrix[~np.eye(3, dtype=bool)], 4e-5)
+
+
+def test_the_sensors_may_tilt_in_a_turn_but_the_first_attitude_is_free():
+    sigmas = np.sqrt(np.diag(covariance(nothing(tilt_step=5e-6), windows=3)))
+    own = sigmas[causes.COMMON :].reshape(3, causes.PER_WINDOW)
+    np.testing.assert_allclose(own[1:, causes.ATTITUDE], 5e-6)
+    assert own[0, causes.ATTITUDE].min() > np.radians(5.0)
+
+
+def test_what_the_data_decide_is_free():
+    sigmas = np.sqrt(np.diag(covariance(nothing(), windows=4)))
+    assert sigmas[causes.GYRO_BIAS].min() > 1000.0 * DPH_TO_RADPS
+    own = sigmas[causes.COMMON :].reshape(4, causes.PER_WINDOW)
+    assert own[:, causes.VELOCITY].min() > 1.0
+    assert own[:, causes.HEADING].min() > np.radians(5.0)
+
+
+def test_a_wrong_latitude_is_one_cause_of_the_rates_north_and_up():
+    """The INS takes away the Earth rate of the wrong latitude: what is left is fixed to the Earth."""
+    size = 1e-5
+    spread = covariance(nothing(latitude=size))[causes.NAVIGATION_RATE, causes.NAVIGATION_RATE]
+    left = (earth_rate_enu(LATITUDE) - earth_rate_enu(LATITUDE + size))[1:]
+    np.testing.assert_allclose(spread, np.outer(left, left), rtol=1e-4)
+
+
+def test_causes_are_independent_of_one_another_otherwise():
+    spread = covariance(PriorKnowledge())
+    spread[causes.NAVIGATION_RATE, causes.NAVIGATION_RATE] = 0.0
+    assert not (spread - np.diag(np.diag(spread))).any()

@@ -1,0 +1,111 @@
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bench.bias.dwell import NavigationWindow
+from bench.bias.noise.estimate import estimate_noise
+from bench.bias.tables.noise_file import read_noise, write_noise
+from bench.errors import DocumentError, RunFolderError
+from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
+
+EPOCHS, INTERVAL_S = 1200, 0.25
+WALKS = 0.001 * DEG_PER_SQRT_H_TO_SI, 20.0 * UG_PER_SQRT_HZ_TO_SI
+
+
+def noise_of(attitude_step=1e-9, velocity_step=1e-7):
+    """Estimate of random walks in an output of such resolution."""
+    random = np.random.default_rng(7)
+    angles, velocities = (
+        np.rint(walk * math.sqrt(INTERVAL_S) * random.normal(size=(EPOCHS, 3)).cumsum(axis=0) / step) * step
+        for walk, step in zip(WALKS, (attitude_step, velocity_step), strict=True)
+    )
+    time_s = INTERVAL_S * np.arange(EPOCHS)
+    attitudes = Rotation.from_rotvec(angles).as_matrix()
+    return estimate_noise([NavigationWindow(time_s, velocities, attitudes)], 9.8)
+
+
+def everything(noise):
+    """All that a report asks of an estimate."""
+    return (
+        noise.gravity,
+        noise.duration_s,
+        noise.angle_random_walks,
+        noise.angle_random_walk,
+        noise.angle_random_walk_of_tilt,
+        noise.velocity_random_walk,
+        noise.velocity_white,
+        noise.attitude_white,
+        [
+            (each.step, each.allan.lengths, each.allan.tau_s.tolist(), each.allan.deviation.tolist())
+            for each in (*noise.gyros, noise.all_gyros, noise.acceleration)
+        ],
+        [
+            each.fit and (each.fit.expected.tolist(), each.fit.used.tolist(), each.fit.misfit)
+            for each in noise.gyros
+        ],
+    )
+
+
+@pytest.mark.parametrize(
+    "steps", [(1e-9, 1e-7), (5e-6, 0.01), (1.0, 10.0)], ids=["seen", "hidden", "never changes"]
+)
+def test_an_estimate_survives_the_file_to_the_last_digit(tmp_path, steps):
+    noise = noise_of(*steps)
+    write_noise(tmp_path / "noise.json", noise)
+    read = read_noise(tmp_path / "noise.json")
+    assert everything(read) == everything(noise)
+    assert (noise.gyros[0].fit is None) == (steps[0] > 1e-9)
+
+
+def test_arrays_are_arrays_again(tmp_path):
+    noise = noise_of()
+    write_noise(tmp_path / "noise.json", noise)
+    read = read_noise(tmp_path / "noise.json")
+    for one, other in ((read.all_gyros, noise.all_gyros), (read.acceleration, noise.acceleration)):
+        assert one.allan.factors.dtype == other.allan.factors.dtype
+        assert one.fit.used.dtype == bool
+        np.testing.assert_array_equal(one.is_seen, other.is_seen)
+    assert read.noise_model() == noise.noise_model()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "not json",
+        "null",
+        "[]",
+        "{}",
+        '{"gyros": []}',
+        '{"gyros": [1, 2, 3]}',
+        '{"gyros": [{"fit": [1]}, {}, {}]}',
+        '{"gyros": [{"fit": null, "allan": 5}, {}, {}]}',
+    ],
+)
+def test_a_file_that_holds_something_else_is_an_error_with_its_name(tmp_path, text):
+    path = tmp_path / "noise.json"
+    path.write_text(text)
+    with pytest.raises(DocumentError, match=r"noise\.json: holds no noise estimate"):
+        read_noise(path)
+
+
+@pytest.mark.parametrize("key", ["acceleration", "gravity"])
+def test_a_file_that_lacks_something_is_an_error(tmp_path, key):
+    path = tmp_path / "noise.json"
+    write_noise(path, noise_of())
+    data = json.loads(path.read_text())
+    del data[key]
+    path.write_text(json.dumps(data))
+    with pytest.raises(DocumentError, match=key):
+        read_noise(path)
+
+
+def test_files_that_can_not_be_read_or_written_are_named_once(tmp_path):
+    with pytest.raises(DocumentError) as caught:
+        read_noise(tmp_path / "absent.json")
+    assert str(caught.value).count("absent.json") == 1
+    with pytest.raises(RunFolderError, match="can't be written"):
+        write_noise(tmp_path / "absent" / "noise.json", noise_of())
