@@ -5,11 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bench.errors import DocumentError, GyrobenchError, InstrumentError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bench.bias.bins import BiasBin
+    from bench.bias.tables.verification_table import VerificationRow
 
 # The matrices of this project are small: threads of the linear algebra only get into each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -47,13 +53,11 @@ def run(
 
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
-    from bench.bias.equality import compare_positions
     from bench.engine.operator import ConsentingOperator
     from bench.engine.session import prepare_job, run_job
     from bench.progress_view import PatientConsole, ProgressView
     from bench.report.html import write_report
-    from bench.report.terminal import bins_table, durations_table
-    from bench.report.verification_terminal import verification_table
+    from bench.report.terminal import durations_table
     from bench.station.instruments import Emulation
     from bench.terminal_operator import TerminalOperator
 
@@ -70,9 +74,7 @@ def run(
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print("\n".join(safe_state), soft_wrap=True)
     report = write_report(folder)
-    console.print(bins_table(outcome.results.bins, compare_positions(outcome.results.bins)))
-    if outcome.results.verification:
-        console.print(verification_table(outcome.results.verification))
+    _print_biases(console, outcome.results.bins, outcome.results.verification)
     console.print(durations_table(outcome.took_s))
     if outcome.ended == "finished":
         console.print("\n".join(safe_state), soft_wrap=True)
@@ -116,19 +118,30 @@ def bins(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run fol
     Example: gyrobench bins runs/six_position_fig7-001
     """
     from bench.bias.bins import read_bins
-    from bench.bias.equality import compare_positions
+    from bench.bias.tables.verification_table import read_verification
     from bench.engine.session import measure_again
     from bench.progress_view import PatientConsole
     from bench.report.html import write_report
-    from bench.report.terminal import bins_table
 
     folder = measure_again(run_folder)
-    measured = read_bins(folder.bias_bins)
+    verification = read_verification(folder.verification) if folder.verification.exists() else []
     console = PatientConsole(markup=False)
-    console.print(bins_table(measured, compare_positions(measured)))
-    console.print(
-        f"Report   {write_report(folder)}\nTables   {folder.dwells}, {folder.bias_bins}", soft_wrap=True
-    )
+    _print_biases(console, read_bins(folder.bias_bins), verification)
+    results = (folder.bias_bins, folder.joint, folder.joint_biases, folder.noise, folder.verification)
+    tables = [path.name for path in (folder.dwells, *results) if path.exists()]
+    console.print(f"Tables   {', '.join(tables)}")
+    console.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)
+
+
+def _print_biases(console: Console, bins: list[BiasBin], verification: list[VerificationRow]) -> None:
+    from bench.bias.equality import compare_positions
+    from bench.report.terminal import bins_table
+    from bench.report.verification_terminal import verification_table
+
+    if bins or not verification:
+        console.print(bins_table(bins, compare_positions(bins)))
+    if verification:
+        console.print(verification_table(verification))
 
 
 def _because(problem: str) -> str:

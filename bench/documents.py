@@ -28,6 +28,8 @@ MAX_DOCUMENT_BYTES = 1_000_000
 _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
 _SHOWN_CHARACTERS = 60
+#: How pydantic calls a value.
+_INPUT = "Input"
 
 ModelT = TypeVar("ModelT", bound="StrictModel")
 
@@ -145,7 +147,7 @@ def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
         location = (*at, *detail["loc"])
         message = detail["msg"]
         if detail["type"] == "missing":
-            location, message = location[:-1], f"the key '{location[-1]}' is missing"
+            location = location[:-1]
         elif detail["type"] != "unknown_key":
             message = f"{message.removeprefix('Value error, ')}; found {_shown(detail['input'])}"
         problems.append(Problem(location, message))
@@ -276,8 +278,14 @@ class _NodeReader:
 
 def _rewritten(detail: Any, model: type[BaseModel]) -> InitErrorDetails:
     kind, message = detail["type"], detail["msg"]
-    if kind == "extra_forbidden" and len(detail["loc"]) == 1:
-        kind, message = "unknown_key", _unknown_key(str(detail["loc"][0]), list(model.model_fields))
+    if len(detail["loc"]) == 1:  # else a model below has said it
+        key = str(detail["loc"][0])
+        if kind == "extra_forbidden":
+            kind, message = "unknown_key", _unknown_key(key, list(model.model_fields))
+        elif kind == "missing":
+            message = _missing_key(key, model)
+        elif message.startswith(_INPUT):
+            message = _quoted(key) + message.removeprefix(_INPUT)
     return InitErrorDetails(
         type=PydanticCustomError(kind, message), loc=detail["loc"], input=detail.get("input")
     )
@@ -285,6 +293,12 @@ def _rewritten(detail: Any, model: type[BaseModel]) -> InitErrorDetails:
 
 def _unknown_key(key: str, allowed: list[str]) -> str:
     return f"unknown key {_quoted(key)}{hint(key, allowed)}; allowed here: {', '.join(allowed)}"
+
+
+def _missing_key(key: str, model: type[BaseModel]) -> str:
+    field = model.model_fields.get(key)
+    meaning = f": {field.description}" if field and field.description else ""
+    return f"the key {_quoted(key)} is missing{meaning}"
 
 
 def _quoted(key: str) -> str:

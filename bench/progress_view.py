@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from rich.console import Console
+from rich.padding import Padding
 from rich.status import Status
 from rich.text import Text
 
@@ -17,9 +18,12 @@ from bench.navigation.positions import AXES
 from bench.procedure.plan import Plan, PlannedStep
 from bench.procedure.steps import Chamber
 from bench.procedure.timeline import hours_minutes
+from bench.report.wording import counted
 
+_UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
 _UPDATE_EVERY_TICKS = 50
 _HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z     left h"
+_INDENT = 8
 
 
 class PatientConsole(Console):
@@ -50,15 +54,14 @@ class ProgressView:
         self._left_s = plan.duration_s
         self._step = ""
         self._so_far = ""
+        self._has_head = False
         self._status: Status | None = None
 
     def __enter__(self) -> ProgressView:
         self._console.print(
-            f"{self._plan.procedure.procedure}: {len(self._plan.steps)} steps, "
-            f"{self._plan.dwell_count} dwells, {hours_minutes(self._plan.duration_s)} h planned"
+            f"{self._plan.procedure.procedure}: {counted(len(self._plan.steps), 'step')}, "
+            f"{counted(self._plan.dwell_count, 'dwell')}, {hours_minutes(self._plan.duration_s)} h planned"
         )
-        self._console.print("Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC.")
-        self._console.print(_HEAD, highlight=False)
         if self._console.is_terminal:
             self._status = self._console.status("starting")
             self._status.start()
@@ -97,17 +100,21 @@ class ProgressView:
     def estimated(self, estimate: StateSpaceEstimate) -> None:
         """Show the biases so far with the next update."""
         pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
-        self._so_far = " ".join(f"{axis} {bias:+.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
+        self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
-        """Print a dwell."""
+        """Print a dwell; above the first one what its numbers are, below one with flags the reason."""
+        if not self._has_head:
+            self._console.print(f"{_UNITS}\n{_HEAD}", highlight=False)
+            self._has_head = True
         number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
         head = f"{number} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
         if row.flags:
-            self._console.print(f"{head}  flagged: {row.flags}", soft_wrap=True, highlight=False)
+            self._console.print(f"{head}  flagged", highlight=False)
+            self._console.print(Padding(Text(row.flags), (0, 0, 0, _INDENT), expand=False))
             return
         values = " ".join(
-            f"{bias * 1e3:+7.2f} ±{sigma * 1e3:<4.2f}"
+            f"{bias * 1e3:+z7.2f} ±{sigma * 1e3:<4.2f}"
             for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
         )
         self._console.print(f"{head} {values} {hours_minutes(self._left_s):>6s}", highlight=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import MeasurementError
-from bench.navigation.attitude import angle_between
+from bench.navigation.attitude import angle_between, rotation_vector_enu
 from bench.navigation.earth import RADPS_TO_DPH
 from bench.navigation.positions import POSITIONS, Position
 
@@ -22,6 +22,8 @@ MAX_GAP_EPOCHS = 5.5
 _SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
+#: Largest change of the attitude of the INS within a window, rad: 3 deg/h for 10 min.
+MAX_MOVEMENT = np.deg2rad(0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,27 @@ class NavigationWindow:
 
 
 @dataclass(frozen=True, eq=False)
+class TurnPath:
+    """The way from one window to the next by the table's word.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (k,)
+        Times on the clock of the INS; before the first and after the last one the unit rests.
+    C_nb : ndarray, shape (k, 3, 3)
+        Attitude at each of them.
+    """
+
+    time_s: NDArray[np.float64]
+    C_nb: NDArray[np.float64]
+
+    @classmethod
+    def steady(cls, begin_s: float, end_s: float, C_nb: NDArray[np.float64]) -> TurnPath:
+        """Attitudes (k, 3, 3) at equal times from begin to end."""
+        return cls(np.linspace(begin_s, end_s, len(C_nb)), C_nb)
+
+
+@dataclass(frozen=True, eq=False)
 class Dwell:
     """Navigation in one position, with turns about the vertical between stretches at rest.
 
@@ -102,8 +125,8 @@ class Dwell:
         Output of the INS at rest, on one clock, without realignment in between; the paper has two.
     C_nb_table : tuple of ndarray, shape (3, 3)
         Attitude of the unit in each window by the table's word.
-    turns : tuple of ndarray, shape (k, 3, 3)
-        Attitudes by the table's word on the way from each window to the next, ends included.
+    turns : tuple of TurnPath
+        From each window to the next.
 
     Raises
     ------
@@ -115,7 +138,7 @@ class Dwell:
     azimuth_rad: float
     windows: tuple[NavigationWindow, ...]
     C_nb_table: tuple[NDArray[np.float64], ...]
-    turns: tuple[NDArray[np.float64], ...]
+    turns: tuple[TurnPath, ...]
 
     def __post_init__(self) -> None:
         if self.position_name not in POSITIONS:
@@ -139,11 +162,21 @@ class Dwell:
         self._check_attitude("position and azimuth", nominal, "table at the start", self.C_nb_table[0])
         for number, (window, C_nb) in enumerate(zip(self.windows, self.C_nb_table, strict=True), 1):
             self._check_attitude("INS", window.C_nb[0], f"table in window {number}", C_nb)
+            self._check_still(number, window)
 
     @property
     def position(self) -> Position:
         """The position that the name stands for."""
         return POSITIONS[self.position_name]
+
+    def _check_still(self, number: int, window: NavigationWindow) -> None:
+        moved = np.linalg.norm(rotation_vector_enu(window.C_nb, window.C_nb[0]), axis=1)
+        if not moved.max() <= MAX_MOVEMENT:
+            raise MeasurementError(
+                f"{self.position_name}: in window {number} the unit turned by "
+                f"{np.rad2deg(moved.max()):.1f} deg by the word of the INS (at most "
+                f"{np.rad2deg(MAX_MOVEMENT):g} deg is allowed). Was the table moved?"
+            )
 
     def _check_attitude(
         self, what: str, C_one: NDArray[np.float64], other: str, C_other: NDArray[np.float64]

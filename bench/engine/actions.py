@@ -57,6 +57,8 @@ class Context:
     ----------
     tell_estimate : callable
         Takes the estimate of the dwell under way.
+    note : callable
+        Takes what a person should know, for journal and screen.
     angles : tuple of float or None
         Outer and inner angle last commanded, deg.
     turns_to_come_deg : sequence of float
@@ -69,11 +71,13 @@ class Context:
         operator: Operator,
         recorder: DwellRecorder,
         tell_estimate: Callable[[StateSpaceEstimate], None],
+        note: Callable[[str], None],
     ) -> None:
         self.bench = bench
         self.operator = operator
         self.recorder = recorder
         self.tell_estimate = tell_estimate
+        self.note = note
         self.angles: Angles | None = None
         self.turns_to_come_deg: Sequence[float] = ()
 
@@ -176,7 +180,7 @@ def _align(step: Align, context: Context) -> Ticks:
 def _navigate(step: Navigate, context: Context) -> Ticks:
     ins = context.bench.instruments.ins
     status = ins.status()
-    if status.mode is not InsMode.NAVIGATE:
+    if status.mode is not InsMode.NAVIGATE and not context.recorder.lost_navigation():
         if status.alignment is Alignment.NONE:
             raise FaultError("INS", "has not aligned, so it can't navigate. Give align more time.")
         ins.navigate()
@@ -195,10 +199,15 @@ def _navigating(step: Navigate, context: Context) -> Ticks:
             next_look_s += _ESTIMATE_EVERY_S
             estimate = context.recorder.estimate_so_far()
             if estimate is not None:
+                sigma_dph = float(estimate.sigma_dph.max())
                 context.tell_estimate(estimate)
-                if step.is_satisfied(clock.now() - begin_s, float(estimate.sigma_dph.max())):
+                if step.is_satisfied(clock.now() - begin_s, sigma_dph):
+                    context.note(f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s")
                     return
         yield
+    if step.until:
+        wanted_dph = step.until.bias_sigma_below_dph
+        context.note(f"biases not known to {wanted_dph:g} deg/h after {step.longest_s:g} s: going on")
 
 
 @perform.register
@@ -206,7 +215,9 @@ def _turn(step: Turn, context: Context) -> Ticks:
     if context.angles is None:
         raise FaultError("rate table", "a turn needs a position first. Put go_to before it.")
     target = context.bench.station.table.turn(context.angles, step.angle_deg)
+    context.recorder.begin_turn()
     yield from _moved(context, target, step.rate_dps)
+    context.recorder.end_turn()
     context.recorder.azimuth_deg += step.angle_deg
     yield from _lasting(context.bench, step.settle_s)
 

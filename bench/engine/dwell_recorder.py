@@ -53,6 +53,7 @@ class DwellRecorder:
     _begun_at_deg: float = 0.0
     _first_frame: int = 0
     _angles: Angles = (0.0, 0.0)
+    _turn: tuple[int | None, int | None] = (None, None)
     _windows: list[WindowMark] = field(default_factory=list)
     _disturbances: list[str] = field(default_factory=list)
     _live: LiveEstimate | None = None
@@ -68,6 +69,7 @@ class DwellRecorder:
         self._align_begin_s = self.bench.clock.now()
         self._windows.clear()
         self._disturbances.clear()
+        self._turn = (None, None)
         self._begun_at_deg = self.azimuth_deg
         self._live = LiveEstimate(self.setup, self._frames)
 
@@ -79,20 +81,39 @@ class DwellRecorder:
             if self.bench.capture:
                 self.bench.capture.chamber_c.clear()  # those of the alignment
         self._angles = self._table_angles()
+        if self.bench.capture:
+            self.bench.capture.table_deg.clear()
 
     def end_window(self) -> None:
         """End it."""
-        moved_deg = float(np.abs(np.subtract(self._table_angles(), self._angles)).max())
+        read_deg = [self._table_angles(), *(self.bench.capture.table_deg if self.bench.capture else ())]
+        moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
         if moved_deg > _STILL_DEG:
             self._disturbances.append(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
         self._windows.append(self._window())
+        self._turn = (None, None)
+
+    def begin_turn(self) -> None:
+        """Begin a turn."""
+        if self._turn[0] is None:
+            self._turn = (self.bench.captured_frames(), None)
+
+    def end_turn(self) -> None:
+        """End it: the table has come to rest."""
+        self._turn = (self._turn[0], self.bench.captured_frames())
+
+    def lost_navigation(self) -> bool:
+        """Note that the INS does not navigate; whether that spoils a dwell that has a window already."""
+        if self._windows:
+            self._disturbances.append("the INS left navigation in the turn")
+        return bool(self._windows)
 
     def estimate_so_far(self) -> StateSpaceEstimate | None:
         """Estimate the biases while a window goes on; None as long as they can't be told."""
         return self._live.update([*self._windows, self._window()]) if self._live else None
 
     def _window(self) -> WindowMark:
-        return WindowMark(self._first_frame, self.bench.captured_frames(), *self._angles)
+        return WindowMark(self._first_frame, self.bench.captured_frames(), *self._angles, *self._turn)
 
     def _frames(self, first: int) -> FrameBlock:
         capture = self.bench.capture

@@ -129,7 +129,7 @@ class Engine:
         self._journal = journal
         self._progress = progress
         self._recorder = DwellRecorder(bench, setup)
-        self._context = Context(bench, operator, self._recorder, progress.estimated)
+        self._context = Context(bench, operator, self._recorder, progress.estimated, self._note)
         self._outcome = RunOutcome()
 
     def run(self) -> RunOutcome:
@@ -186,8 +186,13 @@ class Engine:
         )
         if isinstance(planned.step, PowerOn):
             self._identify_unit()
+        self._progress.ticked(bench, self._plan.duration_s - planned.end_s)
         if planned.dwell and self._is_last_of_dwell(planned):
             self._finish_dwell()
+
+    def _note(self, text: str) -> None:
+        self._journal.record("note", text=text)
+        self._progress.told(text)
 
     def _identify_unit(self) -> None:
         ins = self._bench.instruments.ins

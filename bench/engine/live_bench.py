@@ -43,10 +43,11 @@ class Readings:
 
 @dataclass
 class Capture:
-    """Frames and chamber temperatures since an alignment began."""
+    """Frames, chamber temperatures and table angles since an alignment began."""
 
     log_part: int
     chamber_c: list[float] = field(default_factory=list)
+    table_deg: list[tuple[float, float]] = field(default_factory=list)
     _blocks: list[FrameBlock] = field(default_factory=list)
     _messages: list[can.Message] = field(default_factory=list)
 
@@ -180,6 +181,7 @@ class LiveBench:
         self._telemetry.add(self._telemetry_row(readings))
         if self.capture:
             self.capture.chamber_c.append(readings.chamber_c)
+            self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
         return readings
 
     def _check_chamber(self, chamber_c: float) -> None:

@@ -12,7 +12,7 @@ from bench.engine.engine import Engine, Progress, RunOutcome
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
 from bench.engine.stop import StopRequest
-from bench.errors import GyrobenchError, RunFolderError
+from bench.errors import DocumentError, GyrobenchError, RunFolderError
 from bench.files import write_whole
 from bench.measurement.calibration import read_calibration
 from bench.measurement.replay import replay
@@ -72,6 +72,11 @@ def prepare_job(
     document, model = load_procedure(find_document("procedures", procedure))
     plan = expand(document, model, bench.bench_at_rest())
     check(document, plan, bench.limits())
+    if calibration and not any(planned.is_verification for planned in plan.steps):
+        raise DocumentError(
+            f"{document.path}: verifies nothing, so there is nothing to compare with {calibration}. "
+            "Leave --calibration out, or take a procedure with `purpose: verification`"
+        )
     rows = tuple(read_calibration(calibration)) if calibration else ()
     return Job(document, plan, bench, emulation or Emulation(), rows)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
+from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from bench.bias.noise.estimate import estimate_noise
 from bench.bias.noise.model import NoiseModel
 from bench.bias.paper import estimate_paper
@@ -30,6 +30,7 @@ from bench.measurement.temperatures import (
 )
 from bench.navigation.earth import STANDARD_GRAVITY
 from bench.navigation.error_model import Site
+from bench.navigation.positions import AXES
 from bench.navigation.table_axes import TwoAxisTable
 from drivers.ins.epochs import EpochCounts
 from drivers.ins.frames import FrameBlock
@@ -76,9 +77,16 @@ class MeasurementSetup:
     heading_lsb_rad: float
     resolution: tuple[ResolutionLimit, ...]
 
-    def turn(self, before: WindowMark, after: WindowMark) -> Array:
-        """Attitudes (k, 3, 3) by the table's word on the way from one window to the next."""
-        return self.table.path((before.outer_deg, before.inner_deg), (after.outer_deg, after.inner_deg))
+    def turn(
+        self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
+    ) -> TurnPath:
+        """The way from one window to the next; ``navigation`` begins with frame ``first_frame``."""
+        angles = [(mark.outer_deg, mark.inner_deg) for mark in (before, after)]
+        begin = before.end_frame if after.turn_first_frame is None else after.turn_first_frame
+        end = after.first_frame if after.turn_end_frame is None else after.turn_end_frame
+        rows = np.searchsorted(navigation.row, [begin - first_frame, end - first_frame])
+        begin_s, end_s = navigation.ins_time_s[np.minimum(rows, len(navigation.row) - 1)]
+        return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
 
     def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
         """Noise of the INS in these windows: declared, or estimated from them.
@@ -137,6 +145,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         noise = setup.noise_in(dwell.windows)
         estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
         paper = _paper(dwell, setup.site, noise)
+        unknown = [axis for axis, gyro_c in zip(AXES, temperatures.gyro_c, strict=True) if math.isnan(gyro_c)]
+        if unknown:
+            flags.append(f"no temperature of the {', '.join(unknown)} gyro, so its bias belongs to no bin")
         if estimate.fit.p_value < LEAST_FIT_P:
             flags.append(misfit_text(estimate.fit))
     except MeasurementError as error:
@@ -153,12 +164,16 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
     MeasurementError
         The INS was not navigating all the time, restarted, or what it sent can't be used.
     """
+    _check_navigating(
+        navigation,
+        (navigation.row >= marks.windows[0].first_frame) & (navigation.row < marks.windows[-1].end_frame),
+    )
     return Dwell(
         position_name=marks.position,
         azimuth_rad=math.radians(marks.azimuth_deg),
         windows=tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows),
         C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
-        turns=tuple(setup.turn(*pair) for pair in itertools.pairwise(marks.windows)),
+        turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
     )
 
 
@@ -187,13 +202,7 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> tuple[Array, Ar
         The INS was not navigating all the time, or restarted.
     """
     inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
-    modes = set(navigation.mode[inside].tolist())
-    if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
-        raise MeasurementError(
-            "the INS left navigation during the dwell. Look at its status in the raw CAN log"
-        )
-    if len(set(navigation.segment[inside].tolist())) > 1:
-        raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")
+    _check_navigating(navigation, inside)
     time_s = navigation.ins_time_s[inside]
     velocity = navigation.velocity_enu_mps[inside].copy()
     velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
@@ -203,6 +212,21 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> tuple[Array, Ar
         navigation.attitude[inside],
         gyro_temperatures_at(time_s, navigation.temperatures),
     )
+
+
+def _check_navigating(navigation: NavigationData, inside: NDArray[np.bool_]) -> None:
+    """Turns count as well: an INS that aligns anew in a turn starts with other errors after it."""
+    modes = set(navigation.mode[inside].tolist())
+    if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
+        raise MeasurementError(
+            "the INS left navigation during the dwell or in its turn. Look at its status in the raw CAN log"
+        )
+    if len(set(navigation.segment[inside].tolist())) > 1:
+        raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")
+    if not np.isfinite(navigation.attitude[inside]).all():
+        raise MeasurementError(
+            "the INS said in the dwell or in its turn that its attitude is not valid. Did it align anew?"
+        )
 
 
 def _row(
@@ -218,6 +242,7 @@ def _row(
         dwell=marks.dwell,
         cycle=marks.cycle,
         position=marks.position,
+        azimuth_deg=marks.azimuth_deg,
         start_s=marks.start_s,
         end_s=marks.end_s,
         since_power_on_s=marks.since_power_on_s,

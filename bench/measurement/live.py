@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from bench.bias.dwell import NavigationWindow
+from bench.bias.noise.model import NoiseModel
 from bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate
 from bench.errors import MeasurementError
 from bench.measurement.dwell import MeasurementSetup, rest_output
@@ -20,7 +22,8 @@ _OVERLAP = 400
 class LiveEstimate:
     """Biases of one dwell while its last window goes on.
 
-    Nothing is done before the first turn, since nothing can be told before it.
+    Nothing is done before the first turn, since nothing can be told before it. With declared noise only
+    what is new is filtered; noise that the dwell itself tells becomes better known, and all is filtered anew.
 
     Parameters
     ----------
@@ -52,13 +55,19 @@ class LiveEstimate:
         """
         if len(windows) < 2:
             return None
+        if self._setup.noise is None:
+            self._filter, self._begun, self._next_frame = None, [], 0
         try:
             navigation, first_frame = self._decoded()
+            if self._filter is None:
+                self._filter = BiasFilter(
+                    self._setup.site, self._noise(windows, navigation), self._setup.prior
+                )
             for number, mark in enumerate(windows):
                 if mark.end_frame > self._next_frame:
-                    self._take(number, mark, navigation, first_frame)
+                    self._take(self._filter, number, mark, navigation, first_frame)
             self._next_frame = windows[-1].end_frame
-            return self._filter.estimate() if self._filter else None
+            return self._filter.estimate()
         except MeasurementError:
             return None
 
@@ -66,17 +75,30 @@ class LiveEstimate:
         first_frame = max(0, self._next_frame - _OVERLAP)
         return self._setup.decode(self._frames(first_frame)), first_frame
 
-    def _take(self, number: int, mark: WindowMark, navigation: NavigationData, first_frame: int) -> None:
+    def _noise(self, marks: Sequence[WindowMark], navigation: NavigationData) -> NoiseModel:
+        """Declared, or that of all windows so far but for one that has only just begun."""
+        if self._setup.noise is not None:
+            return self._setup.noise
+        windows = [NavigationWindow(*rest_output(navigation, mark)) for mark in marks[:-1]]
+        with suppress(MeasurementError):
+            windows.append(NavigationWindow(*rest_output(navigation, marks[-1])))
+        return self._setup.noise_in(tuple(windows))
+
+    def _take(
+        self,
+        bias_filter: BiasFilter,
+        number: int,
+        mark: WindowMark,
+        navigation: NavigationData,
+        first_frame: int,
+    ) -> None:
         begin = max(mark.first_frame, self._next_frame)
         new = replace(mark, first_frame=begin - first_frame, end_frame=mark.end_frame - first_frame)
         time_s, velocity, C_nb, gyro_c = rest_output(navigation, new)
         if not len(time_s):
             return
-        if self._filter is None:
-            window = NavigationWindow(time_s, velocity, C_nb)
-            self._filter = BiasFilter(self._setup.site, self._setup.noise_in((window,)), self._setup.prior)
         if number == len(self._begun):
-            turn = self._setup.turn(self._begun[-1], mark) if self._begun else None
-            self._filter.begin_window(time_s[0], C_nb[0], turn)
+            turn = self._setup.turn(self._begun[-1], mark, navigation, first_frame) if self._begun else None
+            bias_filter.begin_window(time_s[0], C_nb[0], turn)
             self._begun.append(mark)
-        self._filter.add(time_s, velocity[:, :2], C_nb, gyro_c)
+        bias_filter.add(time_s, velocity[:, :2], C_nb, gyro_c)

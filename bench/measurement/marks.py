@@ -23,12 +23,17 @@ class WindowMark:
         Numbers of its first data frame, and of the first one after it.
     outer_deg, inner_deg : float
         Where the table stood, by its own reading.
+    turn_first_frame, turn_end_frame : int or None
+        Numbers of the frames with which the turn to this window began and was over; None where
+        there was none.
     """
 
     first_frame: int
     end_frame: int
     outer_deg: float
     inner_deg: float
+    turn_first_frame: int | None = None
+    turn_end_frame: int | None = None
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from bench.bias.tables.joint_table import (
 from bench.bias.tables.noise_file import write_noise
 from bench.bias.tables.verification_table import VerificationRow, write_verification
 from bench.errors import MeasurementError
-from bench.measurement.dwell import MeasuredDwell, MeasurementSetup
+from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, misfit_text
 from bench.measurement.verification import VerificationDwell, verification_rows
 from bench.run_store.folder import RunFolder
 
@@ -36,7 +36,7 @@ class RunResults:
     joint : list of JointSolution
         One for each stop of the chamber.
     up_rate : UpRate or None
-        Rate Up fixed in the navigation frame, from all stops; None without any.
+        Rate Up fixed in the navigation frame, from all stops whose dwells agree; None without any.
     noise : NoiseEstimate or None
         Of the INS, from its output; None where that does not tell it.
     verification : list of VerificationRow
@@ -59,6 +59,8 @@ def evaluate(
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
+    The noise is an exception: dwells that merely do not fit the declared noise tell it all the more.
+
     Parameters
     ----------
     dwells, verifications : sequence of MeasuredDwell, sequence of VerificationDwell
@@ -73,8 +75,8 @@ def evaluate(
     return RunResults(
         bins=bin_biases([dwell.row for dwell in good], bin_width_c),
         joint=joint,
-        up_rate=pooled_up_rate(joint) if joint else None,
-        noise=_noise(good, setup),
+        up_rate=pooled_up_rate(joint),
+        noise=_noise([dwell for dwell in dwells if _tells_noise(dwell)], setup),
         verification=verification_rows(verifications, calibration or [each.row for each in good], setup),
     )
 
@@ -107,10 +109,16 @@ def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
             cycle=dwell.row.cycle,
             chamber_set_c=dwell.row.chamber_set_c,
             gyro_c=dwell.row.gyro_c,
+            run=dwell.row.run,
         )
         for dwell in dwells
         if dwell.estimate
     ]
+
+
+def _tells_noise(dwell: MeasuredDwell) -> bool:
+    """Whether the dwell could be used, and nothing is wrong with it but, at most, the test of fit."""
+    return dwell.estimate is not None and dwell.row.flags in ("", misfit_text(dwell.estimate.fit))
 
 
 def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEstimate | None:

@@ -15,7 +15,9 @@ from drivers.ins.navigation_data import NavigationData, Temperatures
 #: Values of three gyros that nothing was measured of.
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
+#: Fewest samples of a channel, and the share of them that must be numbers.
 _FEWEST = 2
+_LEAST_FINITE = 0.9
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class DwellTemperatures:
 
 
 def dwell_temperatures(navigation: NavigationData, first_row: int, end_row: int) -> DwellTemperatures:
-    """Temperatures between two frames of a recording.
+    """Temperatures between two frames of a recording; those that are seldom a number are not measured.
 
     Raises
     ------
@@ -45,10 +47,10 @@ def dwell_temperatures(navigation: NavigationData, first_row: int, end_row: int)
     if np.count_nonzero(inside) < _FEWEST:
         raise MeasurementError("no gyro temperatures in the dwell. Check the station's temperature signals")
     return DwellTemperatures(
-        triple(series.optics_c[inside].mean(axis=0)),
-        triple(slopes_c_per_h(series.ins_time_s[inside], series.optics_c[inside])),
-        triple(series.electronics_c[inside].mean(axis=0)),
-        float(series.case_c[inside].mean()),
+        triple(_means(series.optics_c[inside])),
+        triple(_slopes(series.ins_time_s[inside], series.optics_c[inside])),
+        triple(_means(series.electronics_c[inside])),
+        float(_means(series.case_c[inside][:, np.newaxis])[0]),
     )
 
 
@@ -59,10 +61,37 @@ def slopes_c_per_h(time_s: NDArray[np.float64], values_c: NDArray[np.float64]) -
 
 
 def gyro_temperatures_at(time_s: NDArray[np.float64], series: Temperatures) -> NDArray[np.float64] | None:
-    """Temperatures (n, 3) of the gyros' optics at epochs; None where the INS does not tell them."""
-    if len(series.ins_time_s) < _FEWEST or np.isnan(series.optics_c).any():
+    """Temperatures (n, 3) of the gyros' optics at epochs; None where the INS does not tell them all."""
+    told = [_told(axis_c) for axis_c in series.optics_c.T]
+    if any(np.count_nonzero(each) < _FEWEST for each in told):
         return None
-    return np.column_stack([np.interp(time_s, series.ins_time_s, axis_c) for axis_c in series.optics_c.T])
+    return np.column_stack(
+        [
+            np.interp(time_s, series.ins_time_s[each], axis_c[each])
+            for each, axis_c in zip(told, series.optics_c.T, strict=True)
+        ]
+    )
+
+
+def _told(values_c: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which samples (n,) of a channel are numbers; none of them where too few are."""
+    finite = np.isfinite(values_c)
+    return finite & (np.count_nonzero(finite) >= _LEAST_FINITE * len(finite))
+
+
+def _means(values_c: NDArray[np.float64]) -> NDArray[np.float64]:
+    told = [(column_c, _told(column_c)) for column_c in values_c.T]
+    return np.array([column_c[each].mean() if each.any() else math.nan for column_c, each in told])
+
+
+def _slopes(time_s: NDArray[np.float64], values_c: NDArray[np.float64]) -> NDArray[np.float64]:
+    told = [(column_c, _told(column_c)) for column_c in values_c.T]
+    return np.array(
+        [
+            slopes_c_per_h(time_s[each], column_c[each]) if np.count_nonzero(each) >= _FEWEST else math.nan
+            for column_c, each in told
+        ]
+    )
 
 
 def triple(values: NDArray[np.float64]) -> Triple:

@@ -9,6 +9,7 @@ from bench.documents import Problem
 from bench.procedure.navigation_steps import MIN_NAVIGATION_S, Navigate, Turn
 from bench.procedure.plan import Plan, PlannedStep
 from bench.procedure.steps import Wait
+from bench.procedure.verification_checks import find_unpaired_verifications
 
 _NOT_TOLD = "the biases can't be told from the initial errors"
 
@@ -28,6 +29,7 @@ def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
         yield from _early_until(windows)
         yield from _not_turned_between(group)
         yield from _turned_to_the_same(windows, turns)
+    yield from find_unpaired_verifications(plan)
 
 
 def _time_problems(window: PlannedStep) -> Iterator[Problem]:
@@ -90,11 +92,18 @@ def _early_until(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
 
 def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
     moves = [planned for planned in dwell if isinstance(planned.step, Navigate | Turn)]
+    advice = _advice(moves)
     for earlier, later in itertools.pairwise(moves):
         if isinstance(earlier.step, Navigate) and isinstance(later.step, Navigate):
-            yield Problem(
-                later.location, "two navigations in succession: put a turn between them, or make one longer"
-            )
+            yield Problem(later.location, f"two navigations in succession: {advice}")
+
+
+def _advice(moves: Sequence[PlannedStep]) -> str:
+    """What may be meant by two navigations in succession: one alone gives a bias only in a verification."""
+    if moves[0].is_verification:
+        return "a verification is a single one; make it longer, or put go_to and align between them"
+    has_turn = any(isinstance(planned.step, Turn) for planned in moves)
+    return "put a turn between them" + (", or make one longer" if has_turn else "")
 
 
 def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:

@@ -100,7 +100,12 @@ def read_run(folder: RunFolder) -> RunContent:
     no_verification: list[VerificationRow] = []
     read(folder.journal, lambda: journal.extend(_entries(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
-    dwells = read(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
+    verification = read_if_there(
+        folder.verification, lambda: read_verification(folder.verification), no_verification
+    )
+    # A run of verifications only has no dwells to put into a table.
+    read_dwell_table = read_if_there if verification else read
+    dwells = read_dwell_table(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
     bins = read(folder.bias_bins, lambda: read_bins(folder.bias_bins), no_bins)
     return RunContent(
         name=folder.path.resolve().name,
@@ -116,9 +121,7 @@ def read_run(folder: RunFolder) -> RunContent:
         ),
         joint_stops=read_if_there(folder.joint, lambda: read_joint_stops(folder.joint), no_joint_stops),
         noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
-        verification=read_if_there(
-            folder.verification, lambda: read_verification(folder.verification), no_verification
-        ),
+        verification=verification,
         problems=problems,
     )
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from bench.bias.tables.dwell_table import DwellRow, paper_rows
 from bench.navigation.positions import AXES
 from bench.report.estimator_figure import differences_dph, estimators_figure, with_both
-from bench.report.findings import fit_sentence
-from bench.report.fit_figure import fit_figure
+from bench.report.findings import SIGNIFICANCE, fit_sentence
+from bench.report.fit_figure import fit_figure, has_distribution
 from bench.report.sections import Section, SectionFigure, SectionTable
-from bench.report.wording import BiasScale, gyro_label, position_label
+from bench.report.wording import NO_PAPER, BiasScale, counted, gyro_label, position_label
 
 _STATE_SPACE = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "
@@ -23,7 +23,6 @@ _PAPER = (
     "velocities and slopes of the heading, before and after a turn of 180 deg. Its uncertainty is that "
     "of the noise alone."
 )
-_NO_PAPER = "The paper's method takes two windows half a turn apart, so it does not apply to these dwells."
 _UNKNOWN = "The dwell table does not tell by which estimator these biases were measured."
 _LEAKS = (
     "The paper's method leaves out that the errors of an INS are coupled. Over windows of ten minutes "
@@ -42,10 +41,11 @@ _FIT = (
     "In each dwell the residuals of velocity and heading, summed minute by minute, are compared with "
     "the noise: a wrong model leaves residuals that are slow, and these add up."
 )
-_FIT_FIGURE = (
-    "Left: size of the residuals of each dwell, 1 where model and noise are true. Right: share of the "
-    "dwells whose p-value is below a value; the straight line where model and noise are true, the grey "
-    "band what chance makes of it in 95 of 100 runs."
+_FIT_SIZES = "Size of the residuals of each dwell, 1 where model and noise are true."
+_FIT_P_VALUES = (
+    f"Left: {_FIT_SIZES[0].lower()}{_FIT_SIZES[1:]} Right: share of the dwells whose p-value is below a "
+    "value; the straight line where model and noise are true, the grey band what chance makes of it in "
+    f"{100 * (1 - SIGNIFICANCE):.0f} of 100 runs."
 )
 
 
@@ -54,7 +54,7 @@ def estimators_note(rows: Sequence[DwellRow]) -> str:
     if paper_rows(rows):
         return f"{_STATE_SPACE} {_PAPER}"
     if any(not math.isnan(row.fit_p_value) for row in rows):
-        return f"{_STATE_SPACE} {_NO_PAPER}"
+        return f"{_STATE_SPACE} {NO_PAPER}"
     return _UNKNOWN if rows else ""
 
 
@@ -63,12 +63,9 @@ def estimators_section(rows: Sequence[DwellRow]) -> Section | None:
     both = with_both(rows)
     if not both:
         return None
-    return Section(
-        "The two estimators",
-        [_LEAKS],
-        [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both))],
-        [_difference_table(both)],
-    )
+    # A single dwell has no course to draw: the table says it all.
+    drawn = [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both))] if len(both) > 1 else []
+    return Section("The two estimators", [_LEAKS], drawn, [_difference_table(both)])
 
 
 def fit_section(rows: Sequence[DwellRow]) -> Section | None:
@@ -76,10 +73,11 @@ def fit_section(rows: Sequence[DwellRow]) -> Section | None:
     sentence = fit_sentence(rows)
     if not sentence:
         return None
+    caption = _FIT_P_VALUES if has_distribution(rows) else _FIT_SIZES
     return Section(
         "Does the model explain the data?",
         [_FIT, sentence],
-        [SectionFigure("fit", _FIT_FIGURE, fit_figure(rows))],
+        [SectionFigure("fit", caption, fit_figure(rows))],
     )
 
 
@@ -94,7 +92,7 @@ def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:
         where = f"{position_label(row.position)}, {row.gyro_c[axis]:.0f} °C, dwell {row.dwell}"
         cells.append([gyro_label(gyro), where, scale.text(rms_dph), scale.with_sigma(*largest)])
     return SectionTable(
-        f"The paper's bias less the state-space one in {scale.unit}, over {len(rows)} dwells",
+        f"The paper's bias less the state-space one in {scale.unit}, over {counted(len(rows), 'dwell')}",
         ["gyro", "largest in", "rms", "largest ± combined uncertainty"],
         cells,
         words=2,

@@ -12,6 +12,9 @@ from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.uniformity import uniformity_p_value
 from bench.report.wording import dph_with_sigma, listed, p_text, position_label, temperature_ranges
 
+#: What there is to say of a run, or a gyro, whose positions can't be compared.
+NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin holds dwells of two positions."
+
 #: Positions count as different where chance alone would show this in one of a hundred gyros.
 SIGNIFICANCE = 0.01
 
@@ -37,7 +40,7 @@ def differing(comparisons: Iterable[PositionComparison]) -> list[PositionCompari
 def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
     """Say in plain words what the comparisons of one gyro's positions show."""
     if not comparisons:
-        return "Nothing to compare: no temperature bin holds dwells of two positions."
+        return NOTHING_TO_COMPARE
     count = len(comparisons)
     allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
     different = differing(comparisons)

@@ -8,43 +8,57 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.uniformity import uniformity_band
 from bench.navigation.positions import POSITIONS
+from bench.report.findings import SIGNIFICANCE
 from bench.report.style import POSITION_STYLES, house_style, new_figure, say_empty
 from bench.report.wording import position_label
 
-_MANY = 0.95
+#: The band that leaves out as much as the test of the text rejects.
+_MANY = 1.0 - SIGNIFICANCE
+#: Fewer p-values have no distribution to speak of.
+_FEWEST_FOR_DISTRIBUTION = 5
+#: The residuals' axis holds at least this, so that a scatter of a few percent looks like one.
+_RATIOS = (0.8, 1.2)
+_MARGIN = 0.05
 
 
 @house_style
 def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
-    """Draw how large the residuals of each dwell are, and how its p-values are distributed.
+    """Draw how large the residuals of each dwell are, and how their p-values are distributed.
+
+    A few dwells have no distribution: see :func:`has_distribution`.
 
     Parameters
     ----------
     dwells : iterable of DwellRow
         Dwells without a test of fit are left out; those with flags are crossed out.
     """
-    tested = [row for row in dwells if not math.isnan(row.fit_p_value)]
+    tested = _tested(dwells)
     figure = new_figure(3.4)
-    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1.0])
-    left.set(title="Size of the residuals", xlabel="dwell", ylabel="residual / expected")
-    right.set(
-        title="p-values",
-        xlabel="p-value of the fit",
-        ylabel="share of dwells below",
-        xlim=(0, 1),
-        ylim=(0, 1),
-    )
-    if tested:
-        _draw_ratios(left, tested)
-        _draw_distribution(right, [row.fit_p_value for row in tested])
-        figure.legend(loc="outside lower center", ncols=len(POSITIONS) + 1)
-    else:
-        say_empty(left, "no dwell was tested")
+    ratios = [1.5, 1.0] if has_distribution(tested) else [1.0]
+    panels = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
+    panels[0].set(title="Size of the residuals", xlabel="dwell", ylabel="residual / expected")
+    if not tested:
+        say_empty(panels[0], "no dwell was tested")
+        return figure
+    _draw_ratios(panels[0], tested)
+    for axes in panels[1:]:
+        _draw_distribution(axes, [row.fit_p_value for row in tested])
+    figure.legend(loc="outside lower center", ncols=len(POSITIONS) + 1)
     return figure
+
+
+def has_distribution(dwells: Iterable[DwellRow]) -> bool:
+    """Whether enough dwells were tested for a distribution of their p-values."""
+    return len(_tested(dwells)) >= _FEWEST_FOR_DISTRIBUTION
+
+
+def _tested(dwells: Iterable[DwellRow]) -> list[DwellRow]:
+    return [row for row in dwells if not math.isnan(row.fit_p_value)]
 
 
 def _draw_ratios(axes: Axes, rows: Sequence[DwellRow]) -> None:
@@ -73,10 +87,21 @@ def _draw_ratios(axes: Axes, rows: Sequence[DwellRow]) -> None:
             markersize=8.0,
             color="#b3261e",
         )
+    _set_ranges(axes, [row.dwell for row in rows], [row.fit_ratio for row in rows])
+
+
+def _set_ranges(axes: Axes, numbers: Sequence[int], ratios: Sequence[float]) -> None:
+    low, high = min(*ratios, _RATIOS[0]), max(*ratios, _RATIOS[1])
+    margin = _MARGIN * (high - low)
+    side = max(_MARGIN * (max(numbers) - min(numbers)), 0.5)
+    axes.set(ylim=(low - margin, high + margin), xlim=(min(numbers) - side, max(numbers) + side))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def _draw_distribution(axes: Axes, p_values: Sequence[float]) -> None:
     """Draw the share of dwells below each p-value, and the band that chance keeps it in."""
+    axes.set(title="p-values", xlabel="p-value of the fit", ylabel="share of dwells below")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
     count = len(p_values)
     band = uniformity_band(count, _MANY)
     ends = np.array([0.0, 1.0])

@@ -17,11 +17,12 @@ from bench.report.durations import clock_time, durations_by_kind, took_in_journa
 from bench.report.dwell_lines import dwell_table
 from bench.report.estimator_sections import estimators_note, estimators_section, fit_section
 from bench.report.figures import save_figure, save_figures
+from bench.report.findings import NOTHING_TO_COMPARE
 from bench.report.joint_section import joint_section
 from bench.report.noise_section import noise_section
 from bench.report.sections import Section
 from bench.report.tables import gyro_part, measured_positions
-from bench.report.verification_section import verification_section
+from bench.report.verification_section import dwells_text, verification_section, verification_sentence
 from bench.report.wording import position_label
 from bench.run_store.folder import RunFolder
 
@@ -91,6 +92,8 @@ def render(content: RunContent, figures: Iterable[Path], sections: Sequence[Sect
         versions=_versions(content.provenance),
         positions=measured_positions(content.bins),
         gyros=[gyro_part(gyro, content.bins) for gyro in AXES],
+        nothing_to_compare=NOTHING_TO_COMPARE,
+        verification=verification_sentence(content.verification) if content.verification else "",
         note=estimators_note(content.dwells),
         sections=sections,
         dwells=dwell_table(content.dwells),
@@ -116,13 +119,20 @@ def _data_uri(path: Path) -> str:
 
 
 def _unit(content: RunContent) -> str:
-    units = {row.unit for row in content.dwells if row.unit}
-    return ", ".join(sorted(units))
+    units = {row.unit for row in content.dwells} | {row.unit for row in content.verification}
+    identified = content.last("ins_identified").get("unit")
+    return ", ".join(sorted(units - {""})) or str(identified or "")
+
+
+def _dwells_text(content: RunContent) -> str:
+    flagged = sum(bool(row.flags) for row in content.dwells)
+    texts = [f"{len(content.dwells)} measured, {flagged} of them flagged"] if content.dwells else []
+    texts += [dwells_text(content.verification)] if content.verification else []
+    return "; ".join(texts) or "none"
 
 
 def _facts(content: RunContent) -> dict[str, str]:
     started = content.last("run_started")
-    flagged = sum(bool(row.flags) for row in content.dwells)
     end_s = max((entry.get("time_s", 0.0) for entry in content.journal), default=0.0)
     options = {**content.provenance.get("options", {}), **started.get("options", {})}
     facts = {
@@ -132,7 +142,7 @@ def _facts(content: RunContent) -> dict[str, str]:
         "station": started.get("station") or content.station.get("station"),
         "started (UTC)": _to_the_second(content.provenance.get("started_utc") or started.get("utc") or ""),
         "duration": f"{hours_minutes(end_s)} h" if end_s else None,
-        "dwells": f"{len(content.dwells)} measured, {flagged} of them flagged" if content.dwells else "none",
+        "dwells": _dwells_text(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),
     }
     return {name: str(value) for name, value in facts.items() if value}

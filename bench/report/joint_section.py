@@ -29,6 +29,8 @@ _LATITUDE = (
 )
 _NOT_TRUSTED = "the joint biases of this stop are not to be trusted."
 _WRONG_FIT_P = 1e-3
+#: An accelerometer known no better has only what was known of it before.
+_UNKNOWN_ACCELEROMETER_UG = 100.0
 
 
 def joint_section(biases: Sequence[JointBiasRow], stops: Sequence[JointStopRow]) -> Section | None:
@@ -122,7 +124,8 @@ def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
 
 def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
     return SectionTable(
-        "What the dwells of each stop share: accelerometer biases in µg, rates in 10⁻³ deg/h, p of the fit",
+        "What the dwells of each stop share: accelerometer biases in µg where the "
+        "dwells tell them, rates in 10⁻³ deg/h, p of the fit",
         ["stop", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
         [
             [
@@ -130,10 +133,9 @@ def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
                 "" if math.isnan(row.chamber_set_c) else f"{row.chamber_set_c:g}",
                 str(row.dwells),
                 *(
-                    _with_sigma(
+                    _accelerometer(
                         getattr(row, f"accelerometer_{axis}_ug"),
                         getattr(row, f"accelerometer_{axis}_sigma_ug"),
-                        1,
                     )
                     for axis in AXES
                 ),
@@ -146,5 +148,9 @@ def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
     )
 
 
+def _accelerometer(bias_ug: float, sigma_ug: float) -> str:
+    return "" if sigma_ug >= _UNKNOWN_ACCELEROMETER_UG else _with_sigma(bias_ug, sigma_ug, 1)
+
+
 def _with_sigma(value: float, sigma: float, decimals: int) -> str:
-    return "" if math.isnan(value) else f"{value:+.{decimals}f} ± {sigma:.{decimals}f}"
+    return "" if math.isnan(value) else f"{value:+z.{decimals}f} ± {sigma:.{decimals}f}"

@@ -19,6 +19,8 @@ _VRW = ("µg/√Hz", UG_PER_SQRT_HZ_TO_SI)
 _MICRO_G = UG_PER_SQRT_HZ_TO_SI  # m/s^2: the same number
 _FITTED = "#000000"
 _DECLARED = "#D55E00"
+_FIT_WIDTH = 0.7
+_FIT_LABEL = "all that was fitted"
 _LEVEL = "#555555"
 _WIDEST_BAR = 0.9  # of the value: an error bar down to zero would reach to the end of a log axis
 _MARGIN = 1.3
@@ -46,8 +48,10 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
         _draw_channel(gyros, channel, DPH_TO_RADPS, gyro_label(axis), colour, marker)
     _draw_channel(accelerometers, estimate.acceleration, _MICRO_G, "East and North", _LEVEL, "D")
     arw, vrw = (declared.angle_random_walk, declared.velocity_random_walk) if declared else (0.0, 0.0)
-    _draw_walks(gyros, estimate.angle_random_walk, arw, _ARW, DPH_TO_RADPS)
-    _draw_walks(accelerometers, estimate.velocity_random_walk, vrw, _VRW, _MICRO_G)
+    has_fit = any(channel.fit for channel in estimate.gyros)
+    _draw_walks(gyros, estimate.angle_random_walk, arw, _ARW, DPH_TO_RADPS, has_fit=has_fit)
+    has_fit = estimate.acceleration.fit is not None
+    _draw_walks(accelerometers, estimate.velocity_random_walk, vrw, _VRW, _MICRO_G, has_fit=has_fit)
     gyros.set(title="Noise of the gyros", ylabel="Allan deviation / (deg/h)")
     accelerometers.set(
         title="Noise of the accelerometers", ylabel="Allan deviation / µg", xlabel="averaging time / s"
@@ -80,11 +84,17 @@ def _draw_channel(
         alpha=1.0 if fit else 0.35,
     )
     if fit:
-        axes.plot(tau, np.sqrt(fit.expected[is_seen]) / unit, color=colour, linewidth=0.7)
+        axes.plot(tau, np.sqrt(fit.expected[is_seen]) / unit, color=colour, linewidth=_FIT_WIDTH)
 
 
 def _draw_walks(
-    axes: Axes, measured: NoiseParameter, declared: float, walk: tuple[str, float], unit: float
+    axes: Axes,
+    measured: NoiseParameter,
+    declared: float,
+    walk: tuple[str, float],
+    unit: float,
+    *,
+    has_fit: bool,
 ) -> None:
     """Draw lines of slope -1/2 over the averaging times in the axes, and finish these."""
     name, size = walk
@@ -106,6 +116,8 @@ def _draw_walks(
             axes.plot(tau, walks, color=colour, linestyle=line, label=label)
     if not found:
         axes.plot([], [], linestyle="none", label=f"random walk\n{text}")
+    if has_fit:
+        axes.plot([], [], color=_LEVEL, linewidth=_FIT_WIDTH, label=_FIT_LABEL)
     low, high = min(levels), max(levels)
     axes.set(xscale="log", yscale="log", ylim=(low / _MARGIN, high * _MARGIN))
     for side in (axes.xaxis, axes.yaxis):

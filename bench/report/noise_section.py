@@ -18,8 +18,9 @@ _TEXT = (
 )
 _ESTIMATED = "The station declares no noise: each dwell was evaluated with the noise of its own windows."
 _FIGURE = (
-    "Allan deviation, with the random walk that was fitted and the one that the station declares. Steeper at "
-    "the left: noise of the output; a rise at the right: the tilt that the gyros' random walk makes."
+    "Allan deviation, with the random walk that was fitted and the one that the station declares. Thin lines "
+    "are all that was fitted: the random walk, steeper at the left the noise of the output, rising at the "
+    "right the tilt that the gyros' random walk makes."
 )
 
 

@@ -60,12 +60,15 @@ def temperature_figure(telemetry: Readings, dwells: Iterable[DwellRow]) -> Figur
     telemetry : mapping
         Columns of the telemetry; those that are missing or all NaN are left out.
     dwells : iterable of DwellRow
-        Where the bands are; dwells with flags are drawn hollow in the lower panel.
+        Where the bands are; dwells with flags are drawn hollow in the lower panel. Without any there
+        is no lower panel.
     """
     stays = [_Stay(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
     time_s = telemetry.get("time_s", np.empty(0))
     figure = new_figure(4.8)
-    axes, unit_s = _time_axes(figure, "Temperatures and positions", [*time_s[-1:], *(s.end_s for s in stays)])
+    title = "Temperatures and positions" if stays else "Temperatures"
+    ends_s = [*time_s[-1:], *(stay.end_s for stay in stays)]
+    axes, unit_s = _time_axes(figure, title, ends_s, with_positions=bool(stays))
     _draw_stays(figure, stays, unit_s)
     time = time_s / unit_s
 
@@ -98,22 +101,26 @@ def plan_figure(plan: Plan) -> Figure:
     return figure
 
 
-def _time_axes(figure: Figure, title: str, ends_s: Sequence[float]) -> tuple[Axes, float]:
+def _time_axes(
+    figure: Figure, title: str, ends_s: Sequence[float], *, with_positions: bool = True
+) -> tuple[Axes, float]:
     """Temperature above, positions below; returns the upper axes and the seconds in a unit of time."""
     end_s = max(ends_s, default=0.0)
     unit_s, unit = (60.0, "min") if end_s < _SHORT_RUN_S else (3600.0, "h")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4.2, 1.0])
-    upper.set(title=title, ylabel="temperature / °C")
-    lower.set(xlabel=f"time / {unit}", ylim=(len(POSITIONS) - 0.5, -0.5))
-    lower.set_yticks(range(len(POSITIONS)), [position_label(name) for name in POSITIONS], fontsize=7)
-    lower.grid(False)
-    lower.set_xlim(0.0, max(end_s, _SHORTEST_AXIS_S) / unit_s)
-    return upper, unit_s
+    heights = [4.2, 1.0] if with_positions else [1.0]
+    panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+    panels[0].set(title=title, ylabel="temperature / °C")
+    for lanes in panels[1:]:
+        lanes.set_ylim(len(POSITIONS) - 0.5, -0.5)
+        lanes.set_yticks(range(len(POSITIONS)), [position_label(name) for name in POSITIONS], fontsize=7)
+        lanes.grid(False)
+    panels[-1].set(xlabel=f"time / {unit}", xlim=(0.0, max(end_s, _SHORTEST_AXIS_S) / unit_s))
+    return panels[0], unit_s
 
 
 def _draw_stays(figure: Figure, stays: Iterable[_Stay], unit_s: float) -> None:
     """Bands across the temperatures, bars in the row of the position below."""
-    upper, lower = figure.axes
+    upper, lower = figure.axes[0], figure.axes[-1]
     rows = list(POSITIONS)
     for stay in stays:
         start, width = stay.start_s / unit_s, (stay.end_s - stay.start_s) / unit_s

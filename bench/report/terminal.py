@@ -14,8 +14,15 @@ from bench.bias.equality import PositionComparison, compare_positions
 from bench.navigation.positions import AXES, POSITIONS
 from bench.procedure.timeline import TimelineRow, hours_minutes
 from bench.report.durations import Took, clock_time, durations_by_kind
-from bench.report.findings import agreement_sentence, differing, equality_sentence, scatter_sentence
+from bench.report.findings import (
+    NOTHING_TO_COMPARE,
+    agreement_sentence,
+    differing,
+    equality_sentence,
+    scatter_sentence,
+)
 from bench.report.wording import (
+    NO_PAPER,
     BiasScale,
     bin_label,
     bins_by_temperature,
@@ -39,7 +46,7 @@ _PAPER_METHOD = (
 def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison]) -> RenderableType:
     """Each gyro's bias by temperature bin and position, and whether the positions agree.
 
-    Where the paper's method applies, what it gives stands below.
+    Where the paper's method applies, what it gives stands below; where not, why.
 
     Parameters
     ----------
@@ -55,11 +62,12 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
         if own:
             compared = [each for each in comparisons if each.gyro == gyro]
             by_paper = [each for each in paper_comparisons if each.gyro == gyro]
-            parts += _gyro_part(gyro, own, compared, by_paper)
+            parts += _gyro_part(gyro, own, compared, by_paper, told=bool(comparisons))
     if not parts:
         return Text("No dwell gave a bias, so there is nothing to put into temperature bins.")
     has_paper = any(not each.is_empty for each in paper_bins(bins))
-    return Group(*parts, Text(_P_VALUE), *([Text(_PAPER_METHOD)] if has_paper else []))
+    notes = [_P_VALUE if comparisons else NOTHING_TO_COMPARE, _PAPER_METHOD if has_paper else NO_PAPER]
+    return Group(*parts, *map(Text, notes))
 
 
 def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
@@ -103,6 +111,8 @@ def _gyro_part(
     bins: Sequence[BiasBin],
     comparisons: Sequence[PositionComparison],
     paper_comparisons: Sequence[PositionComparison],
+    *,
+    told: bool,
 ) -> list[RenderableType]:
     scale = scale_of_bins([*bins, *paper_bins(bins)])
     # Not the table's title: rich would fold that to the width of the table.
@@ -110,7 +120,7 @@ def _gyro_part(
         f"{gyro_label(gyro)}: bias ± 1 sigma in {scale.unit} by gyro temperature, °C", style="bold"
     )
     sentences = [
-        equality_sentence(comparisons),
+        equality_sentence(comparisons) if told else "",
         agreement_sentence(comparisons, paper_comparisons),
         scatter_sentence(bins),
     ]
@@ -130,7 +140,10 @@ def _gyro_table(
         by_paper = paper_bins(members)
         if not all(each.is_empty for each in by_paper):
             rows.append([_PAPER, *_cells(by_paper, positions, scale), paper_p_values.get(low, "")])
-    return _filled_table(["bin", *map(position_label, positions), "p equal"], rows)
+    headers = ["bin", *map(position_label, positions), "p equal"]
+    if p_values:
+        return _filled_table(headers, rows)
+    return _filled_table(headers[:-1], [row[:-1] for row in rows])
 
 
 def _cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasScale) -> list[str]:

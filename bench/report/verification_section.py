@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass
 from bench.bias.tables.verification_table import VerificationRow
 from bench.report.findings import SIGNIFICANCE
 from bench.report.sections import Section, SectionTable
-from bench.report.wording import BiasScale, dph_with_sigma, gyro_label, position_label
+from bench.report.wording import BiasScale, counted, dph_with_sigma, gyro_label, position_label
 
 _METHODS = (
     "Without a turn, the INS aligned itself and navigated. The heading after two alignments half a turn "
@@ -99,7 +99,7 @@ def verification_lines(rows: Sequence[VerificationRow]) -> list[VerificationLine
     differing = _differing(rows)
     return [
         VerificationLine(
-            position=position_label(row.position),
+            position=place_label(row),
             gyro=row.gyro.upper(),
             method=row.method,
             temperature_c="" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
@@ -110,6 +110,20 @@ def verification_lines(rows: Sequence[VerificationRow]) -> list[VerificationLine
         )
         for row in rows
     ]
+
+
+def place_label(row: VerificationRow) -> str:
+    """Name position and azimuth, both azimuths of a pair of alignments: "Z-Up 180°", "Z-Up 0/180°"."""
+    azimuths_deg = [row.azimuth_deg]
+    if row.turned_dwell is not None:
+        azimuths_deg.append((row.azimuth_deg + 180.0) % 360.0)
+    return f"{position_label(row.position)} {'/'.join(f'{azimuth:g}' for azimuth in azimuths_deg)}°"
+
+
+def dwells_text(rows: Sequence[VerificationRow]) -> str:
+    """Say how many dwells a verification took: "12 dwells for verification"."""
+    numbers = {row.dwell for row in rows} | {row.turned_dwell for row in rows if row.turned_dwell}
+    return f"{counted(len(numbers), 'dwell')} for verification"
 
 
 def flag_lines(rows: Sequence[VerificationRow]) -> list[tuple[str, str]]:
@@ -139,8 +153,8 @@ def _agreement(compared: Sequence[VerificationRow]) -> str:
     return (
         f"{found} The largest difference, measured less calibrated, is "
         f"{dph_with_sigma(worst.difference_dph, worst.difference_sigma_dph)} "
-        f"({_sigmas(worst):+.1f} standard uncertainties): {gyro_label(worst.gyro)} in "
-        f"{position_label(worst.position)} at {worst.temperature_c:.0f} °C, by {worst.method}."
+        f"({_sigmas(worst):+z.1f} standard uncertainties): {gyro_label(worst.gyro)} in "
+        f"{place_label(worst)} at {worst.temperature_c:.0f} °C, by {worst.method}."
     )
 
 
@@ -157,7 +171,7 @@ def _sigmas(row: VerificationRow) -> float:
 def _difference(row: VerificationRow, differs: bool) -> str:
     if row.flags:
         return "flagged"
-    return f"{_sigmas(row):+.1f}{'*' if differs else ''}" if row.is_compared else ""
+    return f"{_sigmas(row):+z.1f}{'*' if differs else ''}" if row.is_compared else ""
 
 
 def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:

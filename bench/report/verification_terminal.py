@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import astuple
 
 from rich import box
-from rich.console import Group, RenderableType
+from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -19,7 +19,7 @@ from bench.report.verification_section import (
     verification_sentence,
 )
 
-_HEADERS = ("position", "gyro", "seen in", "gyro °C", "bias", "slope", "calibrated", "diff")
+_HEADERS = ("position", "gyro", "seen in", "°C", "bias", "slope", "calibrated", "diff")
 _WORDS = 3
 _LEGEND = (
     "slope: by the second slope of the velocity East alone. diff: bias less calibrated one in standard "
@@ -33,11 +33,13 @@ def verification_table(rows: Sequence[VerificationRow]) -> RenderableType:
     if not rows:
         return Text("Nothing was verified.")
     # Not the table's title: rich would fold that to the width of the table.
-    heading = Text(f"Verification: bias ± 1 sigma in {verification_scale(rows).unit}", style="bold")
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    unit = verification_scale(rows).unit
+    heading = Text(f"Verification: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
     for number, header in enumerate(_HEADERS):
         is_word = number < _WORDS
-        table.add_column(header, justify="left" if is_word else "right", no_wrap=is_word)
+        justify: JustifyMethod = "left" if is_word else "right"
+        table.add_column(header, justify=justify, no_wrap=is_word, min_width=len(header))
     for line in verification_lines(rows):
         table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in astuple(line)))
     flags = [f"{where}: {what}" for where, what in flag_lines(rows)]

@@ -11,6 +11,8 @@ from bench.bias.equality import PositionComparison
 
 #: The two estimators as people read them.
 STATE_SPACE, PAPER = "state-space estimator", "paper's method"
+#: Why a run has no results of the paper's method.
+NO_PAPER = "The paper's method takes two windows half a turn apart, so it does not apply to these dwells."
 
 _SMALLEST_P = 1e-9
 _PLAIN_P = 0.001
@@ -47,7 +49,7 @@ class BiasScale:
 
     def text(self, value_dph: float) -> str:
         """Write a bias, without its unit."""
-        return f"{value_dph * self.factor:.{self.decimals}f}"
+        return f"{value_dph * self.factor:z.{self.decimals}f}"
 
     def with_sigma(self, value_dph: float, sigma_dph: float, between: str = " ± ") -> str:
         """Write a bias with its uncertainty, without their unit."""
@@ -63,7 +65,7 @@ def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:
 def dph_with_sigma(value_dph: float, sigma_dph: float) -> str:
     """Write a bias with its uncertainty and unit, in deg/h whatever its size."""
     decimals = _decimals(sigma_dph, _MOST_DECIMALS_DPH)
-    return f"{value_dph:.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
+    return f"{value_dph:z.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
 
 
 def position_label(name: str) -> str:
@@ -118,6 +120,11 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
         else:
             ranges.append((low, high))
     return listed([f"{bin_label(low, high)} °C" for low, high in ranges])
+
+
+def counted(number: int, noun: str) -> str:
+    """Write how many: "1 dwell", "2 dwells"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def listed(texts: Sequence[str]) -> str:

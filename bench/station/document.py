@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from bench.documents import Document, StrictModel, read_document, validate
 from bench.navigation.error_model import MAX_LATITUDE
@@ -123,6 +123,26 @@ class InsNoise(StrictModel):
     )
 
 
+_ESTIMATED = "estimated"
+_WRITE_NOISE = (
+    "write `estimated`, which takes it from the INS's own output in each dwell, or give "
+    + ", ".join(InsNoise.model_fields)
+)
+
+
+def _kind_of_noise(value: Any) -> str | None:
+    if isinstance(value, dict | InsNoise):
+        return "declared"
+    return _ESTIMATED if value == _ESTIMATED else None
+
+
+#: Told apart first, so that a mistake in one kind is not reported for the other kind as well.
+Noise = Annotated[
+    Annotated[InsNoise, Tag("declared")] | Annotated[Literal["estimated"], Tag(_ESTIMATED)],
+    Discriminator(_kind_of_noise, custom_error_type="no_such_noise", custom_error_message=_WRITE_NOISE),
+]
+
+
 class InsUncertainty(StrictModel):
     """Standard uncertainties of the INS's errors other than bias and noise; its last calibration tells."""
 
@@ -161,9 +181,7 @@ class InsSection(StrictModel):
     )
     signals: SignalMap
     commands: CommandMap = CommandMap()
-    noise: InsNoise | Literal["estimated"] = Field(
-        description="of the INS; estimated: from the INS's own output in each dwell"
-    )
+    noise: Noise = Field(description=_WRITE_NOISE)
     uncertainty: InsUncertainty = InsUncertainty()
 
 

@@ -52,6 +52,34 @@ def test_bins_measures_a_run_anew(finished):
     assert [table.read_bytes() for table in tables] == before
 
 
+VERIFICATION = """\
+procedure: short_verification
+steps:
+  - power_on: {settle_s: 60}
+  - repeat:
+      over: {azimuth_deg: [0, 180]}
+      steps:
+        - go_to: {position: z_up, azimuth_deg: $azimuth_deg, rate_dps: 30}
+        - align: {duration_s: 120}
+        - navigate: {duration_s: 120, purpose: verification}
+"""
+
+
+def test_a_verification_is_printed_by_run_and_by_bins(tmp_path):
+    (tmp_path / "short.yaml").write_text(VERIFICATION)
+    result = gyrobench("run", "short.yaml", "--world", "ideal", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    again = gyrobench("bins", "runs/short_verification-001", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    for text in (result.stdout, again.stdout):
+        assert "Verification: bias ± 1 sigma" in text
+        assert "Z-Up 180°" in text
+        assert "No dwell gave a bias" not in text
+        assert "bias x" not in text
+    tables = again.stdout[again.stdout.index("Tables") : again.stdout.index("Report")]
+    assert {"verification.csv", "joint.csv", "joint_biases.csv"} <= set(re.findall(r"\w+\.csv", tables))
+
+
 def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tmp_path):
     result = gyrobench("plan", "six_position_fig7", "--figure", "plan.png", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

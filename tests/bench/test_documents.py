@@ -23,7 +23,7 @@ PATH = Path("folder/test.yaml")
 
 
 class Inner(StrictModel):
-    temperature_c: float = Field(gt=-273.15)
+    temperature_c: float = Field(gt=-273.15, description="of the chamber")
     name: str = ""
 
 
@@ -93,19 +93,20 @@ def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> 
         ("title: a\ncuont: 2", "2:1: unknown key 'cuont' (did you mean 'count'?); allowed here: title"),
         ("title: a\nzzz: 2", "2:1: unknown key 'zzz'; allowed here: title, count"),
         ("count: 2", "1:1: the key 'title' is missing"),
-        ("title: a\ncount: 2.5", "2:1: Input should be a valid integer; found 2.5"),
-        ("title: a\ncount: '2'", '2:1: Input should be a valid integer; found "2"'),
-        ("title: a\ncount: true", "2:1: Input should be a valid integer; found true"),
-        ("title: a\nshare: true", "2:1: Input should be a valid number; found true"),
-        ("title: a\nshare: 1e999", "2:1: Input should be a finite number; found Infinity"),
-        ("title: 5", "1:1: Input should be a valid string; found 5"),
-        ("title: a\non: 1", "2:1: Input should be a valid boolean; found 1"),
-        ("title: a\ninner:\n - temperature_c: -300", "3:4: Input should be greater than -273.15; found -300"),
-        ("title: a\ninner:\n - name: n", "3:4: the key 'temperature_c' is missing"),
+        ("title: a\ncount: 2.5", "2:1: 'count' should be a valid integer; found 2.5"),
+        ("title: a\ncount: '2'", '2:1: \'count\' should be a valid integer; found "2"'),
+        ("title: a\ncount: true", "2:1: 'count' should be a valid integer; found true"),
+        ("title: a\nshare: true", "2:1: 'share' should be a valid number; found true"),
+        ("title: a\nshare: 1e999", "2:1: 'share' should be a finite number; found Infinity"),
+        ("title: 5", "1:1: 'title' should be a valid string; found 5"),
+        ("title: a\non: 1", "2:1: 'on' should be a valid boolean; found 1"),
+        ("title: a\ninner:\n - temperature_c: -300", "3:4: 'temperature_c' should be greater than -273.15;"),
+        ("title: a\ninner:\n - name: n", "3:4: the key 'temperature_c' is missing: of the chamber"),
+        ("title: a\ninner: [5]", "2:9: Input should be a valid dictionary or instance of Inner; found 5"),
         ("title: a\nnamed:\n  q: {temperature: 5, temperature_c: 5}", "3:7: unknown key 'temperature'"),
         ("title: a\nt{x}: 2", "2:1: unknown key 't{x}'"),
         ('title: a\n"t\\nx": 2', '2:1: unknown key "t\\nx"'),
-        ("title: a\ncount: 온도", '2:1: Input should be a valid integer; found "온도"'),
+        ("title: a\ncount: 온도", '2:1: \'count\' should be a valid integer; found "온도"'),
         ("title: a\ntitle: b", "2:1: the key 'title' is given twice"),
         ("title: a\n? [1, 2]\n: 5", "unknown key '(not a plain key)'"),
         ("title: .nan", "1:1: expected text, a number or true/false"),

@@ -40,9 +40,33 @@ def test_a_dwell_is_one_line_under_its_heads_within_80_columns():
 
 def test_a_flagged_dwell_shows_its_reason_and_no_number():
     flagged = DwellRow(**{**ROW.__dict__, "bias_dph": (math.nan,) * 3, "flags": "the INS left navigation"})
-    line = printed(flagged)[-1]
-    assert "flagged: the INS left navigation" in line
+    line, reason = printed(flagged)[-2:]
+    assert line.endswith("flagged")
+    assert reason.rstrip() == "        the INS left navigation"
     assert "nan" not in line
+
+
+def test_a_long_reason_is_folded_and_stays_indented():
+    reason = "the INS left navigation at 12.3 s; " * 6
+    lines = printed(DwellRow(**{**ROW.__dict__, "flags": reason.strip()}))
+    below = lines[next(n for n, line in enumerate(lines) if line.endswith("flagged")) + 1 :]
+    assert len(below) > 2
+    assert all(line.startswith(" " * 8) and len(line) <= 80 for line in below)
+    assert " ".join(" ".join(below).split()) == reason.strip()
+
+
+def test_heads_stand_above_the_first_dwell_only():
+    assert len(printed()) == 1
+    assert sum(line.startswith("dwell ") for line in printed(ROW, ROW)) == 1
+
+
+def test_a_bias_of_zero_has_no_minus():
+    line = printed(DwellRow(**{**ROW.__dict__, "bias_dph": (-1e-7, 0.0, 0.0)}))[-1]
+    assert "-0.00" not in line
+
+
+def test_one_dwell_has_no_plural():
+    assert ", 1 dwell, " in printed()[0]
 
 
 def test_nothing_but_text_goes_into_a_file():
@@ -55,7 +79,7 @@ def test_the_plan_is_told_before_it_begins(procedure):
     with ProgressView(Console(file=stream, width=80), prepare_job(procedure, "emulated").plan):
         pass
     assert procedure in stream.getvalue()
-    assert "dwells" in stream.getvalue()
+    assert " dwells, " in stream.getvalue()
 
 
 class Shown(ProgressView):

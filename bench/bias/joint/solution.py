@@ -43,6 +43,10 @@ from bench.navigation.positions import POSITIONS, Position
 Array = NDArray[np.float64]
 
 _NORTH = NAVIGATION_RATE.start
+#: Largest difference of a dwell's temperature from the mean of those that it is solved with, K.
+_SAME_TEMPERATURE_K = 5.0
+#: Dwells agree no more where chance alone makes them differ as much less often than this.
+_LEAST_P = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,8 @@ class JointDwell:
         Set point of the chamber; NaN where there is none.
     gyro_c : tuple of float
         Mean temperature of each gyro; NaN where not measured.
+    run : str
+        Which power-on of the INS.
     """
 
     number: int
@@ -71,11 +77,18 @@ class JointDwell:
     cycle: int = 1
     chamber_set_c: float = math.nan
     gyro_c: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    run: str = ""
 
     @property
     def position(self) -> Position:
         """The position that the name stands for."""
         return POSITIONS[self.position_name]
+
+    @property
+    def mean_c(self) -> float:
+        """Mean temperature of the gyros that have one; NaN without any."""
+        known = [each for each in self.gyro_c if math.isfinite(each)]
+        return sum(known) / len(known) if known else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +149,11 @@ class JointSolution:
     up_rate: UpRate
 
     @property
+    def agrees(self) -> bool:
+        """Whether the dwells share what they are meant to, be it with another latitude than declared."""
+        return not (self.fit.p_value < _LEAST_P and self.north_free_fit.p_value < _LEAST_P)
+
+    @property
     def gain(self) -> Array:
         """Uncertainty dwell by dwell over the joint one, shape (m, 3)."""
         return self.single.sigma_radps / self.together.sigma_radps
@@ -194,9 +212,13 @@ class JointSolution:
 
 
 def group_stops(dwells: Iterable[JointDwell]) -> list[tuple[JointDwell, ...]]:
-    """Dwells, in the order of time, by stop of the chamber: same cycle and set point in a row."""
-    keys = itertools.groupby(dwells, lambda dwell: (dwell.cycle, repr(dwell.chamber_set_c)))
-    return [tuple(group) for _, group in keys]
+    """Dwells, in the order of time, by stop of the chamber.
+
+    A stop is one power-on, cycle and set point in a row, with gyros as warm in each dwell as in those
+    before it within 5 K.
+    """
+    keys = itertools.groupby(dwells, lambda dwell: (dwell.run, dwell.cycle, repr(dwell.chamber_set_c)))
+    return [part for _, group in keys for part in _equally_warm(group)]
 
 
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
@@ -233,9 +255,27 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     )
 
 
-def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate:
-    """Rate Up from several temperatures together; the latitude is the same at all of them."""
-    return up_rate([each.pairs for each in solutions], solutions[0].dwells[0].information.earth_rate)
+def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate | None:
+    """Rate Up from several temperatures together; the latitude is the same at all of them.
+
+    Dwells that do not share what they are meant to, whatever the latitude, are left out; None if
+    there are no others.
+    """
+    agreeing = [each for each in solutions if each.agrees]
+    if not agreeing:
+        return None
+    return up_rate([each.pairs for each in agreeing], agreeing[0].dwells[0].information.earth_rate)
+
+
+def _equally_warm(dwells: Iterable[JointDwell]) -> list[tuple[JointDwell, ...]]:
+    """Split where the temperature leaves the mean so far; one that is not known counts as equal."""
+    groups: list[list[JointDwell]] = []
+    for dwell in dwells:
+        known = [each.mean_c for each in groups[-1] if math.isfinite(each.mean_c)] if groups else []
+        if not groups or (known and abs(dwell.mean_c - sum(known) / len(known)) > _SAME_TEMPERATURE_K):
+            groups.append([])
+        groups[-1].append(dwell)
+    return [tuple(group) for group in groups]
 
 
 def _biases(fit: JointFit) -> JointBiases:

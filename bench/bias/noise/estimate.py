@@ -98,6 +98,13 @@ class NoiseParameter:
             self.square_sigma / (2.0 * float(np.sqrt(self.square))) if self.is_found and self.square else None
         )
 
+    @property
+    def cautious(self) -> float:
+        """A value that the true one seldom exceeds: a sigma more in the square; the limit where hidden."""
+        if self.square is None:
+            return self.limit or 0.0
+        return float(np.sqrt(max(self.square, 0.0) + self.square_sigma))
+
     def text(self, unit: str, unit_si: float) -> str:
         """Write the value with its uncertainty, or the limit, in a unit of the given size in SI."""
         if self.value is not None and self.sigma is not None:
@@ -154,6 +161,8 @@ class NoiseEstimate:
         Rates of the x, y and z gyro.
     all_gyros : ChannelNoise
         The three pooled.
+    heading : ChannelNoise
+        Rate about Up, by the attitude output.
     acceleration : ChannelNoise
         Horizontal accelerations, both directions pooled.
     gravity : float
@@ -164,6 +173,7 @@ class NoiseEstimate:
 
     gyros: tuple[ChannelNoise, ChannelNoise, ChannelNoise]
     all_gyros: ChannelNoise
+    heading: ChannelNoise
     acceleration: ChannelNoise
     gravity: float
     duration_s: float
@@ -197,12 +207,15 @@ class NoiseEstimate:
         return self.acceleration.parameter(WHITE_ANGLE)
 
     @property
-    def attitude_white(self) -> NoiseParameter:
-        """Noise of each attitude output, rad."""
-        return self.all_gyros.parameter(WHITE_ANGLE)
+    def heading_white(self) -> NoiseParameter:
+        """Noise of each heading output, rad; that of level angles may differ, and matters to no estimate."""
+        return self.heading.parameter(WHITE_ANGLE)
 
     def noise_model(self) -> NoiseModel:
-        """Make the model that this amounts to; parameters that are hidden, other than the first, are zero.
+        """Make the model that this amounts to.
+
+        The velocity random walk is a cautious one: a dwell tells it coarsely, and good dwells would fail
+        the test of fit where it came out small. White noise that is hidden is zero: add the resolution.
 
         Raises
         ------
@@ -215,8 +228,12 @@ class NoiseEstimate:
                 "the angle random walk can't be told from these windows: the output of the INS is too coarse "
                 "or too noisy, or they are too short. Declare the noise of the data sheet"
             )
-        others = (self.velocity_random_walk, self.velocity_white, self.attitude_white)
-        return NoiseModel(arw.value, *(each.value or 0.0 for each in others))
+        return NoiseModel(
+            arw.value,
+            self.velocity_random_walk.cautious,
+            self.velocity_white.value or 0.0,
+            self.heading_white.value or 0.0,
+        )
 
 
 @dataclass(frozen=True)
@@ -296,7 +313,7 @@ def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseCo
             declared.velocity_random_walk,
         ),
         ("noise of the velocity output", "m/s", 1.0, estimate.velocity_white, declared.velocity_white),
-        ("noise of the attitude output", "urad", 1e-6, estimate.attitude_white, declared.heading_white),
+        ("noise of the attitude output", "urad", 1e-6, estimate.heading_white, declared.heading_white),
     ]
     return [
         NoiseComparison(name, unit, measured, value, unit_si) for name, unit, unit_si, measured, value in rows
@@ -320,7 +337,7 @@ def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> Noise
     """
     if not windows:
         raise MeasurementError("no window to estimate noise from. Let the INS navigate at rest")
-    on_grids = [on_grid(window.time_s, _body_angles_and_velocities(window, gravity)) for window in windows]
+    on_grids = [on_grid(window.time_s, _angles_and_velocities(window, gravity)) for window in windows]
     interval = _common_interval([interval for interval, _ in on_grids])
     values = [grid for _, grid in on_grids]
     attitude_step = _smallest([_attitude_changes(window) for window in windows])
@@ -332,19 +349,20 @@ def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> Noise
     return NoiseEstimate(
         gyros=(channel([0], attitude_step), channel([1], attitude_step), channel([2], attitude_step)),
         all_gyros=channel([0, 1, 2], attitude_step),
-        acceleration=channel([3, 4], velocity_step),
+        heading=channel([3], attitude_step),
+        acceleration=channel([4, 5], velocity_step),
         gravity=gravity,
         duration_s=sum(window.duration_s for window in windows),
     )
 
 
-def _body_angles_and_velocities(window: NavigationWindow, gravity: float) -> NDArray[np.float64]:
-    """Rotation since the first epoch in body axes, and velocity East and North without feedback, (n, 5)."""
-    rotation = rotation_vector_enu(window.C_nb, window.C_nb[0]) @ window.C_nb[0]
+def _angles_and_velocities(window: NavigationWindow, gravity: float) -> NDArray[np.float64]:
+    """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
+    rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
     velocity = window.velocity_enu_mps[:, :2]
     distance = cumulative_trapezoid(velocity, window.time_s, axis=0, initial=0)
     feedback = cumulative_trapezoid(distance, window.time_s, axis=0, initial=0) * gravity / MEAN_RADIUS
-    return np.hstack([rotation, velocity + feedback])
+    return np.hstack([rotation @ window.C_nb[0], rotation[:, 2:], velocity + feedback])
 
 
 def _channel(stretches: list[NDArray[np.float64]], interval: float, step: float) -> ChannelNoise:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import BiasEstimate, Dwell
+from bench.bias.dwell import BiasEstimate, Dwell, TurnPath
 from bench.bias.least_squares import solve
 from bench.bias.noise.model import NoiseModel
 from bench.bias.prior import PriorKnowledge
@@ -100,9 +100,7 @@ class BiasFilter:
         self._reference_c: Array | None = None
         self._last_k = np.zeros(3)
 
-    def begin_window(
-        self, time_s: float, C_nb: NDArray[np.float64], turn: NDArray[np.float64] | None = None
-    ) -> None:
+    def begin_window(self, time_s: float, C_nb: NDArray[np.float64], turn: TurnPath | None = None) -> None:
         """Begin a stretch of navigation at rest.
 
         Parameters
@@ -111,8 +109,8 @@ class BiasFilter:
             Its first epoch on the clock of the INS.
         C_nb : ndarray, shape (3, 3)
             Attitude that the INS computes then.
-        turn : ndarray, shape (k, 3, 3), optional
-            Attitudes by the table's word from the last window to this one, ends included.
+        turn : TurnPath, optional
+            The way from the last window to this one.
 
         Raises
         ------
@@ -122,7 +120,7 @@ class BiasFilter:
         count = causes.COMMON + causes.PER_WINDOW * (len(self._windows) + 1)
         state, known, covariance = np.zeros((STATES, count)), np.zeros(STATES), np.zeros((STATES, STATES))
         if self._windows:
-            if turn is None or len(turn) < 2:
+            if turn is None:
                 raise MeasurementError("a window after the first one needs the turn that led to it")
             if not time_s > self._windows[-1].last_s:
                 raise MeasurementError(
@@ -184,8 +182,7 @@ class BiasFilter:
                 "Turn the unit and navigate again"
             )
         information = self.information()
-        prior_root = causes.prior_root(self._prior, len(self._windows), self._earth_rate)
-        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        unknowns, covariance = self._solved(information)
         at_mean, acceleration = information.bias_at_mean, causes.ACCELEROMETER_BIAS
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
@@ -196,33 +193,40 @@ class BiasFilter:
             information=information,
         )
 
+    def test_of_fit(self) -> FitTest:
+        """Test whether the model explains what has been added, even a single window."""
+        return self._fit_test(*self._solved(self.information()))
+
+    def _solved(self, information: DwellInformation) -> tuple[Array, Array]:
+        prior_root = causes.prior_root(self._prior, len(self._windows), self._earth_rate)
+        return solve(information.rows, information.data, prior_root)
+
     def _from_first(self, gyro_c: Array) -> Array:
         if self._reference_c is None:
             self._reference_c = gyro_c[0].copy()
         return gyro_c - self._reference_c
 
-    def _through_turn(self, time_s: float, turn: Array) -> tuple[Array, Array, Array]:
+    def _through_turn(self, time_s: float, turn: TurnPath) -> tuple[Array, Array, Array]:
         """What each unknown, the data and the noise made of the state when a turn ends at ``time_s``."""
         last = self._windows[-1]
         state = last.columns[:, : whitening.DATA] @ self._expansions[-1]
         known, covariance = last.columns[:, whitening.DATA], last.covariance
-        duration = (time_s - last.last_s) / (len(turn) - 1)
-        noise = self._noise
-        step = integrate(
-            self._site, np.array([duration]), noise.angle_random_walk, noise.velocity_random_walk
-        )
-        transition, response = step.transition[0], step.response[0]
-        # The INS's own attitude before the turn, carried on by the table.
-        path = last.C_nb @ turn[0].T @ turn
+        # At rest until the turn begins, and again when it is over; the INS's own attitude before the
+        # turn, carried on by the table.
+        edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
+        path = last.C_nb @ turn.C_nb[0].T @ np.concatenate([turn.C_nb[:1], turn.C_nb, turn.C_nb[-1:]])
         turned = Rotation.from_matrix(path[:-1].transpose(0, 2, 1) @ path[1:]).as_rotvec()
         middle = path[:-1] @ Rotation.from_rotvec(0.5 * turned).as_matrix()
-        for C_nb, angle in zip(middle, turned, strict=True):
-            rate_body = C_nb.T @ self._earth_rate + angle / duration
-            driven = causes.inputs(C_nb, rate_body, state.shape[1])
-            driven[:3, causes.GYRO_SLOPE] = C_nb * self._last_k
-            state = transition @ state + response @ driven
+        durations, noise = np.diff(edges), self._noise
+        steps = integrate(self._site, durations, noise.angle_random_walk, noise.velocity_random_walk)
+        for k in np.flatnonzero(durations > 0.0):
+            rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
+            driven = causes.inputs(middle[k], rate_body, state.shape[1])
+            driven[:3, causes.GYRO_SLOPE] = middle[k] * self._last_k
+            transition = steps.transition[k]
+            state = transition @ state + steps.response[k] @ driven
             known = transition @ known
-            covariance = transition @ covariance @ transition.T + step.covariance[0]
+            covariance = transition @ covariance @ transition.T + steps.covariance[k]
         return state, known, covariance
 
     def information(self) -> DwellInformation:

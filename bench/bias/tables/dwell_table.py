@@ -13,7 +13,7 @@ from bench.navigation.positions import AXES, POSITIONS
 #: Values of the x, y and z gyro.
 Triple = tuple[float, float, float]
 
-_SCALARS = ("start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
+_SCALARS = ("azimuth_deg", "start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
 _TRIPLES = {
     "gyro_c": "gyro_{}_c",
     "gyro_rate_c_per_h": "gyro_{}_rate_c_per_h",
@@ -28,7 +28,7 @@ _TRIPLES = {
 _FIT = ("fit_ratio", "fit_p_value")
 #: What a table may lack, or have empty.
 _OPTIONAL = {
-    *("chamber_set_c", "chamber_c", "case_c", "board_c"),
+    *("azimuth_deg", "chamber_set_c", "chamber_c", "case_c", "board_c"),
     *("paper_bias_dph", "paper_sigma_dph", "accelerometer_ug", "accelerometer_sigma_ug", *_FIT),
 }
 
@@ -73,6 +73,8 @@ class DwellRow:
     bias_dph, sigma_dph : tuple of float
         Measured bias in body axes, and its standard uncertainty; by the state-space estimator
         where the bench measured it.
+    azimuth_deg : float
+        Azimuth at the start of the dwell; NaN where not known.
     chamber_set_c, chamber_c, case_c : float
         Mean temperatures; NaN where not measured.
     board_c : tuple of float
@@ -101,6 +103,7 @@ class DwellRow:
     gyro_rate_c_per_h: Triple
     bias_dph: Triple
     sigma_dph: Triple
+    azimuth_deg: float = math.nan
     chamber_set_c: float = math.nan
     chamber_c: float = math.nan
     case_c: float = math.nan
@@ -207,6 +210,7 @@ def _row(table: CsvTable, index: int) -> DwellRow:
         dwell=table.integer(index, "dwell"),
         cycle=table.integer(index, "cycle"),
         position=table.choice(index, "position", POSITIONS),
+        azimuth_deg=scalar("azimuth_deg"),
         start_s=scalar("start_s"),
         end_s=scalar("end_s"),
         since_power_on_s=scalar("since_power_on_s"),

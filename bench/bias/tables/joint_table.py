@@ -64,7 +64,8 @@ class JointStopRow:
     Attributes
     ----------
     stop, cycle, dwells : int
-        Number of the stop, pass of the profile, number of dwells.
+        Number of the stop, from 1, pass of the profile, number of dwells. Stop 0 is all stops
+        together: its row has the rate Up alone.
     chamber_set_c : float
         Set point; NaN where there is none.
     accelerometer_x_ug, ... : float

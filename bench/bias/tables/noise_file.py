@@ -1,8 +1,9 @@
-"""The noise that a run showed, kept as ``noise.json``."""
+"""The noise that a run showed, kept as ``noise.json``: a summary, and all that it was read from."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -11,9 +12,15 @@ from typing import Any
 import numpy as np
 
 from bench.bias.noise.allan import AllanVariance, RateNoise
-from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate
+from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
 from bench.bias.tables.csv_text import read_text, write_text
 from bench.errors import DocumentError
+from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
+from bench.navigation.positions import AXES
+
+_UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"
+#: An array of plain numbers, which goes into one line.
+_ARRAY = re.compile(r"\[[^][{}]*\]")
 
 
 def write_noise(path: Path, noise: NoiseEstimate) -> None:
@@ -24,7 +31,9 @@ def write_noise(path: Path, noise: NoiseEstimate) -> None:
     RunFolderError
         The file can't be written.
     """
-    write_text(path, json.dumps(asdict(noise), default=lambda array: array.tolist()) + "\n")
+    data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise)}
+    text = json.dumps(data, indent=1, default=lambda array: array.tolist())
+    write_text(path, _ARRAY.sub(lambda array: " ".join(array[0].split()), text) + "\n")
 
 
 def read_noise(path: Path) -> NoiseEstimate:
@@ -40,15 +49,43 @@ def read_noise(path: Path) -> NoiseEstimate:
         data = json.loads(text)
         x, y, z = (_channel(each) for each in data["gyros"])
         return NoiseEstimate(
-            **{
-                **data,
-                "gyros": (x, y, z),
-                "all_gyros": _channel(data["all_gyros"]),
-                "acceleration": _channel(data["acceleration"]),
-            }
+            gyros=(x, y, z),
+            all_gyros=_channel(data["all_gyros"]),
+            heading=_channel(data["heading"]),
+            acceleration=_channel(data["acceleration"]),
+            gravity=data["gravity"],
+            duration_s=data["duration_s"],
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DocumentError(f"{path}: holds no noise estimate: {error}") from error
+
+
+def _summary(noise: NoiseEstimate) -> dict[str, dict[str, float | bool | None]]:
+    arw, arw_si = "angle_random_walk{}_deg_per_sqrt_h", DEG_PER_SQRT_H_TO_SI
+    rows = [
+        *(
+            (arw.format(f"_{axis}"), arw_si, each)
+            for axis, each in zip(AXES, noise.angle_random_walks, strict=True)
+        ),
+        (arw.format(""), arw_si, noise.angle_random_walk),
+        (arw.format("_by_velocities"), arw_si, noise.angle_random_walk_of_tilt),
+        ("velocity_random_walk_ug_per_sqrt_hz", UG_PER_SQRT_HZ_TO_SI, noise.velocity_random_walk),
+        ("velocity_output_mps", 1.0, noise.velocity_white),
+        ("heading_output_urad", 1e-6, noise.heading_white),
+    ]
+    return {name: _told(parameter, unit_si) for name, unit_si, parameter in rows}
+
+
+def _told(parameter: NoiseParameter, unit_si: float) -> dict[str, float | bool | None]:
+    """Value and sigma, or the limit of what is not told from zero or is hidden by the resolution."""
+    if parameter.value is not None and parameter.sigma is not None:
+        return {"value": _short(parameter.value / unit_si), "sigma": _short(parameter.sigma / unit_si)}
+    below = None if parameter.limit is None else _short(parameter.limit / unit_si)
+    return {"below": below, "hidden_by_resolution": parameter.square is None}
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _channel(data: Mapping[str, Any]) -> ChannelNoise:

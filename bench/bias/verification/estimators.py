@@ -190,17 +190,12 @@ def bias_from_velocity_slope(
 def navigation_fit(window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> FitTest:
     """Test whether error model and noise explain one navigation.
 
-    Nothing of the alignment enters. The estimator of dwells does it, which wants a turn: one after
-    the first epoch, which turns nothing.
+    Nothing of the alignment enters.
     """
-    no_turn = np.stack([window.C_nb[0]] * 2)
     bias_filter = BiasFilter(site, noise, prior)
-    for part, turn in ((slice(1), None), (slice(1, None), no_turn)):
-        time_s, C_nb = window.time_s[part], window.C_nb[part]
-        gyro_c = None if window.gyro_c is None else window.gyro_c[part]
-        bias_filter.begin_window(time_s[0], C_nb[0], turn)
-        bias_filter.add(time_s, window.velocity_enu_mps[part, :2], C_nb, gyro_c)
-    return bias_filter.estimate().fit
+    bias_filter.begin_window(window.time_s[0], window.C_nb[0])
+    bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
+    return bias_filter.test_of_fit()
 
 
 def _check_half_turn(first: Dwell, second: Dwell) -> None:

@@ -96,8 +96,8 @@ class DwellScenario:
     ----------
     stops_rad : sequence of tuple
         Outer and inner angle of each navigation at rest.
-    window_s, turn_s, align_s, epoch_s : float
-        Durations of a navigation, a turn and the alignment; time between epochs.
+    window_s, turn_s, settle_s, align_s, epoch_s : float
+        Durations of a navigation, a turn, the rest after it, and the alignment; time between epochs.
     latitude, height, latitude_error : float
         True place in rad and m; error of the latitude that the INS was told, rad.
     """
@@ -108,6 +108,7 @@ class DwellScenario:
     height: float = 0.0
     window_s: float = 600.0
     turn_s: float = 25.0
+    settle_s: float = 0.0
     align_s: float = 300.0
     epoch_s: float = 1.0
     latitude_error: float = 0.0
@@ -161,6 +162,9 @@ class _Ins:
         share = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, count + 1)))
         outer, inner = (np.asarray(a + (b - a) * share) for a, b in zip(start, end, strict=True))
         self._navigated(outer, inner, _TURN_STEP_S, count)
+        settling = round(self._scenario.settle_s / _REST_STEP_S)
+        if settling:
+            self._navigated(*_resting(end, settling), _REST_STEP_S, settling)
 
     def _navigated(self, outer: Array, inner: Array, step_s: float, every: int) -> Array:
         rotation, velocity = self._sensed(outer, inner, step_s)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import Dwell, NavigationWindow
+from bench.bias.dwell import Dwell, NavigationWindow, TurnPath
 from bench.bias.noise.model import NoiseModel
 from bench.bias.prior import PriorKnowledge
 from bench.navigation.attitude import euler_pry231, euler_rpy321
@@ -93,7 +93,10 @@ def emulate(
         np.radians(stops_deg[0]),
         tuple(_window(position, rest, noise, random, gyro_c, lsb) for rest in rests),
         tuple(table.attitude(*stop) for stop in stops),
-        tuple(_path(table, start, end) for start, end in pairwise(stops)),
+        tuple(
+            TurnPath.steady(before.time_s[-1], after.time_s[0] - place.settle_s, _path(table, start, end))
+            for (before, after), (start, end) in zip(pairwise(rests), pairwise(stops), strict=True)
+        ),
     )
 
 

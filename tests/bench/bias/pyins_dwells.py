@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pyins._numba_integrate import integrate  # the public Integrator warns with pandas 3
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import Dwell, NavigationWindow
+from bench.bias.dwell import Dwell, NavigationWindow, TurnPath
 from bench.navigation.attitude import UP, rotation_matrix
 from bench.navigation.earth import DPH_TO_RADPS, earth_rate_enu, gravity
 from bench.navigation.positions import POSITIONS
@@ -98,4 +98,10 @@ def simulate(ins: RestingIns) -> Dwell:
     first, last = slice(0, counts[0] + 1), slice(total - counts[2], total + 1)
     windows = tuple(NavigationWindow(time[part], velocity[part], attitude[part]) for part in (first, last))
     path = np.array([rotation_matrix(UP, angle) @ C_before for angle in np.linspace(0.0, turn, 19)])
-    return Dwell(ins.position, 0.0, windows, (C_before, C_after), (path,))
+    return Dwell(
+        ins.position,
+        0.0,
+        windows,
+        (C_before, C_after),
+        (TurnPath.steady(time[counts[0]], time[total - counts[2]], path),),
+    )

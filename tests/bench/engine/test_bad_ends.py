@@ -95,6 +95,41 @@ def test_an_ins_that_falls_back_to_alignment_gives_a_flag_and_no_number(tmp_path
     assert (outcome.results.bins, outcome.results.joint, outcome.results.noise) == ([], [], None)
 
 
+def test_an_ins_that_aligns_anew_in_the_turn_gives_a_flag_and_no_number(tmp_path):
+    """Its new heading hides the East gyro's bias, and nothing in the two windows shows it."""
+    folder, outcome, _ = run_with(tmp_path, "turn", lambda bench, clock: bench.world.unit.align())
+    assert outcome.ended == "finished", outcome.reason
+    (row,) = read_dwells(folder.dwells)
+    assert "the INS left navigation in the turn" in row.flags
+    assert np.isnan([row.bias_dph, row.sigma_dph, row.paper_bias_dph]).all()
+
+
+def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_path):
+    def nudge(bench, clock):
+        axis = bench.world.axes[1]
+        axis.move_to(axis.encoder(clock.now()).position_deg + 5.0, clock.now())
+
+    class Nudger(Meddler):
+        def ticked(self, live, left_s):
+            was_done = self.done
+            super().ticked(live, left_s)
+            if self.done and not was_done:
+                self.back_s = live.clock.now() + 60.0
+            elif self.done and self.back_s and live.clock.now() >= self.back_s:
+                axis = self.bench.world.axes[1]
+                axis.move_to(axis.encoder(live.clock.now()).position_deg - 5.0, live.clock.now())
+                self.back_s = 0.0
+
+    meddler = Nudger("navigate", nudge)
+    job = prepare_job("ten_minute_check", "emulated", Emulation("ideal", 0))
+    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    (row,) = read_dwells(folder.dwells)
+    assert "the table moved by 5.0" in row.flags
+    assert "in window 1 the unit turned by 5.0 deg" in row.flags
+    assert np.isnan(row.bias_dph).all()
+
+
 def test_a_chamber_switched_off_at_its_panel_fails_the_step_with_its_place_in_the_file(tmp_path):
     path = tmp_path / "hot.yaml"
     path.write_text(

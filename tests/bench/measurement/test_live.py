@@ -121,11 +121,22 @@ def test_an_ins_that_left_navigation_tells_nothing_more(recorded):
     assert [replayed.estimate_at(left_at + more) for more in (500, 1500, 2500)] == [None] * 3
 
 
-def test_noise_that_is_not_declared_is_that_of_the_first_window(recorded):
+def test_noise_that_is_not_declared_is_that_of_all_windows_so_far(recorded):
+    marks, frames, setup = recorded
+    own = replace(setup, noise=None)
+    whole = measure_dwell(marks, frames, own).estimate
+    begin = marks.windows[1].first_frame
+    replayed = Replayed(marks, frames, own)
+    *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (5000,))]
+    # What can differ are temperatures between the last one that has come and the next.
+    np.testing.assert_allclose(last.bias_dph, whole.bias_dph, rtol=0.0, atol=0.005 * whole.sigma_dph.min())
+    np.testing.assert_allclose(last.sigma_dph, whole.sigma_dph, rtol=1e-3)
+
+
+def test_a_window_that_has_just_begun_tells_no_noise_and_spoils_none(recorded):
     marks, frames, setup = recorded
     replayed = Replayed(marks, frames, replace(setup, noise=None))
-    told = replayed.estimate_at(end_of(recorded))
-    np.testing.assert_allclose(told.sigma_dph, measure_dwell(*recorded).estimate.sigma_dph, rtol=0.25)
+    assert replayed.estimate_at(marks.windows[1].first_frame + 36 * 10) is not None
 
 
 def test_noise_that_the_first_window_does_not_tell_leaves_the_biases_untold(recorded):

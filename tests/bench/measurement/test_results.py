@@ -15,6 +15,7 @@ from bench.bias.tables.joint_table import (
 )
 from bench.bias.tables.noise_file import read_noise
 from bench.errors import RunFolderError
+from bench.measurement.dwell import misfit_text
 from bench.measurement.results import RunResults, evaluate, write_results
 from bench.measurement.setup import measurement_setup
 from bench.run_store.folder import RunFolder
@@ -132,3 +133,23 @@ def test_dwells_without_a_set_point_are_one_stop(measured):
     nowhere = [replace(dwell, row=replace(dwell.row, chamber_set_c=math.nan)) for dwell in dwells[:4]]
     (stop,) = evaluate(nowhere, [], [], setup, 5.0).joint
     assert len(stop.dwells) == 4
+
+
+def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
+    dwells, setup = measured
+    unexplained = [
+        replace(dwell, row=replace(dwell.row, flags=misfit_text(dwell.estimate.fit))) for dwell in dwells
+    ]
+    found = evaluate(unexplained, [], [], setup, 5.0)
+    assert (found.bins, found.joint, found.up_rate) == ([], [], None)
+    assert found.noise.angle_random_walk == results.noise.angle_random_walk
+    row = replace(dwells[0].row, flags=f"door opened; {unexplained[0].row.flags}")
+    disturbed = evaluate([replace(dwells[0], row=row), *unexplained[1:]], [], [], setup, 5.0)
+    assert disturbed.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
+
+
+def test_power_ons_are_solved_apart(measured):
+    dwells, setup = measured
+    restarted = [replace(dwell, row=replace(dwell.row, run="later")) for dwell in dwells[2:4]]
+    found = evaluate([*dwells[:2], *restarted], [], [], setup, 5.0)
+    assert [[dwell.number for dwell in each.dwells] for each in found.joint] == [[1, 2], [3, 4]]

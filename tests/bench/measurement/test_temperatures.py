@@ -109,3 +109,30 @@ def test_a_gyro_without_temperature_leaves_them_all_out():
 
 def test_triple_is_made_of_plain_numbers():
     assert [type(value) for value in triple(np.array([1, 2, 3], np.int32))] == [float] * 3
+
+
+def with_gaps(time_s, share, axis=1):
+    """Optics of which one gyro's samples are not a number, in even steps."""
+    values = optics_c(time_s)
+    values[:: round(1.0 / share), axis] = math.nan
+    return values
+
+
+def test_a_few_temperatures_that_are_no_numbers_do_not_matter():
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    told = series(time_s, optics_c=with_gaps(time_s, 0.05))
+    found = dwell_temperatures(recording(told), 300, 900)
+    np.testing.assert_allclose(found.gyro_c, optics_c(297.5), atol=0.01)
+    np.testing.assert_allclose(found.gyro_rate_c_per_h, SLOPE_C_PER_H, atol=1e-9)
+    at_s = np.array([12.0, 100.0, 400.0])
+    np.testing.assert_allclose(gyro_temperatures_at(at_s, told), optics_c(at_s))
+
+
+def test_a_gyro_that_often_tells_no_number_is_not_measured_and_the_others_are():
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    told = series(time_s, optics_c=with_gaps(time_s, 0.2))
+    found = dwell_temperatures(recording(told), 300, 900)
+    assert np.isnan([found.gyro_c[1], found.gyro_rate_c_per_h[1]]).all()
+    np.testing.assert_allclose(np.array(found.gyro_c)[[0, 2]], optics_c(297.5)[[0, 2]])
+    np.testing.assert_allclose(np.array(found.gyro_rate_c_per_h)[[0, 2]], SLOPE_C_PER_H[[0, 2]], atol=1e-9)
+    assert gyro_temperatures_at(time_s, told) is None

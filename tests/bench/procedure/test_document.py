@@ -192,9 +192,12 @@ steps:
               - turn: {angle_deg: 90, rate_dps: 5, settle_s: 5}
               - wait: {duration_s: 1}
               - navigate: {until: {bias_sigma_below_dph: 0.002}, at_least_s: 120, at_most_s: 900}
-              - go_to: {position: $position, azimuth_deg: 180}
-              - align: {duration_s: 600}
-              - navigate: {duration_s: 600, purpose: verification}
+              - repeat:
+                  over: {azimuth_deg: [0, 180]}
+                  steps:
+                    - go_to: {position: $position, azimuth_deg: $azimuth_deg}
+                    - align: {duration_s: 600}
+                    - navigate: {duration_s: 600, purpose: verification}
   - soak: {for_s: 100}
   - power_off
   - chamber_off:

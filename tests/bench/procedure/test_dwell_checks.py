@@ -20,6 +20,8 @@ UNTIL = "- navigate: {until: {bias_sigma_below_dph: 0.002}, at_least_s: 120, at_
 TURN = "- turn: {angle_deg: 180}\n"
 QUARTER = "- turn: {angle_deg: 90}\n"
 WAIT = "- wait: {duration_s: 5}\n"
+#: What a verification at azimuth 0 needs beside it.
+OPPOSITE = GO_TO.replace("z_up", "z_up, azimuth_deg: 180") + ALIGN + VERIFY
 
 NO_TURN = (
     "no turn: the biases can't be told from the initial errors; "
@@ -30,7 +32,7 @@ TURNED_VERIFICATION = "straight from the alignment, without a turn before or aft
 WRONG = {
     "too short": (WINDOW + TURN + SHORT, "8:14", "59 s is too short .* at least 60 s"),
     "may end too soon": (WINDOW + TURN + UNTIL.replace("120", "30"), "8:52", "30 s is too short"),
-    "verification too short": (VERIFY.replace("600", "30"), "6:14", "30 s is too short"),
+    "verification too short": (VERIFY.replace("600", "30") + OPPOSITE, "6:14", "30 s is too short"),
     "loop value too short": (
         "- repeat: {over: {t: [90, 30]}, steps: [{navigate: {duration_s: $t}}, {turn: {angle_deg: 180}}]}",
         "6:27",
@@ -44,21 +46,22 @@ WRONG = {
     "nothing after the turn": (WINDOW + TURN, "6:3", "one side of the turn alone"),
     "nothing after the turn and a wait": (WINDOW + WAIT + TURN, "6:3", "one side of the turn alone"),
     "nothing before the turn": (TURN + WINDOW, "7:3", "navigate before and after the turn"),
-    "two navigations": (WINDOW + WINDOW + TURN + WINDOW, "7:3", "put a turn between"),
-    "a wait between two": (WINDOW + TURN + WINDOW + WAIT + WINDOW, "10:3", "put a turn between"),
+    "two navigations": (WINDOW + WINDOW + TURN + WINDOW, "7:3", "put a turn between them, or make"),
+    "a wait between two": (WINDOW + TURN + WINDOW + WAIT + WINDOW, "10:3", "or make one longer$"),
+    "two navigations without any turn": (WINDOW + WINDOW, "7:3", "succession: put a turn between them$"),
     "full circle": (
         WINDOW + "- turn: {angle_deg: 360}\n" + WINDOW, "7:10", "all navigations stand at azimuth 0 deg",
     ),
     "there and back": (WINDOW + TURN + "- turn: {angle_deg: -180}\n" + WINDOW, "8:10", "full circles"),
-    "verification before a turn": (VERIFY + TURN, "6:31", TURNED_VERIFICATION),
-    "verification before a wait and a turn": (VERIFY + WAIT + TURN, "6:31", TURNED_VERIFICATION),
+    "verification before a turn": (VERIFY + TURN + OPPOSITE, "6:31", TURNED_VERIFICATION),
+    "verification before a wait and a turn": (VERIFY + WAIT + TURN + OPPOSITE, "6:31", TURNED_VERIFICATION),
     "verification before a turn and a navigation": (VERIFY + TURN + WINDOW, "6:31", TURNED_VERIFICATION),
     "verification after a turn": (WINDOW + TURN + VERIFY, "8:31", TURNED_VERIFICATION),
     "verification after a turn alone": (TURN + VERIFY, "7:31", TURNED_VERIFICATION),
-    "verification twice": (VERIFY + VERIFY, "7:3", "put a turn between"),
+    "verification twice": (VERIFY + VERIFY, "7:3", "a verification is a single one; make it longer"),
     "until before the turn": (UNTIL + TURN + WINDOW, "6:14", "until needs a navigation and a turn before it"),
     "until in a verification": (
-        "- navigate: {purpose: verification, until: {bias_sigma_below_dph: 1}, at_most_s: 900}",
+        "- navigate: {purpose: verification, until: {bias_sigma_below_dph: 1}, at_most_s: 900}\n" + OPPOSITE,
         "6:37",
         "give duration_s",
     ),
@@ -98,11 +101,8 @@ GOOD = {
     "a turn before and one between": QUARTER + WINDOW + TURN + WINDOW,
     "a turn back at the end": WINDOW + TURN + WINDOW + TURN,
     "waits": WAIT + WINDOW + WAIT + TURN + WAIT + WINDOW + WAIT,
-    "verification": VERIFY,
-    "verification with waits": WAIT + VERIFY + WAIT,
-    "verification at two azimuths": VERIFY
-    + "- go_to: {position: z_up, azimuth_deg: 180}\n- align: {duration_s: 600}\n"
-    + VERIFY,
+    "verification": VERIFY + OPPOSITE,
+    "verification with waits": WAIT + VERIFY + WAIT + OPPOSITE,
     "an alignment without navigation": "",
 }
 

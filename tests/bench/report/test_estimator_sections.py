@@ -28,6 +28,25 @@ def test_rms_is_that_of_the_leaks(dwells: list[DwellRow]) -> None:
     assert [float(row[2]) for row in section.tables[0].rows] == pytest.approx([3.3] * 3, abs=0.3)
 
 
+def test_single_dwell_has_a_table_and_no_picture(dwells: list[DwellRow]) -> None:
+    section = estimators_section(dwells[:1])
+    assert section is not None
+    assert section.figures == []
+    assert section.tables[0].caption.endswith("over 1 dwell")
+    both = estimators_section(dwells[:2])
+    assert both is not None
+    assert len(both.figures) == 1
+
+
+@pytest.mark.parametrize(("count", "told"), [(4, False), (5, True)])
+def test_caption_of_the_fit_tells_what_is_drawn(dwells: list[DwellRow], count: int, told: bool) -> None:
+    section = fit_section(dwells[:count])
+    assert section is not None
+    (drawn,) = section.figures
+    assert ("in 99 of 100 runs" in drawn.caption) is told
+    assert ("Right:" in drawn.caption) is told
+
+
 def test_sections_are_there_where_there_is_something_to_say(
     dwells: list[DwellRow], old_dwells: list[DwellRow]
 ) -> None:

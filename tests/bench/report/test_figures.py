@@ -161,8 +161,15 @@ def test_temperature_figure_without_telemetry_shows_the_dwells(dwells: list[Dwel
 def test_short_runs_are_drawn_in_minutes(telemetry: Telemetry) -> None:
     first = {name: values[:10] for name, values in telemetry.items()}
     figure = temperature_figure(first, [])
-    assert figure.axes[1].get_xlabel() == "time / min"
-    assert figure.axes[1].get_xlim() == (0.0, 9.0)
+    assert figure.axes[-1].get_xlabel() == "time / min"
+    assert figure.axes[-1].get_xlim() == (0.0, 9.0)
+
+
+def test_without_dwells_there_are_no_lanes_of_positions(telemetry: Telemetry, dwells: list[DwellRow]) -> None:
+    (axes,) = temperature_figure(telemetry, []).axes
+    assert axes.get_xlabel() == "time / h"
+    assert len(axes.lines) > 5
+    assert len(temperature_figure(telemetry, dwells).axes) == 2
 
 
 def test_plan_figure_shows_every_stay_in_a_position(plan: Plan) -> None:

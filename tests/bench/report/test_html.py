@@ -13,6 +13,8 @@ import pytest
 
 from bench.bias.bins import BiasBin, bin_biases, write_bins
 from bench.bias.tables.dwell_table import DwellRow, write_dwells
+from bench.bias.tables.verification_table import write_verification
+from bench.clock import VirtualClock
 from bench.documents import find_document
 from bench.report.bias_figure import bias_figure
 from bench.report.content import read_run
@@ -20,6 +22,8 @@ from bench.report.figures import save_figure
 from bench.report.html import render, write_report
 from bench.report.sections import Section, SectionFigure, SectionTable
 from bench.run_store.folder import RunFolder
+from bench.run_store.journal import Journal
+from tests.bench.report.test_verification_section import ALIGNMENT, ROW
 
 
 @dataclass
@@ -288,6 +292,37 @@ def test_failed_run_tells_reason_step_and_what_is_not_safe(
     assert "No dwell was measured." in text
     assert "No dwell gave a bias" in text
     assert "dwells.csv is missing." in text
+
+
+def test_run_of_verifications_is_no_failure(
+    empty_folder: RunFolder, run_folder: RunFolder, journal_writer: Callable[..., None]
+) -> None:
+    journal_writer(empty_folder)
+    shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
+    write_verification(empty_folder.verification, [ROW, ALIGNMENT])
+    page = page_of(empty_folder)
+    assert "Gyro bias of unit U7" in page.text
+    assert "dwells 2 dwells for verification" in page.text
+    assert "Findings All 2 biases agree with the calibration" in page.text
+    assert "Dwells 2 dwells for verification, without a turn" in page.text
+    assert "Temperatures over the run. Verification" in page.text
+    for words in ("No dwell", "dwells.csv is missing", "Bands and bars"):
+        assert words not in page.text
+    assert len(page.loads) == 1
+
+
+def test_unit_is_known_from_the_journal_before_anything_is_measured(empty_folder: RunFolder) -> None:
+    with Journal(empty_folder.journal, VirtualClock()) as journal:
+        journal.record("ins_identified", unit="1007", identity="made-up INS")
+    assert "Gyro bias of unit 1007" in page_of(empty_folder).text
+
+
+def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, [row for row in dwells if row.position == "y_up"])
+    page = page_of(empty_folder)
+    assert page.text.count("Nothing to compare") == 1
 
 
 def test_run_that_was_killed_is_told_as_such(

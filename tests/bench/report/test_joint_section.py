@@ -130,6 +130,18 @@ def test_table_of_stops_has_values_with_uncertainties_and_a_row_of_all() -> None
     assert len(table.header) == len(table.rows[0])
 
 
+def test_accelerometers_that_the_dwells_do_not_tell_are_empty() -> None:
+    unknown = stop_row(accelerometer_y_sigma_ug=100.0, accelerometer_z_sigma_ug=99.0)
+    _, table = section_of([unknown]).tables
+    assert table.rows[0][3:6] == ["+2.4 ± 1.8", "", "+1.5 ± 99.0"]
+
+
+def test_zero_has_no_minus() -> None:
+    _, table = section_of([stop_row(accelerometer_x_ug=-0.01, north_rate_dph=-1e-7)]).tables
+    assert table.rows[0][3] == "+0.0 ± 1.8"
+    assert table.rows[0][6] == "+0.00 ± 0.83"
+
+
 def test_each_stop_has_its_gains() -> None:
     biases = [*bias_rows(1), *bias_rows(2, level=0.004)]
     gains, _ = section_of([stop_row(), stop_row(2), stop_row(0)], biases).tables

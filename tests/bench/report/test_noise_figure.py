@@ -84,6 +84,7 @@ def test_legend_tells_the_values(estimate: NoiseEstimate) -> None:
     assert "±" in labels(gyros)[0]
     assert labels(gyros)[1] == "declared\n0.0006 deg/√h"
     assert labels(accelerometers)[1] == "declared\n5 µg/√Hz"
+    assert labels(gyros)[2] == labels(accelerometers)[2] == "all that was fitted"
 
 
 def test_without_a_declared_noise_there_is_no_line_of_it(estimate: NoiseEstimate) -> None:
@@ -110,6 +111,7 @@ def test_noise_that_the_resolution_hides_is_faint_and_has_a_limit() -> None:
     ]
     assert all(one.lines[0].get_alpha() < 0.5 and not one.has_yerr for one in gyros.containers)
     for axes in (gyros, accelerometers):
+        assert "all that was fitted" not in labels(axes)
         assert any(
             label.startswith("random walk\nhidden by the resolution\nbelow ") for label in labels(axes)
         )

@@ -39,9 +39,13 @@ def test_papers_method_is_explained_where_it_is_shown(bins: list[BiasBin]) -> No
     assert sum(line.startswith("The paper's method judges otherwise") for line in lines) == 3
 
 
-def test_run_without_the_papers_method_does_not_mention_it(bins: list[BiasBin]) -> None:
+def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
     alone = [replace(each, paper_bias_dph=math.nan, paper_sigma_dph=math.nan) for each in bins]
-    assert not any("paper" in line for line in printed(bins_table(alone, compare_positions(alone))))
+    lines = printed(bins_table(alone, compare_positions(alone)))
+    assert not any(line.strip().startswith("paper") for line in lines)
+    assert (
+        sum(line.startswith("The paper's method takes two windows half a turn apart") for line in lines) == 1
+    )
 
 
 def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
@@ -89,10 +93,17 @@ def test_wide_numbers_put_the_uncertainty_below(
     assert sum(line.count("±") for line in lines if not line.startswith(("X gyro", "Most"))) >= 36
 
 
-def test_single_position_is_not_compared(bins: list[BiasBin]) -> None:
+def test_single_position_is_not_compared_and_that_is_said_once(bins: list[BiasBin]) -> None:
     alone = [each for each in bins if each.position == "z_up"]
     lines = printed(bins_table(alone, compare_positions(alone)))
-    assert sum(line.startswith("Nothing to compare") for line in lines) == 3
+    assert sum(line.startswith("Nothing to compare") for line in lines) == 1
+    assert not any("p equal" in line for line in lines)
+
+
+def test_a_gyro_without_anything_to_compare_says_so_beside_the_others(bins: list[BiasBin]) -> None:
+    some = [each for each in bins if each.position == "z_up" or each.gyro == "y"]
+    lines = printed(bins_table(some, compare_positions(some)))
+    assert sum(line.startswith("Nothing to compare") for line in lines) == 2
 
 
 def test_run_without_biases_says_so() -> None:

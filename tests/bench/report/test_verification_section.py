@@ -4,7 +4,12 @@ from dataclasses import replace
 import pytest
 
 from bench.bias.tables.verification_table import VerificationRow
-from bench.report.verification_section import verification_section, verification_sentence
+from bench.report.verification_section import (
+    dwells_text,
+    verification_lines,
+    verification_section,
+    verification_sentence,
+)
 
 NOTHING = math.nan
 ROW = VerificationRow(
@@ -57,7 +62,7 @@ def test_agreement_is_told_with_the_largest_difference():
     assert verification_sentence([ROW, ALIGNMENT]) == (
         "All 2 biases agree with the calibration (no p < 0.01, allowing for 2 comparisons). The largest "
         "difference, measured less calibrated, is 0.0005 ± 0.0015 deg/h (+0.3 standard uncertainties): "
-        "Z gyro in Y-Up at -10 °C, by velocity."
+        "Z gyro in Y-Up 0° at -10 °C, by velocity."
     )
     assert verification_sentence([ROW]).startswith("The bias agrees with the calibration (no p < 0.01, one")
 
@@ -65,7 +70,7 @@ def test_agreement_is_told_with_the_largest_difference():
 def test_differences_are_told():
     sentence = verification_sentence([ROW, CHANGED, ALIGNMENT])
     assert sentence.startswith("1 of 3 biases differs from the calibration (p < 0.01, allowing for 3")
-    assert "is 0.0100 ± 0.0015 deg/h (+6.5 standard uncertainties): Y gyro in Z-Up" in sentence
+    assert "is 0.0100 ± 0.0015 deg/h (+6.5 standard uncertainties): Y gyro in Z-Up 0°" in sentence
 
 
 def test_every_comparison_is_one_more_chance_to_differ_by_chance():
@@ -87,12 +92,35 @@ def test_the_table_holds_every_bias_beside_the_calibrated_one():
     (table,) = verification_section([ROW, ALIGNMENT, CHANGED, UNCALIBRATED]).tables
     assert "in 0.001 deg/h" in table.caption
     assert [tuple(row) for row in table.rows] == [
-        ("Y-Up", "Z", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "13.7 ± 0.4", "+0.3"),
-        ("Y-Up", "X", "alignment", "-9.6", "14.2 ± 1.5", "", "13.7 ± 0.4", "+0.3"),
-        ("Z-Up", "Y", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "4.2 ± 0.4", "+6.5*"),
-        ("Y-Up", "Z", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "", ""),
+        ("Y-Up 0°", "Z", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "13.7 ± 0.4", "+0.3"),
+        ("Y-Up 0/180°", "X", "alignment", "-9.6", "14.2 ± 1.5", "", "13.7 ± 0.4", "+0.3"),
+        ("Z-Up 0°", "Y", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "4.2 ± 0.4", "+6.5*"),
+        ("Y-Up 0°", "Z", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "", ""),
     ]
     assert {len(row) for row in table.rows} == {len(table.header)}
+
+
+def test_azimuths_tell_dwells_of_one_position_apart():
+    opposite = replace(ROW, dwell=2, azimuth_deg=180.0)
+    pair = replace(ALIGNMENT, azimuth_deg=270.0)
+    assert [line.position for line in verification_lines([ROW, opposite, pair])] == [
+        "Y-Up 0°",
+        "Y-Up 180°",
+        "Y-Up 270/90°",
+    ]
+
+
+def test_zero_has_no_minus():
+    tiny = replace(ROW, bias_dph=-1e-8, paper_bias_dph=-1e-8, calibrated_dph=-1e-8, difference_dph=-1e-8)
+    (line,) = verification_lines([tiny])
+    assert (line.bias, line.slope, line.calibrated) == ("0.0 ± 1.5", "0.0 ± 1.7", "0.0 ± 0.4")
+    assert line.difference == "+0.0"
+    assert "-0.0" not in verification_sentence([tiny])
+
+
+def test_dwells_are_counted_whatever_the_number_of_their_biases():
+    assert dwells_text([ROW, ALIGNMENT]) == "2 dwells for verification"
+    assert dwells_text([ROW]) == "1 dwell for verification"
 
 
 def test_flags_are_told_with_their_place():

@@ -16,12 +16,12 @@ def printed(rows):
 
 def test_each_bias_has_a_line():
     lines = printed([ROW, ALIGNMENT, CHANGED, UNCALIBRATED]).splitlines()
-    assert lines[0] == "Verification: bias ± 1 sigma in 0.001 deg/h"
+    assert lines[0] == "Verification: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
     assert [line.split() for line in lines[3:7]] == [
-        ["Y-Up", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "13.7", "±0.4", "+0.3"],
-        ["Y-Up", "X", "alignment", "-9.6", "14.2", "±1.5", "13.7", "±0.4", "+0.3"],
-        ["Z-Up", "Y", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "4.2", "±0.4", "+6.5*"],
-        ["Y-Up", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7"],
+        ["Y-Up", "0°", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "13.7", "±0.4", "+0.3"],
+        ["Y-Up", "0/180°", "X", "alignment", "-9.6", "14.2", "±1.5", "13.7", "±0.4", "+0.3"],
+        ["Z-Up", "0°", "Y", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "4.2", "±0.4", "+6.5*"],
+        ["Y-Up", "0°", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7"],
     ]
 
 
@@ -34,13 +34,24 @@ def test_the_finding_and_the_flags_stand_below():
 @pytest.mark.parametrize("bias_dph", [0.0142, -0.9876, -12.3456])
 def test_it_fits_a_terminal_and_nothing_is_cut_off(bias_dph):
     rows = [
-        replace(ROW, position="z_down", bias_dph=bias_dph, paper_bias_dph=bias_dph, calibrated_dph=bias_dph)
+        replace(
+            ROW,
+            position="z_down",
+            azimuth_deg=270.0,
+            turned_dwell=2,
+            bias_dph=bias_dph,
+            paper_bias_dph=bias_dph,
+            calibrated_dph=bias_dph,
+        )
     ]
     text = printed([*rows, FLAGGED])
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text
     shown = f"{bias_dph:.4f}" if abs(bias_dph) > 1.0 else f"{1000.0 * bias_dph:.1f}"
     assert text.count(shown) == 3
+    assert "+0.3" in text
+    assert "flagged" in text
+    assert "calibrated" in text.splitlines()[1]
 
 
 def test_nothing_is_told_as_nothing():

@@ -12,6 +12,7 @@ from bench.bias.bins import BiasBin
 from bench.report.wording import (
     BiasScale,
     bins_by_temperature,
+    counted,
     dph_with_sigma,
     gyro_label,
     p_text,
@@ -44,6 +45,15 @@ def test_uncertainty_decides_the_decimals(bias_dph: float, sigma_dph: float, exp
 
 def test_bias_with_its_unit_is_in_degrees_per_hour() -> None:
     assert dph_with_sigma(0.01234, 0.0009) == "0.0123 ± 0.0009 deg/h"
+
+
+def test_zero_has_no_minus() -> None:
+    assert BiasScale.of([0.01], [0.0009]).text(-1e-6) == "0.0"
+    assert dph_with_sigma(-1e-9, 0.0009) == "0.0000 ± 0.0009 deg/h"
+
+
+def test_one_has_no_plural() -> None:
+    assert [counted(number, "dwell") for number in (0, 1, 2)] == ["0 dwells", "1 dwell", "2 dwells"]
 
 
 def test_unit_follows_the_size_and_nan_is_passed_over() -> None:

@@ -39,22 +39,46 @@ def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_told(changed, l
 @pytest.mark.parametrize(
     ("noise", "message"),
     [
-        ("guessed", "should be 'estimated'"),
-        ("{angle_random_walk_deg_per_sqrt_h: 0}", "greater than 0"),
-        ("{angle_random_walk_deg_per_sqrt_h: 0.001, velocity_output_mps: -1}", "greater than or equal to 0"),
+        ("guessed", 'write `estimated`, .* or give angle_random_walk_deg_per_sqrt_h, .*; found "guessed"'),
+        ("5", "write `estimated`, .* found 5"),
+        (
+            "{angle_random_walk_deg_per_sqrt_h: 0}",
+            "'angle_random_walk_deg_per_sqrt_h' should be greater than 0",
+        ),
+        (
+            "{angle_random_walk_deg_per_sqrt_h: 0.001, velocity_output_mps: -1}",
+            "'velocity_output_mps' should be greater than or equal to 0; found -1",
+        ),
         ("{velocity_output_mps: 0.001}", "'angle_random_walk_deg_per_sqrt_h' is missing"),
         ("{angle_random_walk_deg_per_sqrt_h: 0.001, heading_output: 1}", "unknown key 'heading_output'"),
     ],
 )
-def test_noise_that_can_not_be_is_refused(changed, noise, message):
-    with pytest.raises(DocumentError, match=message):
-        Station(changed((NOISE, f"  noise: {noise}\n")))
+def test_noise_that_can_not_be_is_refused_in_one_line(changed, noise, message):
+    path = changed((NOISE, f"  noise: {noise}\n"))
+    with pytest.raises(DocumentError, match=message) as caught:
+        Station(path)
+    assert len(str(caught.value).splitlines()) == 1
+    assert f"noise: {noise}" in Path(path).read_text().splitlines()[int(str(caught.value).split(":")[1]) - 1]
+
+
+def test_noise_that_is_missing_is_told_with_what_to_write(changed):
+    with pytest.raises(
+        DocumentError, match=r"the key 'noise' is missing: write `estimated`, .* or give angle"
+    ):
+        Station(changed((NOISE, "")))
+
+
+def test_noise_may_be_left_to_the_data(changed):
+    assert Station(changed((NOISE, "  noise: estimated\n"))).file.ins.noise == "estimated"
 
 
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("tilt_step_arcsec: -1", r"station\.yaml:\d+:\d+: .*greater than or equal to 0"),
+        (
+            "tilt_step_arcsec: -1",
+            r"station\.yaml:\d+:\d+: 'tilt_step_arcsec' should be greater than or equal to 0",
+        ),
         ("acelerometer_bias_ug: 1", "did you mean 'accelerometer_bias_ug'"),
     ],
 )

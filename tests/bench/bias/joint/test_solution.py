@@ -310,3 +310,42 @@ def test_stops_are_dwells_in_a_row_of_one_cycle_and_set_point(right_latitude):
 def test_no_dwell_is_an_error():
     with pytest.raises(MeasurementError, match="no dwell"):
         solve_jointly([], PRIOR)
+
+
+def test_power_ons_are_not_solved_together(right_latitude):
+    _, (dwell, *_) = right_latitude
+    dwells = [dataclasses.replace(dwell, number=n, run=run) for n, run in enumerate("aabba")]
+    assert [[each.number for each in group] for group in group_stops(dwells)] == [[0, 1], [2, 3], [4]]
+
+
+def test_a_stop_ends_where_the_gyros_are_warmer_than_before(right_latitude):
+    _, (dwell, *_) = right_latitude
+    unknown = math.nan
+    temperatures = [20.0, 24.0, 26.0, unknown, 29.0, 23.9, 33.0]  # means so far 20, 22, 23.3, 23.3; 29, 29
+    dwells = [
+        dataclasses.replace(dwell, number=n, gyro_c=(mean - 1.0, mean + 1.0, unknown))
+        for n, mean in enumerate(temperatures)
+    ]
+    groups = [[each.number for each in group] for group in group_stops(dwells)]
+    assert groups == [[0, 1, 2, 3], [4], [5], [6]]
+
+
+def test_dwells_that_do_not_agree_in_any_way_tell_no_rate_up(solutions):
+    wrong_in_both = [
+        dataclasses.replace(
+            each,
+            fit=dataclasses.replace(each.fit, p_value=1e-4),
+            north_free_fit=dataclasses.replace(each.north_free_fit, p_value=1e-4),
+        )
+        for each in solutions
+    ]
+    rate = pooled_up_rate([wrong_in_both[0], *solutions[1:]])
+    assert rate.rate == pooled_up_rate(solutions[1:]).rate
+    assert not {dwell.number for dwell in solutions[0].dwells} & set(rate.weights)
+    assert pooled_up_rate(wrong_in_both) is None
+    assert pooled_up_rate([]) is None
+
+
+def test_dwells_that_only_a_wrong_latitude_parts_tell_the_rate_up(solutions):
+    parted = dataclasses.replace(solutions[0], fit=dataclasses.replace(solutions[0].fit, p_value=0.0))
+    assert {dwell.number for dwell in parted.dwells} <= set(pooled_up_rate([parted]).weights)

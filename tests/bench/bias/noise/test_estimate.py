@@ -6,6 +6,7 @@ import pytest
 from bench.bias.dwell import NavigationWindow
 from bench.bias.noise.estimate import compare_noise, estimate_noise
 from bench.bias.noise.model import NoiseModel
+from bench.bias.state_space.bias_filter import estimate_state_space
 from bench.errors import MeasurementError
 from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from bench.navigation.positions import POSITIONS
@@ -20,6 +21,7 @@ from drivers.emulators.world.strapdown import (
     true_increments,
 )
 from drivers.ins.attitude import EulerSequence, attitude_matrices
+from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensors, site
 
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 LATITUDE = np.radians(36.4)
@@ -219,7 +221,7 @@ def test_an_attitude_too_coarse_hides_the_angle_random_walk_below_a_limit():
     estimate = estimated(attitude_step_deg=1e-3)
     assert estimate.angle_random_walk.value is None
     assert 0.0006 * DEG_PER_SQRT_H_TO_SI < estimate.angle_random_walk.limit < 0.01 * DEG_PER_SQRT_H_TO_SI
-    assert estimate.attitude_white.value is None
+    assert estimate.heading_white.value is None
     assert estimate.velocity_random_walk.is_found
     with pytest.raises(MeasurementError, match="angle random walk can't be told"):
         estimate.noise_model()
@@ -245,7 +247,7 @@ def test_a_velocity_too_coarse_hides_the_velocity_random_walk_below_a_limit():
     estimate = estimated(velocity_step_mps=0.01)
     assert estimate.velocity_random_walk.value is None
     assert estimate.velocity_random_walk.limit > 5.0 * UG_PER_SQRT_HZ_TO_SI
-    assert estimate.noise_model().velocity_random_walk == 0.0
+    assert estimate.noise_model().velocity_random_walk == estimate.velocity_random_walk.limit
 
 
 def test_accelerometers_without_noise_give_an_upper_limit():
@@ -319,3 +321,42 @@ def test_the_clock_of_the_ins_may_start_anywhere():
     assert estimate_noise(shifted, GRAVITY).angle_random_walk.value == pytest.approx(
         estimate_noise(windows, GRAVITY).angle_random_walk.value, rel=1e-6
     )
+
+
+@pytest.fixture(scope="module")
+def own_noise():
+    """Dwells of an epoch a second, each with the noise that it tells of itself."""
+    result = []
+    for seed in range(60):
+        random = np.random.default_rng(2000 + seed)
+        unit = sensors((0.01, -0.01, 0.02), (20.0, 10.0, 0.0), noise_model())
+        one = emulate("z_up", unit, noise=noise_model(), random=random)
+        result.append((one, estimate_noise(one.windows, site().gravity)))
+    return result
+
+
+def test_good_dwells_pass_the_test_of_fit_with_the_noise_that_they_tell(own_noise):
+    p_values = np.array(
+        [
+            estimate_state_space(one, site(), noise.noise_model(), CLEAN).fit.p_value
+            for one, noise in own_noise
+        ]
+    )
+    # Chances of more with uniform p values: 2e-3, 2e-4 and 6e-4.
+    assert np.count_nonzero(p_values < 1e-3) <= 1
+    assert np.count_nonzero(p_values < 0.05) <= 10
+    assert p_values.min() > 1e-5
+
+
+def test_noise_of_the_heading_is_that_about_up_alone(own_noise):
+    whites = [noise.heading_white.value for _, noise in own_noise]
+    assert np.mean(whites) == pytest.approx(noise_model().heading_white, rel=0.02)
+
+
+def test_velocity_random_walk_of_the_model_is_seldom_too_small(own_noise):
+    ratios = np.array([noise.noise_model().velocity_random_walk for _, noise in own_noise])
+    ratios /= noise_model().velocity_random_walk
+    # A sigma more than the estimate: no more than one in six is smaller, give or take three sigmas of that.
+    assert np.count_nonzero(ratios < 1.0) <= 10 + 9
+    assert ratios.min() > 0.3
+    assert ratios.mean() < 2.0

@@ -11,7 +11,7 @@ from bench.errors import MeasurementError
 from bench.navigation.attitude import UP, angle_between, rotation_matrix
 from bench.navigation.positions import POSITIONS
 from tests.bench.bias import disturbances
-from tests.bench.bias.emulated_dwells import LATITUDE_DEG, UG, emulate, noise_model, sensors, site
+from tests.bench.bias.emulated_dwells import CLEAN, LATITUDE_DEG, UG, emulate, noise_model, sensors, site
 
 NOISE = noise_model(0.0006)
 DEFAULT = PriorKnowledge()
@@ -134,7 +134,11 @@ def test_uncertainty_falls_while_the_dwell_goes_on():
 
 def test_the_clock_of_the_ins_may_start_anywhere():
     dwell = emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG))
-    later = replace(dwell, windows=tuple(replace(w, time_s=w.time_s + 1e9) for w in dwell.windows))
+    later = replace(
+        dwell,
+        windows=tuple(replace(w, time_s=w.time_s + 1e9) for w in dwell.windows),
+        turns=tuple(replace(turn, time_s=turn.time_s + 1e9) for turn in dwell.turns),
+    )
     np.testing.assert_allclose(estimate(later).bias_dph, estimate(dwell).bias_dph, rtol=0, atol=1e-7)
 
 
@@ -201,3 +205,13 @@ def test_a_turn_that_tells_nothing_leaves_the_level_gyros_unknown():
     found = estimate(dwell)
     assert found.sigma_dph[0] > 0.5
     assert np.all(np.abs(found.bias_dph - BIAS_DPH) < 3.0 * found.sigma_dph)
+
+
+@pytest.mark.parametrize("settle_s", [60.0, 600.0])
+def test_a_long_rest_after_the_turn_changes_nothing(settle_s):
+    truth = sensors(bias_dph=(0.05, 0.05, 0.05))
+    dwell = emulate("z_up", truth, settle_s=settle_s)
+    estimate = estimate_state_space(dwell, site(), NOISE, CLEAN)
+    assert np.abs(estimate.bias_dph - 0.05).max() < 2e-4
+    level = np.abs(estimate.accelerometer_bias[:2])
+    assert np.all(level < 0.5 * estimate.accelerometer_sigma[:2])

@@ -199,7 +199,7 @@ def test_refuses_a_dwell_number_given_twice():
         ("", "x:1: the header lacks the columns unit, run"),
         ("unit,run\n", "x:1: the header lacks the columns dwell, cycle"),
         (",".join((*COLUMNS, "unit")) + "\n", "x:1: the header gives unit more than once"),
-        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 41"),
+        (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 42"),
         (",".join(COLUMNS) + '\n"open', "x:2: not valid CSV"),
     ],
 )

@@ -37,7 +37,7 @@ def everything(noise):
         noise.angle_random_walk_of_tilt,
         noise.velocity_random_walk,
         noise.velocity_white,
-        noise.attitude_white,
+        noise.heading_white,
         [
             (each.step, each.allan.lengths, each.allan.tau_s.tolist(), each.allan.deviation.tolist())
             for each in (*noise.gyros, noise.all_gyros, noise.acceleration)
@@ -109,3 +109,24 @@ def test_files_that_can_not_be_read_or_written_are_named_once(tmp_path):
     assert str(caught.value).count("absent.json") == 1
     with pytest.raises(RunFolderError, match="can't be written"):
         write_noise(tmp_path / "absent" / "noise.json", noise_of())
+
+
+def test_the_file_begins_with_units_and_a_summary_and_has_an_array_in_a_line(tmp_path):
+    noise = noise_of()
+    write_noise(tmp_path / "noise.json", noise)
+    text = (tmp_path / "noise.json").read_text()
+    data = json.loads(text)
+    assert list(data)[:2] == ["units", "summary"]
+    walk = data["summary"]["angle_random_walk_deg_per_sqrt_h"]
+    assert walk["value"] == pytest.approx(noise.angle_random_walk.value / DEG_PER_SQRT_H_TO_SI, rel=1e-3)
+    assert walk["sigma"] == pytest.approx(noise.angle_random_walk.sigma / DEG_PER_SQRT_H_TO_SI, rel=1e-3)
+    assert data["summary"]["velocity_random_walk_ug_per_sqrt_hz"]["value"] == pytest.approx(20.0, rel=0.3)
+    assert any(line.strip().startswith('"variance": [') and line.endswith("],") for line in text.splitlines())
+
+
+def test_what_the_resolution_hides_is_summed_up_as_a_limit(tmp_path):
+    noise = noise_of(5e-6, 0.01)
+    write_noise(tmp_path / "noise.json", noise)
+    told = json.loads((tmp_path / "noise.json").read_text())["summary"]["angle_random_walk_deg_per_sqrt_h"]
+    limit = noise.angle_random_walk.limit / DEG_PER_SQRT_H_TO_SI
+    assert told == {"below": pytest.approx(limit, rel=1e-3), "hidden_by_resolution": True}
