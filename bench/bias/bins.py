@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
-from bench.bias.tables.csv_text import CsvTable, format_csv, format_number, read_text, write_text
+from bench.bias.tables.csv_text import CsvTable, format_cell, format_csv, read_text, write_text
 from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.weighted_mean import weighted_mean
 from bench.errors import MeasurementError
@@ -198,7 +198,7 @@ def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> dict[str, float]:
 
 
 def _cells(each: BiasBin) -> list[str]:
-    return [format_number(value) if isinstance(value, float) else str(value) for value in astuple(each)]
+    return [format_cell(value) for value in astuple(each)]
 
 
 def _parsed(table: CsvTable, index: int) -> BiasBin:

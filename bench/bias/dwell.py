@@ -26,6 +26,11 @@ MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
 MAX_MOVEMENT = np.deg2rad(0.5)
 
 
+def slots(time_s: NDArray[np.float64], first_s: float, interval_s: float) -> NDArray[np.int64]:
+    """Number of the interval, counted from ``first_s``, that each time (n,) lies in."""
+    return np.floor((time_s - first_s) / interval_s + _SLOT_TOLERANCE).astype(np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class NavigationWindow:
     """What the INS put out while the table stood still.
@@ -84,8 +89,7 @@ class NavigationWindow:
 
     def thinned(self, interval_s: float) -> NavigationWindow:
         """The first epoch of each interval alone."""
-        slots = np.floor((self.time_s - self.time_s[0]) / interval_s + _SLOT_TOLERANCE)
-        first = np.flatnonzero(np.diff(slots, prepend=-1.0) > 0.0)
+        first = np.flatnonzero(np.diff(slots(self.time_s, self.time_s[0], interval_s), prepend=-1) > 0)
         gyro_c = None if self.gyro_c is None else self.gyro_c[first]
         return NavigationWindow(self.time_s[first], self.velocity_enu_mps[first], self.C_nb[first], gyro_c)
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+#: Combinations of data whose variance the estimate leaves less of than this test nothing.
+_LEAST_VARIANCE = 1e-3
 
 
 def solve(
@@ -31,3 +37,33 @@ def solve(
 def compress(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fewest rows with the same normal equations as these (n, c); at most c of them."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Sum of squares of residuals weighted by their covariance, its expectation, and its probability."""
+
+    chi2: float
+    freedom: int
+    p_value: float
+
+
+def misfit(
+    residuals: NDArray[np.float64], rows: NDArray[np.float64], covariance: NDArray[np.float64]
+) -> Misfit:
+    """Test what an estimate leaves of white data.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+        Data less what the estimate explains.
+    rows : ndarray, shape (n, p)
+        Response of the data to the unknowns.
+    covariance : ndarray, shape (p, p)
+        Of the estimate, made from these data, or from data that these are sums of.
+    """
+    variances, directions = np.linalg.eigh(np.eye(len(residuals)) - rows @ covariance @ rows.T)
+    free = variances > _LEAST_VARIANCE
+    chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
+    freedom = int(free.sum())
+    return Misfit(chi2, freedom, float(chdtrc(freedom, chi2)))

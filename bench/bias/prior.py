@@ -7,11 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from bench.errors import DocumentError
-from bench.navigation.earth import DPH_TO_RADPS
+from bench.navigation.earth import DPH_TO_RADPS, UG_TO_MPS2
 
 _ARCSEC = np.pi / 180.0 / 3600.0
 _ARCMIN = 60.0 * _ARCSEC
-_UG = 9.80665e-6
 
 
 @dataclass(frozen=True)
@@ -44,14 +43,14 @@ class PriorKnowledge:
         A value is negative or not a number.
     """
 
-    accelerometer_bias: float = 1000.0 * _UG
+    accelerometer_bias: float = 1000.0 * UG_TO_MPS2
     gyro_scale_factor: float = 5e-6
     gyro_misalignment: float = 2.0 * _ARCSEC
     tilt_step: float = 1.0 * _ARCSEC
     latitude: float = 0.02 * _ARCMIN
     bias_slope: float = 0.001 * DPH_TO_RADPS
     accelerometer_misalignment: float = 5.0 * _ARCSEC
-    accelerometer_drift: float = 2.0 * _UG / 3600.0
+    accelerometer_drift: float = 2.0 * UG_TO_MPS2 / 3600.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -73,12 +72,12 @@ class PriorKnowledge:
     ) -> PriorKnowledge:
         """The same in the units of data sheets."""
         return cls(
-            accelerometer_bias_ug * _UG,
+            accelerometer_bias_ug * UG_TO_MPS2,
             gyro_scale_factor_ppm * 1e-6,
             gyro_misalignment_arcsec * _ARCSEC,
             tilt_step_arcsec * _ARCSEC,
             latitude_arcmin * _ARCMIN,
             bias_slope_dph_per_c * DPH_TO_RADPS,
             accelerometer_misalignment_arcsec * _ARCSEC,
-            accelerometer_drift_ug_per_h * _UG / 3600.0,
+            accelerometer_drift_ug_per_h * UG_TO_MPS2 / 3600.0,
         )

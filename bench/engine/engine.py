@@ -18,7 +18,7 @@ from bench.errors import GyrobenchError, RunFolderError, RunStoppedError, StepTi
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from bench.measurement.marks import DwellMarks
 from bench.measurement.results import RunResults
-from bench.measurement.verification import VerificationDwell, measure_verification
+from bench.measurement.verification_dwell import VerificationDwell, measure_verification
 from bench.procedure.plan import Plan, PlannedStep, turns_after
 from bench.procedure.steps import Align, GoTo, PowerOn
 from bench.run_store.folder import RunFolder

@@ -18,17 +18,16 @@ from bench.bias.prior import PriorKnowledge
 from bench.bias.state_space.bias_filter import StateSpaceEstimate, estimate_state_space
 from bench.bias.state_space.fit_test import FitTest
 from bench.bias.state_space.window_filter import EPOCH_S
-from bench.bias.tables.dwell_table import DwellRow
+from bench.bias.tables.dwell_table import NOT_MEASURED, DwellRow
 from bench.errors import MeasurementError
 from bench.measurement.marks import DwellMarks, WindowMark
 from bench.measurement.temperatures import (
-    NOT_MEASURED,
     DwellTemperatures,
     dwell_temperatures,
     gyro_temperatures_at,
     triple,
 )
-from bench.navigation.earth import STANDARD_GRAVITY
+from bench.navigation.earth import UG_TO_MPS2
 from bench.navigation.error_model import Site
 from bench.navigation.positions import AXES
 from bench.navigation.table_axes import TwoAxisTable
@@ -42,8 +41,6 @@ Array = NDArray[np.float64]
 
 #: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
 LEAST_FIT_P = 1e-5
-
-_UG = 1e-6 * STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -256,8 +253,10 @@ def _row(
         sigma_dph=triple(estimate.sigma_dph) if estimate else NOT_MEASURED,
         paper_bias_dph=triple(paper.bias_dph) if paper else NOT_MEASURED,
         paper_sigma_dph=triple(paper.sigma_dph) if paper else NOT_MEASURED,
-        accelerometer_ug=triple(estimate.accelerometer_bias / _UG) if estimate else NOT_MEASURED,
-        accelerometer_sigma_ug=triple(estimate.accelerometer_sigma / _UG) if estimate else NOT_MEASURED,
+        accelerometer_ug=triple(estimate.accelerometer_bias / UG_TO_MPS2) if estimate else NOT_MEASURED,
+        accelerometer_sigma_ug=triple(estimate.accelerometer_sigma / UG_TO_MPS2)
+        if estimate
+        else NOT_MEASURED,
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
         flags="; ".join(flags),

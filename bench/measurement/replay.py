@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from bench.errors import RunFolderError
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from bench.measurement.marks import DwellMarks
-from bench.measurement.verification import VerificationDwell, measure_verification
+from bench.measurement.verification_dwell import VerificationDwell, measure_verification
 from bench.run_store.can_log import read_can_log
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal

@@ -21,7 +21,8 @@ from bench.bias.tables.noise_file import write_noise
 from bench.bias.tables.verification_table import VerificationRow, write_verification
 from bench.errors import MeasurementError
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, misfit_text
-from bench.measurement.verification import VerificationDwell, verification_rows
+from bench.measurement.verification import verification_rows
+from bench.measurement.verification_dwell import VerificationDwell
 from bench.run_store.folder import RunFolder
 
 

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.tables.dwell_table import Triple
+from bench.bias.tables.dwell_table import NOT_MEASURED, Triple
 from bench.errors import MeasurementError
 from drivers.ins.navigation_data import NavigationData, Temperatures
-
-#: Values of three gyros that nothing was measured of.
-NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 #: Fewest samples of a channel, and the share of them that must be numbers.
 _FEWEST = 2

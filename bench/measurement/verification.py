@@ -22,13 +22,11 @@ from bench.bias.verification.estimators import (
 )
 from bench.measurement.dwell import MeasurementSetup
 from bench.measurement.marks import DwellMarks
-from bench.measurement.verification_dwell import VerificationDwell as VerificationDwell
-from bench.measurement.verification_dwell import measure_verification as measure_verification
-from bench.navigation.earth import STANDARD_GRAVITY
+from bench.measurement.verification_dwell import VerificationDwell
+from bench.navigation.earth import UG_TO_MPS2
 from bench.navigation.positions import AXES, POSITIONS
 
 _EAST, _NORTH = np.eye(3)[:2]
-_UG = 1e-6 * STANDARD_GRAVITY
 _TURN_TOLERANCE_DEG = 0.5
 #: A gyro points East or North if it is no farther away than this.
 _LARGEST_ANGLE_DEG = 1.0
@@ -173,8 +171,8 @@ def _compared(
         sigma_dph=bias.sigma_dph,
         paper_bias_dph=sign * slope.bias_dph if slope else math.nan,
         paper_sigma_dph=slope.sigma_dph if slope else math.nan,
-        accelerometer_ug=float(known.bias[axis] / _UG),
-        accelerometer_sigma_ug=float(known.sigma[axis] / _UG),
+        accelerometer_ug=float(known.bias[axis] / UG_TO_MPS2),
+        accelerometer_sigma_ug=float(known.sigma[axis] / UG_TO_MPS2),
     )
     calibrated = calibration.gyro_dph(row.position, axis, row.temperature_c)
     return _with_difference(row, *calibrated) if calibrated else row

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from bench.bias.dwell import Dwell
 from bench.bias.noise.model import NoiseModel
 from bench.bias.state_space.window_filter import EPOCH_S
-from bench.bias.tables.dwell_table import Triple
+from bench.bias.tables.dwell_table import NOT_MEASURED, Triple
 from bench.bias.verification.estimators import navigation_fit
 from bench.errors import MeasurementError
 from bench.measurement.dwell import LEAST_FIT_P, MeasurementSetup, dwell_at_rest, misfit_text
 from bench.measurement.marks import DwellMarks
-from bench.measurement.temperatures import NOT_MEASURED, DwellTemperatures, dwell_temperatures
+from bench.measurement.temperatures import DwellTemperatures, dwell_temperatures
 from drivers.ins.epochs import EpochCounts
 from drivers.ins.frames import FrameBlock
 from drivers.ins.navigation_data import NavigationData

@@ -28,8 +28,10 @@ DPH_TO_RADPS = np.pi / 180.0 / 3600.0
 RADPS_TO_DPH = 1.0 / DPH_TO_RADPS
 #: One degree per root hour (angle random walk) in rad/sqrt(s).
 DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
+#: One ug (accelerometer bias) in m/s^2.
+UG_TO_MPS2 = 1e-6 * STANDARD_GRAVITY
 #: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
-UG_PER_SQRT_HZ_TO_SI = 1e-6 * STANDARD_GRAVITY
+UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
 
 _CENTRIFUGAL_RATIO = 0.00344978650684  # rate^2 a^2 b / GM
 _SOMIGLIANA = (1.0 - FLATTENING) * POLE_GRAVITY / EQUATOR_GRAVITY - 1.0

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.special import chdtrc
 
-from bench.bias.least_squares import compress, solve
+from bench.bias.least_squares import compress, misfit, solve
 from bench.bias.prior import PriorKnowledge
 from bench.bias.state_space import causes
 from bench.bias.state_space.bias_filter import DwellInformation
@@ -30,8 +29,6 @@ SHARED = 23
 _ANY_RATE = 0.01
 # What data say less of than this, in units of prior knowledge, is noise; 1 would equal it.
 _LEAST_INFORMATION = 0.3
-# Combinations of data whose variance the estimate leaves less of than this test nothing.
-_LEAST_VARIANCE = 1e-3
 
 # What a dwell shows of its unknowns beyond its own: its gyro biases, the accelerometer biases as
 # they seem in its position, rates and gyro error matrix.
@@ -133,11 +130,8 @@ def solve_together(dwells: Sequence[DwellRows], shared_root: Array) -> JointFit:
     """Solve for what the dwells share and for the biases of each."""
     rows, data, prior_root = _system(dwells, shared_root)
     unknowns, covariance = solve(rows, data, prior_root)
-    residuals = data - rows @ unknowns
-    variances, directions = np.linalg.eigh(np.eye(len(data)) - rows @ covariance @ rows.T)
-    free = variances > _LEAST_VARIANCE
-    chi2, freedom = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum()), int(free.sum())
-    return JointFit(unknowns, covariance, chi2, freedom, float(chdtrc(freedom, chi2)))
+    left = misfit(data - rows @ unknowns, rows, covariance)
+    return JointFit(unknowns, covariance, left.chi2, left.freedom, left.p_value)
 
 
 def _system(dwells: Sequence[DwellRows], shared_root: Array) -> tuple[Array, Array, Array]:

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
-#: Combinations of sums whose variance the estimate leaves less of than this test nothing.
-_LEAST_VARIANCE = 1e-3
+from bench.bias.least_squares import misfit
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +66,5 @@ def fit_test(
     """
     response = responses.reshape(-1, len(unknowns))
     residuals = sums.ravel() - response @ unknowns
-    variances, directions = np.linalg.eigh(np.eye(len(residuals)) - response @ covariance @ response.T)
-    free = variances > _LEAST_VARIANCE
-    chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
-    freedom = int(free.sum())
-    return FitTest(time_s, residuals.reshape(-1, 3), chi2, freedom, float(chdtrc(freedom, chi2)))
+    left = misfit(residuals, response, covariance)
+    return FitTest(time_s, residuals.reshape(-1, 3), left.chi2, left.freedom, left.p_value)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.bias.dwell import slots
 from bench.bias.least_squares import compress
 from bench.bias.noise.model import NoiseModel
 from bench.bias.state_space import whitening
@@ -25,7 +26,6 @@ BLOCK_S = 60.0
 
 # Noise of an output without any, m/s and rad: far below what an INS resolves.
 _LEAST_WHITE = np.array([1e-7, 1e-7, 1e-10])
-_SLOT_TOLERANCE = 1e-3
 
 
 @dataclass
@@ -83,9 +83,9 @@ class WindowFilter:
 
     def choose(self, time_s: Array) -> NDArray[np.int64]:
         """Choose the first epoch of each second that has none yet; indices."""
-        slots = np.array(self._slots(time_s, EPOCH_S))
-        last = -1 if math.isnan(self.last_s) else self._slots(np.array([self.last_s]), EPOCH_S)[0]
-        return np.flatnonzero(slots > np.maximum.accumulate(np.append(last, slots[:-1])))
+        numbers = slots(time_s, self._first_s, EPOCH_S)
+        last = -1 if math.isnan(self.last_s) else slots(np.array([self.last_s]), self._first_s, EPOCH_S)[0]
+        return np.flatnonzero(numbers > np.maximum.accumulate(np.append(last, numbers[:-1])))
 
     def add(self, time_s: Array, velocity_en_mps: Array, C_nb: Array, temperatures: Array) -> None:
         """Filter the next epochs (n,); temperatures (n, 3) count from where the bias slopes do, K."""
@@ -120,13 +120,8 @@ class WindowFilter:
             yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
 
     def _sum_up(self, time_s: Array, rows: Array) -> None:
-        numbers = np.array(self._slots(time_s, BLOCK_S))
+        numbers = slots(time_s, self._first_s, BLOCK_S)
         for number in np.unique(numbers).tolist():
             block = self._blocks.setdefault(number, _Block())
             block.total += rows[numbers == number].sum(axis=0)
             block.times_s += time_s[numbers == number].tolist()
-
-    def _slots(self, time_s: Array, length_s: float) -> list[int]:
-        elapsed = (time_s - self._first_s) / length_s
-        slots: list[int] = np.floor(elapsed + _SLOT_TOLERANCE).astype(int).tolist()
-        return slots

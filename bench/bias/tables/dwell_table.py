@@ -47,7 +47,8 @@ _REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
 #: Columns that a table is written with.
 COLUMNS = (*_columns(_NAMES), "flags")
-_NOTHING = (math.nan, math.nan, math.nan)
+#: Values of three gyros that nothing was measured of.
+NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -107,11 +108,11 @@ class DwellRow:
     chamber_set_c: float = math.nan
     chamber_c: float = math.nan
     case_c: float = math.nan
-    board_c: Triple = _NOTHING
-    paper_bias_dph: Triple = _NOTHING
-    paper_sigma_dph: Triple = _NOTHING
-    accelerometer_ug: Triple = _NOTHING
-    accelerometer_sigma_ug: Triple = _NOTHING
+    board_c: Triple = NOT_MEASURED
+    paper_bias_dph: Triple = NOT_MEASURED
+    paper_sigma_dph: Triple = NOT_MEASURED
+    accelerometer_ug: Triple = NOT_MEASURED
+    accelerometer_sigma_ug: Triple = NOT_MEASURED
     fit_ratio: float = math.nan
     fit_p_value: float = math.nan
     flags: str = ""

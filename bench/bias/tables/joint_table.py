@@ -12,11 +12,9 @@ import numpy as np
 
 from bench.bias.joint.solution import JointSolution
 from bench.bias.joint.vertical_pairs import Finding, UpRate
-from bench.bias.tables.csv_text import CsvTable, format_csv, format_number, read_text, write_text
-from bench.navigation.earth import RADPS_TO_DPH, STANDARD_GRAVITY
+from bench.bias.tables.csv_text import CsvTable, format_cell, format_csv, read_text, write_text
+from bench.navigation.earth import RADPS_TO_DPH, UG_TO_MPS2
 from bench.navigation.positions import AXES, POSITIONS
-
-_UG = 1e-6 * STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -130,10 +128,7 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
     RunFolderError
         The file can't be written.
     """
-    cells = (
-        [format_number(value) if isinstance(value, float) else str(value) for value in astuple(row)]
-        for row in rows
-    )
+    cells = ([format_cell(value) for value in astuple(row)] for row in rows)
     write_text(path, format_csv([field.name for field in fields(kind)], cells))
 
 
@@ -178,7 +173,8 @@ def _stop_row(stop: int, solution: JointSolution) -> JointStopRow:
     values: dict[str, Any] = {}
     for suffix, each in zip(("", "_sigma"), solution.accelerometer_bias, strict=True):
         values |= {
-            f"accelerometer_{axis}{suffix}_ug": float(a / _UG) for axis, a in zip(AXES, each, strict=True)
+            f"accelerometer_{axis}{suffix}_ug": float(a / UG_TO_MPS2)
+            for axis, a in zip(AXES, each, strict=True)
         }
     return JointStopRow(
         stop=stop,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from bench.bias.tables.csv_text import CsvTable, format_csv, format_number, read_text, write_text
+from bench.bias.tables.csv_text import CsvTable, format_cell, format_csv, read_text, write_text
 from bench.navigation.positions import AXES, POSITIONS
 
 #: Ways to see a bias: in the heading after alignment, or in the velocity of a navigation after it.
@@ -115,13 +115,7 @@ def read_verification(path: Path) -> list[VerificationRow]:
 
 
 def _cells(row: VerificationRow) -> list[str]:
-    return [_cell(getattr(row, name)) for name in COLUMNS]
-
-
-def _cell(value: str | float | None) -> str:
-    if value is None:
-        return ""
-    return format_number(value) if isinstance(value, float) else str(value)
+    return [format_cell(getattr(row, name)) for name in COLUMNS]
 
 
 def _row(table: CsvTable, index: int) -> VerificationRow:

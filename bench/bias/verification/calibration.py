@@ -12,10 +12,8 @@ from bench.bias.tables.dwell_table import DwellRow, Triple
 from bench.bias.verification.estimators import KnownAccelerometers
 from bench.bias.verification.temperature_curve import TemperatureCurve
 from bench.bias.weighted_mean import weighted_mean
-from bench.navigation.earth import RADPS_TO_DPH, STANDARD_GRAVITY
+from bench.navigation.earth import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2
 from bench.navigation.positions import AXES, POSITIONS
-
-_UG = 1e-6 * STANDARD_GRAVITY
 
 #: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K.
 _ACCELEROMETER_SLOPE_UG = 10.0
@@ -56,7 +54,7 @@ class Calibration:
             Temperatures of the gyros; each stands for that of the accelerometer beside it.
         """
         known = [self._accelerometer_ug(position, axis, gyro_c[axis]) for axis in range(len(AXES))]
-        bias, sigma = _UG * np.array(known).T
+        bias, sigma = UG_TO_MPS2 * np.array(known).T
         return KnownAccelerometers(bias, sigma)
 
     def _accelerometer_ug(self, position: str, axis: int, temperature_c: float) -> tuple[float, float]:
@@ -64,7 +62,7 @@ class Calibration:
 
         That part is another one in other positions, and the same for all dwells of a position.
         """
-        gravity_ug = self._prior.accelerometer_misalignment * STANDARD_GRAVITY / _UG
+        gravity_ug = self._prior.accelerometer_misalignment * STANDARD_GRAVITY / UG_TO_MPS2
         measured = {name: self._in_position(name, axis, temperature_c) for name in POSITIONS}
         own = measured.pop(position)
         values = [own] if own else []
@@ -75,7 +73,7 @@ class Calibration:
             )
             values.append((mean.value, math.hypot(mean.sigma, gravity_ug)))
         if not values:
-            return 0.0, self._prior.accelerometer_bias / _UG
+            return 0.0, self._prior.accelerometer_bias / UG_TO_MPS2
         together = weighted_mean([value for value, _ in values], [sigma for _, sigma in values])
         return together.value, together.sigma
 
