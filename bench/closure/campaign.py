@@ -1,0 +1,146 @@
+"""A dwell table as arrays: what the search for effects works on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.bias.tables.dwell_table import DwellRow
+from bench.closure.temperature_record import TemperatureRecord, record_of_dwells
+from bench.errors import MeasurementError
+from bench.navigation.positions import POSITIONS
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Dwells in the order of time; n of them, gyros in the order x, y, z.
+
+    Attributes
+    ----------
+    dwell, cycle, run : ndarray of int, shape (n,)
+        Number of the dwell, pass of the profile, and index into ``run_names``.
+    position : tuple of str
+        Names of the positions.
+    up_body : ndarray, shape (n, 3)
+        Unit vector Up in body axes.
+    start_s, end_s, since_power_on_s : ndarray, shape (n,)
+        Time on one clock, and time since the last power-on at the start.
+    set_c, air_c, case_c : ndarray, shape (n,)
+        The chamber's set point, its air, and the unit's case; NaN where not measured.
+    gyro_c, rate_c_per_h, board_c : ndarray, shape (n, 3)
+        Optics, their slope, and electronics (NaN without sensor).
+    bias_dph, sigma_dph : ndarray, shape (n, 3)
+        Measured biases and their standard uncertainties.
+    record : TemperatureRecord
+        The gyros' temperatures at all times, between dwells too.
+    """
+
+    run_names: tuple[str, ...]
+    position: tuple[str, ...]
+    dwell: IntArray
+    cycle: IntArray
+    run: IntArray
+    up_body: FloatArray
+    start_s: FloatArray
+    end_s: FloatArray
+    since_power_on_s: FloatArray
+    set_c: FloatArray
+    air_c: FloatArray
+    case_c: FloatArray
+    gyro_c: FloatArray
+    rate_c_per_h: FloatArray
+    board_c: FloatArray
+    bias_dph: FloatArray
+    sigma_dph: FloatArray
+    record: TemperatureRecord
+
+    def __len__(self) -> int:
+        """How many dwells there are."""
+        return len(self.dwell)
+
+    @property
+    def middle_s(self) -> FloatArray:
+        """Middle of each dwell, shape (n,)."""
+        return 0.5 * (self.start_s + self.end_s)
+
+    @cached_property
+    def power_on_s(self) -> FloatArray:
+        """Times at which the unit was switched on, in order; at least one."""
+        times = np.unique(np.round(self.start_s - self.since_power_on_s))
+        return np.asarray(times[np.diff(times, prepend=-np.inf) > 1.0])
+
+    @cached_property
+    def run_shares(self) -> FloatArray:
+        """Share of each dwell that belongs to each run, shape (n, runs): a dwell may hold a power-on."""
+        runs = np.arange(len(self.run_names))
+        shares: FloatArray = np.asarray(self.run[:, np.newaxis] == runs, dtype=np.float64)
+        for on_s in self.power_on_s:
+            inside = np.flatnonzero((self.start_s < on_s) & (on_s < self.end_s))
+            before, after = self.run[self.end_s <= on_s], self.run[self.start_s >= on_s]
+            if len(before) and len(after):
+                share = (self.end_s[inside] - on_s) / (self.end_s[inside] - self.start_s[inside])
+                shares[inside] = np.outer(share, runs == after[0]) + np.outer(1.0 - share, runs == before[-1])
+        return shares
+
+    @property
+    def has_boards(self) -> bool:
+        """Whether the temperature of every gyro's electronics was measured in every dwell."""
+        return bool(np.isfinite(self.board_c).all())
+
+
+def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = None) -> Campaign:
+    """Gather the dwells that have a result and no flags.
+
+    Parameters
+    ----------
+    rows : sequence of DwellRow
+        The table, in any order.
+    record : TemperatureRecord, optional
+        The gyros' temperatures over the whole time; without one it is made from the dwells.
+
+    Raises
+    ------
+    MeasurementError
+        No dwell is good, or the dwells are of several units.
+    """
+    good = sorted((row for row in rows if not row.flags), key=lambda row: (row.start_s, row.dwell))
+    if not good:
+        raise MeasurementError("no dwell of the table has a result without flags: there is nothing to search")
+    units = sorted({row.unit for row in good})
+    if len(units) > 1:
+        raise MeasurementError(
+            f"the table holds dwells of {len(units)} units ({', '.join(units)}); give one table a unit"
+        )
+    names = list(dict.fromkeys(row.run for row in good))
+
+    def gather(name: str) -> FloatArray:
+        return np.array([getattr(row, name) for row in good], dtype=np.float64)
+
+    start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
+    return Campaign(
+        run_names=tuple(names),
+        position=tuple(row.position for row in good),
+        dwell=np.array([row.dwell for row in good]),
+        cycle=np.array([row.cycle for row in good]),
+        run=np.array([names.index(row.run) for row in good]),
+        up_body=np.array([POSITIONS[row.position].C_nb()[2] for row in good]),
+        start_s=start_s,
+        end_s=end_s,
+        since_power_on_s=gather("since_power_on_s"),
+        set_c=gather("chamber_set_c"),
+        air_c=gather("chamber_c"),
+        case_c=gather("case_c"),
+        gyro_c=gyro_c,
+        rate_c_per_h=rate_c_per_h,
+        board_c=gather("board_c"),
+        bias_dph=gather("bias_dph"),
+        sigma_dph=gather("sigma_dph"),
+        record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
+    )

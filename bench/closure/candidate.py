@@ -1,0 +1,128 @@
+"""An effect in one of its forms, fitted: values of its parameters, and the terms that each gyro keeps."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from bench.closure.campaign import Campaign
+from bench.closure.effects.effect import Effect, Form
+from bench.closure.problem import Problem
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MOST_EVALUATIONS = 120
+_PRECISION = 1e-3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect as fitted.
+
+    Attributes
+    ----------
+    effect, form : Effect, Form
+        What and in which form.
+    values : tuple of float
+        Of the form's parameters.
+    kept : ndarray of bool, shape (3, k)
+        Terms that each gyro has.
+    """
+
+    effect: Effect
+    form: Form
+    values: tuple[float, ...]
+    kept: BoolArray
+
+    def columns(self, campaign: Campaign) -> FloatArray:
+        """Terms (n, 3, k) in all dwells."""
+        return self.form.columns(campaign, self.values)
+
+    @property
+    def unknowns(self) -> int:
+        """Sizes and parameters fitted."""
+        return int(self.kept.sum()) + len(self.values)
+
+
+def starts(form: Form, campaign: Campaign) -> list[tuple[float, ...]]:
+    """All combinations of the values that a form's parameters start from."""
+    grids = [parameter.starts(campaign).tolist() for parameter in form.parameters]
+    return list(itertools.product(*grids))
+
+
+def fit_form(problem: Problem, effect: Effect, form: Form) -> Candidate | None:
+    """Find the parameters with which a form explains most of what is left; None if it explains nothing."""
+    tried = starts(form, problem.campaign)
+    gains = [problem.gain(form.columns(problem.campaign, values))[0] for values in tried]
+    best = int(np.argmax(gains))
+    if not gains[best] > 0.0:
+        return None
+    kept = np.ones((3, len(form.terms)), dtype=bool)
+    return refine(problem, [Candidate(effect, form, tried[best], kept)])[0]
+
+
+def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Improve the parameters of several candidates together.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the declared model alone.
+    candidates : sequence of Candidate
+        To fit at the same time; the terms that they keep stay the same.
+    """
+    parameters = [parameter for each in candidates for parameter in each.form.parameters]
+    start = np.array([value for each in candidates for value in each.values])
+    if not parameters:
+        return list(candidates)
+    widths = np.array(
+        [_width(value, each.low, each.high, problem) for value, each in zip(start, parameters, strict=True)]
+    )
+
+    def split(offsets: FloatArray) -> list[Candidate]:
+        values = iter(
+            float(np.clip(value, each.low, each.high))
+            for value, each in zip(start + widths * offsets, parameters, strict=True)
+        )
+        return [
+            replace(each, values=tuple(itertools.islice(values, len(each.values)))) for each in candidates
+        ]
+
+    def left(offsets: FloatArray) -> float:
+        return -problem.gain(*stack(split(offsets), problem.campaign))[0]
+
+    zero = np.zeros(len(start))
+    simplex = np.vstack([zero, np.eye(len(start))])
+    found = minimize(
+        left,
+        zero,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": simplex,
+            "maxfev": _MOST_EVALUATIONS * len(start),
+            "xatol": _PRECISION,
+            "fatol": _PRECISION,
+        },
+    )
+    return split(found.x)
+
+
+def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArray, BoolArray]:
+    """Terms of several candidates side by side, and which of them each gyro keeps."""
+    columns = np.concatenate([each.columns(campaign) for each in candidates], axis=2)
+    return columns, np.concatenate([each.kept for each in candidates], axis=1)
+
+
+def _width(value: float, low: float, high: float, problem: Problem) -> float:
+    """First step of a parameter: a good part of it, or of a dwell where it is a time without bounds."""
+    if np.isinf(low):
+        campaign = problem.campaign
+        return float(np.median(campaign.end_s - campaign.start_s))
+    step = 0.25 * max(abs(value), 0.05 * (high - low))
+    return -step if value + step > high else step

@@ -1,0 +1,96 @@
+"""What a candidate effect is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.closure.campaign import Campaign
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that a form of an effect is fitted with, beside its sizes.
+
+    Attributes
+    ----------
+    name : str
+        With its unit: "tau_s", "onset_c".
+    low, high : float
+        Bounds of the fit.
+    starts : callable
+        Gives the values that the fit starts from, for a campaign: all of them are tried.
+    """
+
+    name: str
+    low: float
+    high: float
+    starts: Callable[[Campaign], FloatArray]
+
+
+@dataclass(frozen=True)
+class Form:
+    """One mathematical form of an effect.
+
+    Attributes
+    ----------
+    name : str
+        What tells it from the effect's other forms; empty where there is one only.
+    terms : tuple of str
+        What each term follows, with its unit.
+    columns : callable
+        Terms of a campaign at values of the parameters: shape (n, 3, k), NaN nowhere. The bias of a
+        gyro is a sum of its k terms, each times a size in deg/h.
+    parameters : tuple of Parameter
+        Those that all three gyros share.
+    lacks : callable
+        Says which input the form needs and the campaign does not have; None if it has all.
+    """
+
+    terms: tuple[str, ...]
+    columns: Callable[[Campaign, tuple[float, ...]], FloatArray]
+    parameters: tuple[Parameter, ...] = ()
+    lacks: Callable[[Campaign], str | None] = lambda campaign: None  # noqa: ARG005
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical cause of gyro bias that the declared model lacks.
+
+    Attributes
+    ----------
+    name : str
+        As in ``closure.json``.
+    statement : str
+        What it says of the bias, for a person; a sentence without its end: "the bias follows ...".
+    experiment : str
+        The measurement that shows it alone, for a person: "hold ... and ...".
+    forms : tuple of Form
+        The forms tried; the one that fits best counts.
+    """
+
+    name: str
+    statement: str
+    experiment: str
+    forms: tuple[Form, ...] = field(default=())
+
+
+def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
+    """Starting values that do not depend on the campaign."""
+    return lambda campaign: np.array(values)  # noqa: ARG005
+
+
+def needs_boards(campaign: Campaign) -> str | None:
+    """Say what lacks where an electronics' temperature was not measured."""
+    return None if campaign.has_boards else "temperature sensors at the gyros' electronics"
+
+
+def needs_case(campaign: Campaign) -> str | None:
+    """Say what lacks where the case's temperature was not measured."""
+    return None if np.isfinite(campaign.case_c).all() else "a temperature sensor at the case"

@@ -1,0 +1,23 @@
+"""Bias that follows the temperature difference between a gyro's electronics and its optics."""
+
+from __future__ import annotations
+
+from bench.closure.campaign import Campaign
+from bench.closure.effects.effect import Effect, FloatArray, Form, needs_boards
+
+
+def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
+    return (campaign.board_c - campaign.gyro_c)[:, :, None]
+
+
+EFFECT = Effect(
+    name="thermal_gradient",
+    statement=(
+        "the bias follows the temperature of the electronics above that of the optics, alike in all positions"
+    ),
+    experiment=(
+        "soak at one temperature and change the electronics' power: the difference between electronics and "
+        "optics changes while the temperature rate soon returns to zero"
+    ),
+    forms=(Form(("electronics above optics, K",), _columns, lacks=needs_boards),),
+)

@@ -1,0 +1,45 @@
+"""Bias that depends on the way a temperature was reached, at any rate: play between two bounds."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from bench.closure.campaign import Campaign
+from bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+
+
+@numba.njit(cache=True)
+def _play(temperature_c: FloatArray, half_width_c: float) -> FloatArray:
+    """Play over time, (m, 3): what follows the temperature at a distance of the half width at most."""
+    followed = np.empty_like(temperature_c)
+    for gyro in range(temperature_c.shape[1]):
+        state = temperature_c[0, gyro]
+        for step in range(temperature_c.shape[0]):
+            now = temperature_c[step, gyro]
+            state = min(max(state, now - half_width_c), now + half_width_c)
+            followed[step, gyro] = state
+    return followed
+
+
+def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    record = campaign.record
+    behind_c = _play(record.gyro_c, values[0]) - record.gyro_c
+    return record.mean_over(behind_c, campaign.start_s, campaign.end_s)[:, :, None]
+
+
+EFFECT = Effect(
+    name="thermal_hysteresis",
+    statement="the bias depends on the way that the temperature came, upward or downward, however slowly",
+    experiment=(
+        "reach one temperature from above and from below and soak for hours: a lag dies away, hysteresis "
+        "stays; small loops of temperature show its width"
+    ),
+    forms=(
+        Form(
+            ("play behind the temperature, K",),
+            _columns,
+            (Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0)),),
+        ),
+    ),
+)

@@ -1,0 +1,126 @@
+"""What a search leaves: ``closure.json``, ``predictions.csv`` and the model with its effects."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bench.bias.tables.csv_text import format_csv, write_text
+from bench.closure.closure import Closure, FoundEffect
+from bench.closure.problem import DEGREE, SCALE_C
+from bench.closure.wording import separating_measurement, statement, whereabouts
+from bench.navigation.positions import AXES
+
+PREDICTION_COLUMNS = (
+    "dwell",
+    *(f"bias_{axis}_before_dph" for axis in AXES),
+    *(f"bias_{axis}_after_dph" for axis in AXES),
+)
+
+
+def write_closure(folder: Path, closure: Closure) -> None:
+    """Write everything into a folder, which is made if it isn't there.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "closure.json", json.dumps(closure_document(closure), indent=2) + "\n")
+    write_text(folder / "predictions.csv", format_predictions(closure))
+    write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
+
+
+def closure_document(closure: Closure) -> dict[str, Any]:
+    """Content of ``closure.json``."""
+    return {
+        "verdict": closure.verdict,
+        "effects": [_effect(each) for each in closure.effects],
+        "separating_measurement": separating_measurement(closure),
+        "left_over": whereabouts(closure),
+        "noise_dph": closure.noise_dph,
+        "noise_over_stated": closure.noise_scale,
+        "lack_of_fit_p_before": closure.before.p_value,
+        "lack_of_fit_p_after": closure.after.p_value,
+        "error_before_dph": closure.error_before_dph,
+        "error_after_dph": closure.error_after_dph,
+        "held_out_cycle": int(closure.campaign.cycle[~closure.searched][0]),
+        "dwells_searched": int(closure.searched.sum()),
+        "tried": [
+            {
+                "effect": each.effect.name,
+                "lacks": each.lacks,
+                "share_explained_alone": None if each.candidate is None else each.share,
+                "p_value_alone": None if each.candidate is None else each.p_value,
+            }
+            for each in closure.evidence
+        ],
+    }
+
+
+def format_predictions(closure: Closure) -> str:
+    """CSV text: both models' bias of every dwell of the campaign."""
+    rows = zip(
+        closure.campaign.dwell.tolist(),
+        closure.declared.bias_dph.tolist(),
+        closure.model.bias_dph.tolist(),
+        strict=True,
+    )
+    return format_csv(
+        PREDICTION_COLUMNS,
+        ([str(dwell), *(f"{value:.9g}" for value in (*before, *after))] for dwell, before, after in rows),
+    )
+
+
+def model_document(closure: Closure) -> dict[str, Any]:
+    """The model: declared part and effects, with everything that a prediction needs."""
+    runs = closure.campaign.run_names
+    return {
+        "degree": DEGREE,
+        "scale_c": SCALE_C,
+        "fitted_c": {
+            axis: [float(column.min()), float(column.max())]
+            for axis, column in zip(AXES, closure.campaign.gyro_c[closure.searched].T, strict=True)
+        },
+        "declared_dph": {
+            axis: {
+                "powers": row[:DEGREE].tolist(),
+                "constant_of_run": dict(zip(runs, row[DEGREE:].tolist(), strict=True)),
+            }
+            for axis, row in zip(AXES, closure.model.declared, strict=True)
+        },
+        "effects": [
+            {
+                "effect": each.candidate.effect.name,
+                "form": each.candidate.form.name,
+                "parameters": {
+                    parameter.name: value
+                    for parameter, value in zip(
+                        each.candidate.form.parameters, each.candidate.values, strict=True
+                    )
+                },
+                "terms_dph": {
+                    axis: dict(zip(each.candidate.form.terms, row.tolist(), strict=True))
+                    for axis, row in zip(AXES, each.sizes_dph, strict=True)
+                },
+            }
+            for each in closure.effects
+        ],
+    }
+
+
+def _effect(found: FoundEffect) -> dict[str, Any]:
+    return {
+        "effect": found.candidate.effect.name,
+        "axes": list(found.axes),
+        "p_value": found.p_value,
+        "rms_dph": found.rms_dph,
+        "tied_with": list(found.tied_with),
+        "statement": statement(found),
+        "form": found.candidate.form.name,
+        "gain_in_cycles_left_out": {str(cycle): gain for cycle, gain in found.gains.items()},
+    }

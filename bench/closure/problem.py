@@ -1,0 +1,171 @@
+"""Weighted least squares of the bias model: the declared part, and terms of effects added to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.closure.campaign import Campaign
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+#: The declared model: a cubic in each gyro's temperature over this, and one constant for each run.
+DEGREE = 3
+SCALE_C = 50.0
+#: A direction that keeps less than this of a term's length beside the others says nothing new.
+_LEAST_SHARE = 1e-5
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The dwells searched, and what the columns so far leave of them.
+
+    Attributes
+    ----------
+    campaign : Campaign
+        All n dwells.
+    searched : ndarray of bool, shape (n,)
+        The m dwells that may influence the fit.
+    noise_scale : float
+        Noise over the dwells' stated uncertainties.
+    bases : tuple of ndarray, each of shape (m, r)
+        For each gyro, orthonormal directions of the columns so far, weighted by the noise.
+    residuals : ndarray, shape (m, 3)
+        What they leave of the measured biases, in standard deviations.
+    """
+
+    campaign: Campaign
+    searched: BoolArray
+    noise_scale: float
+    bases: tuple[FloatArray, ...]
+    residuals: FloatArray
+
+    @property
+    def sigma_dph(self) -> FloatArray:
+        """Standard deviation of the noise in the dwells searched, shape (m, 3)."""
+        return self.campaign.sigma_dph[self.searched] * self.noise_scale
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squares that is left."""
+        return float(np.sum(self.residuals**2))
+
+    @property
+    def freedom(self) -> int:
+        """Values searched less unknowns that they determine."""
+        unknowns: int = sum(basis.shape[1] for basis in self.bases)
+        return self.residuals.size - unknowns
+
+    def with_columns(self, columns: FloatArray, kept: BoolArray | None = None) -> Problem:
+        """Same problem after terms have explained what they can.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n, 3, k)
+            Terms in all dwells.
+        kept : ndarray of bool, shape (3, k), optional
+            Which of them each gyro has.
+        """
+        added = [_basis(self._beside(columns, gyro, kept)) for gyro in range(3)]
+        bases = tuple(np.concatenate(pair, axis=1) for pair in zip(self.bases, added, strict=True))
+        rests = [_rest(basis, self.residuals[:, gyro]) for gyro, basis in enumerate(added)]
+        return replace(self, bases=bases, residuals=np.stack(rests, axis=1))
+
+    def gain(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
+        """How much less sum of squares terms leave, and how many unknowns they determine."""
+        gain, rank = 0.0, 0
+        for gyro in range(3):
+            beside = self._beside(columns, gyro, kept)
+            lengths, directions = np.linalg.eigh(beside.T @ beside)
+            told = lengths > _LEAST_SHARE**2
+            parts = directions[:, told].T @ (beside.T @ self.residuals[:, gyro])
+            gain += float(np.sum(parts**2 / lengths[told]))
+            rank += int(told.sum())
+        return gain, rank
+
+    def _beside(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
+        """Terms of one gyro scaled to length one, without what the columns so far say of them."""
+        mine = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]
+        if kept is not None:
+            mine = mine[:, kept[gyro]]
+        lengths = np.linalg.norm(mine, axis=0)
+        return _rest(self.bases[gyro], mine[:, lengths > 0.0] / lengths[lengths > 0.0])
+
+
+def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:
+    """Problem with the declared model's columns."""
+    sigma_dph = campaign.sigma_dph[searched] * noise_scale
+    bases, residuals = [], []
+    for gyro in range(3):
+        weighted = declared_columns(campaign, gyro)[searched] / sigma_dph[:, gyro, np.newaxis]
+        bases.append(_basis(weighted / np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)))
+        residuals.append(_rest(bases[gyro], campaign.bias_dph[searched, gyro] / sigma_dph[:, gyro]))
+    return Problem(campaign, searched, noise_scale, tuple(bases), np.stack(residuals, axis=1))
+
+
+def declared_columns(campaign: Campaign, gyro: int) -> FloatArray:
+    """Columns (n, DEGREE + runs) of the declared model of one gyro."""
+    powers = (campaign.gyro_c[:, gyro, np.newaxis] / SCALE_C) ** np.arange(1, DEGREE + 1)
+    return np.concatenate([powers, campaign.run_shares], axis=1)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A fitted bias model.
+
+    Attributes
+    ----------
+    declared : ndarray, shape (3, DEGREE + runs)
+        Coefficients of :func:`declared_columns`, deg/h; NaN for runs that were not searched.
+    sizes : list of ndarray, each of shape (3, k)
+        Sizes of the terms of each set of columns, deg/h; zero where not kept.
+    bias_dph : ndarray, shape (n, 3)
+        The model in all dwells; a run that was not searched has the mean constant of the others.
+    """
+
+    declared: FloatArray
+    sizes: list[FloatArray]
+    bias_dph: FloatArray
+
+
+def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> Solution:
+    """Fit the declared model with terms, given as columns (n, 3, k) and those that each gyro keeps (3, k)."""
+    campaign, searched = problem.campaign, problem.searched
+    declared = np.full((3, DEGREE + len(campaign.run_names)), np.nan)
+    sizes = [np.zeros(kept.shape) for _, kept in terms]
+    bias_dph = np.empty_like(campaign.bias_dph)
+    for gyro in range(3):
+        base = declared_columns(campaign, gyro)
+        known = np.any(base[searched] != 0.0, axis=0)
+        blocks = [base[:, known], *(columns[:, gyro, kept[gyro]] for columns, kept in terms)]
+        weighted = np.concatenate(blocks, axis=1)[searched] / problem.sigma_dph[:, gyro, np.newaxis]
+        lengths = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
+        data = campaign.bias_dph[searched, gyro] / problem.sigma_dph[:, gyro]
+        values = np.linalg.lstsq(weighted / lengths, data, rcond=_LEAST_SHARE)[0] / lengths
+        parts = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
+        declared[gyro, known] = parts[0]
+        constants = declared[gyro, DEGREE:]
+        constants = np.where(np.isnan(constants), np.nanmean(constants), constants)
+        bias_dph[:, gyro] = base @ np.concatenate([declared[gyro, :DEGREE], constants])
+        for size, part, (columns, kept) in zip(sizes, parts[1:], terms, strict=True):
+            size[gyro, kept[gyro]] = part
+            bias_dph[:, gyro] += columns[:, gyro] @ size[gyro]
+    return Solution(declared, sizes, bias_dph)
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    """Orthonormal directions (m, r) of columns of length one or less."""
+    if columns.shape[1] == 0:
+        return columns
+    left, lengths, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, lengths > _LEAST_SHARE])
+
+
+def _rest(basis: FloatArray, data: FloatArray) -> FloatArray:
+    """What a basis leaves of data; twice, against rounding."""
+    once = data - basis @ (basis.T @ data)
+    return np.asarray(once - basis @ (basis.T @ once))

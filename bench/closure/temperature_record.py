@@ -1,0 +1,76 @@
+"""The gyros' temperatures over the whole time, for effects that depend on how a temperature came about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+FloatArray = NDArray[np.float64]
+
+_STEPS_A_DWELL = 6
+_MOST_STEPS = 20_000
+_S_PER_H = 3600.0
+
+
+@dataclass(frozen=True)
+class TemperatureRecord:
+    """Temperatures at equal steps of time.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Equally spaced, m at least 2, on the clock of the dwells.
+    gyro_c : ndarray, shape (m, 3)
+        Temperature of each gyro's optics.
+    """
+
+    time_s: FloatArray
+    gyro_c: FloatArray
+
+    @property
+    def step_s(self) -> float:
+        """Distance of the times."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    def mean_over(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Mean of something known at the record's times (m, 3) from each start to each end, shape (n, 3)."""
+        area = np.zeros_like(values)
+        area[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * self.step_s, axis=0)
+        spans = np.maximum(end_s - start_s, 1e-9)
+        return np.stack(
+            [
+                (np.interp(end_s, self.time_s, each) - np.interp(start_s, self.time_s, each)) / spans
+                for each in area.T
+            ],
+            axis=1,
+        )
+
+
+def record_of_dwells(
+    start_s: FloatArray, end_s: FloatArray, gyro_c: FloatArray, rate_c_per_h: FloatArray
+) -> TemperatureRecord:
+    """Record that passes through the dwells' mean temperatures with the dwells' slopes.
+
+    Parameters
+    ----------
+    start_s, end_s : ndarray, shape (n,)
+        Times of the dwells, in order.
+    gyro_c, rate_c_per_h : ndarray, shape (n, 3)
+        Mean temperatures of the dwells and their slopes.
+    """
+    middle_s, index = np.unique(0.5 * (start_s + end_s), return_index=True)
+    first_s, last_s = float(start_s.min()), float(end_s.max())
+    length_s = max(last_s - first_s, 1.0)
+    step_s = max(float(np.median(end_s - start_s)) / _STEPS_A_DWELL, length_s / _MOST_STEPS, 1e-3)
+    time_s = np.linspace(first_s, last_s, max(2, round(length_s / step_s) + 1))
+    if len(middle_s) == 1:
+        return TemperatureRecord(time_s, np.repeat(gyro_c[index], len(time_s), axis=0))
+    inside_s = np.clip(time_s, middle_s[0], middle_s[-1])
+    slopes = rate_c_per_h[index] / _S_PER_H
+    curve_c = CubicHermiteSpline(middle_s, gyro_c[index], slopes)(inside_s)
+    before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * slopes[0]
+    after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * slopes[-1]
+    return TemperatureRecord(time_s, curve_c + before + after)
