@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.tables.dwell_table import DwellRow
+from bench.closure.set_point_path import set_point_path
 from bench.closure.temperature_record import TemperatureRecord, record_of_dwells
 from bench.errors import MeasurementError
 from bench.navigation.positions import POSITIONS
@@ -88,6 +89,11 @@ class Campaign:
                 share = (self.end_s[inside] - on_s) / (self.end_s[inside] - self.start_s[inside])
                 shares[inside] = np.outer(share, runs == after[0]) + np.outer(1.0 - share, runs == before[-1])
         return shares
+
+    @cached_property
+    def set_point_path_c(self) -> FloatArray:
+        """See :func:`bench.closure.set_point_path.set_point_path`."""
+        return set_point_path(self.set_c, self.air_c)
 
     @property
     def has_boards(self) -> bool:

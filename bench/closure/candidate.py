@@ -17,8 +17,10 @@ from bench.closure.problem import Problem
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_MOST_EVALUATIONS = 120
-_PRECISION = 1e-3
+_MOST_EVALUATIONS = 60
+#: Of a parameter in first steps, and of the sum of squares.
+_PARAMETER_PRECISION = 1e-2
+_CHI2_PRECISION = 0.05
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,8 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
         options={
             "initial_simplex": simplex,
             "maxfev": _MOST_EVALUATIONS * len(start),
-            "xatol": _PRECISION,
-            "fatol": _PRECISION,
+            "xatol": _PARAMETER_PRECISION,
+            "fatol": _CHI2_PRECISION,
         },
     )
     return split(found.x)

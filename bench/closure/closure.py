@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from bench.closure.campaign import Campaign
 from bench.closure.candidate import Candidate, stack
 from bench.closure.confirmation import gains_by_cycle, without_unseen_constants
+from bench.closure.effect_set import EffectSet, evaluate, price
 from bench.closure.effects import all_effects
 from bench.closure.effects.effect import Effect
 from bench.closure.lack_of_fit import LackOfFit, lack_of_fit
 from bench.closure.problem import Problem, Solution, declared_problem, solve
-from bench.closure.search import EffectSet, add, evaluate, p_value, search
+from bench.closure.search import Search
 from bench.errors import MeasurementError
 from bench.navigation.positions import AXES
 
@@ -24,8 +25,6 @@ BoolArray = NDArray[np.bool_]
 
 #: Below this probability of chance something is left.
 LEFT_OVER_P = 1e-3
-#: Effects are tied if the data prefer one to the other by less than 100 to 1 (twice the logarithm).
-TIE_MARGIN = 2.0 * np.log(100.0)
 #: Stated uncertainties are believed to this factor; scatter beyond them that follows nothing is noise.
 NOISE_TOLERANCE = 1.25
 #: Beside something unexplained an effect stays only if it takes away this share in every other cycle.
@@ -72,6 +71,8 @@ class Evidence:
     ----------
     lacks : str or None
         The input that is missing; then nothing else is known.
+    candidate : Candidate or None
+        As fitted alone; None where the data don't show it at all.
     share : float
         Share of the sum of squares beyond the noise that it takes away; 1 is all.
     p_value : float
@@ -153,14 +154,16 @@ def close_loop(
     candidates = all_effects() if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycle)
     problem = declared_problem(campaign, searched)
-    found, after = _search(problem, candidates)
+    search = Search(problem, candidates)
+    found, after = _confirmed(search)
     if _is_noise(after):
         problem = declared_problem(campaign, searched, after.noise_ratio)
-        found, after = _search(problem, candidates)
+        search = Search(problem, candidates)
+        found, after = _confirmed(search)
     if _is_left(after):
         found = _proven(problem, found)
         after = _test(problem, found)
-    ties = [_ties(problem, found, index, candidates) for index in range(len(found.candidates))]
+    ties = [search.rivals(found, index) for index in range(len(found.candidates))]
     before = lack_of_fit(problem, 0)
     declared, model = (_solve(problem, each) for each in ((), found.candidates))
     held_out = ~searched
@@ -172,8 +175,8 @@ def close_loop(
         campaign=campaign,
         searched=searched,
         verdict=_verdict(found, after, ties),
-        effects=_found_effects(problem, found, model, ties, candidates),
-        evidence=_evidence(problem, found, candidates),
+        effects=_found_effects(search, found, model, ties),
+        evidence=_evidence(search, found),
         before=before,
         after=after,
         declared=declared,
@@ -207,8 +210,9 @@ def _searched(campaign: Campaign, hold_out_cycle: int | None) -> BoolArray:
     return searched
 
 
-def _search(problem: Problem, effects: Sequence[Effect]) -> tuple[EffectSet, LackOfFit]:
-    found = search(problem, effects)
+def _confirmed(search: Search) -> tuple[EffectSet, LackOfFit]:
+    """Best set without the effects that make cycles worse which they were not fitted to."""
+    problem, found = search.problem, search.best()
     for index, each in reversed(list(enumerate(found.candidates))):
         gains = gains_by_cycle(problem, found.candidates, index)
         if gains and np.mean(list(gains.values())) <= 0.0:
@@ -246,18 +250,6 @@ def _proven(problem: Problem, found: EffectSet) -> EffectSet:
     return evaluate(problem, kept)
 
 
-def _ties(problem: Problem, found: EffectSet, index: int, effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Names of effects that do as well in the place of one."""
-    others = evaluate(problem, [each for number, each in enumerate(found.candidates) if number != index])
-    tied = []
-    for effect in effects:
-        if effect.name not in found.names:
-            instead = add(problem, others, effect)
-            if instead is not None and instead.score < found.score + TIE_MARGIN:
-                tied.append((instead.score, effect.name))
-    return tuple(name for _, name in sorted(tied))
-
-
 def _verdict(found: EffectSet, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
     if _is_left(after):
         return "unexplained"
@@ -267,25 +259,21 @@ def _verdict(found: EffectSet, after: LackOfFit, ties: list[tuple[str, ...]]) ->
 
 
 def _found_effects(
-    problem: Problem,
-    found: EffectSet,
-    model: Solution,
-    ties: list[tuple[str, ...]],
-    effects: Sequence[Effect],
+    search: Search, found: EffectSet, model: Solution, ties: list[tuple[str, ...]]
 ) -> tuple[FoundEffect, ...]:
-    campaign = problem.campaign
+    problem = search.problem
     result = []
     for index, each in enumerate(found.candidates):
         sizes = model.sizes[index]
-        part = np.einsum("ngk,gk->ng", each.columns(campaign), sizes)[problem.searched]
+        part = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
         part = part - part.mean(axis=0)
-        shows = np.sum((part / problem.sigma_dph) ** 2, axis=0) > np.log(problem.searched.sum())
+        shows = np.sum((part / problem.sigma_dph) ** 2, axis=0) > price(problem)
         result.append(
             FoundEffect(
                 candidate=each,
                 sizes_dph=sizes,
                 axes=tuple(axis for axis, seen in zip(AXES, shows, strict=True) if seen),
-                p_value=p_value(problem, found, index, effects),
+                p_value=search.p_value(found, index),
                 rms_dph=_rms(part),
                 gains=gains_by_cycle(problem, found.candidates, index),
                 tied_with=ties[index],
@@ -294,21 +282,21 @@ def _found_effects(
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _evidence(problem: Problem, found: EffectSet, effects: Sequence[Effect]) -> tuple[Evidence, ...]:
-    nothing = evaluate(problem, ())
+def _evidence(search: Search, found: EffectSet) -> tuple[Evidence, ...]:
+    problem = search.problem
     beyond = max(problem.chi2 - problem.freedom, 1e-9)
     result = []
-    for effect in effects:
+    for effect in search.effects:
         lacks = [form.lacks(problem.campaign) for form in effect.forms]
-        alone = add(problem, nothing, effect)
-        if alone is None:
-            lack = next((each for each in lacks if each), "anything that would show it")
-            result.append(Evidence(effect, lacks=lack))
+        alone = search.alone.get(effect.name)
+        if all(lacks):
+            result.append(Evidence(effect, lacks=lacks[0]))
+        elif alone is None:
+            result.append(Evidence(effect, score_behind=search.nothing.score - found.score))
         else:
             share = (problem.chi2 - alone.chi2) / beyond
-            p = p_value(problem, alone, 0, effects)
-            behind = alone.score - found.score
-            result.append(Evidence(effect, None, alone.candidates[0], share, p, behind))
+            p_value, behind = search.p_value(alone, 0), alone.score - found.score
+            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, behind))
     return tuple(sorted(result, key=lambda each: (each.lacks is not None, each.score_behind)))
 
 

@@ -87,6 +87,18 @@ class Problem:
             rank += int(told.sum())
         return gain, rank
 
+    def share_left(self, columns: FloatArray, kept: BoolArray | None = None) -> float:
+        """Largest share of a term, beside the declared model, that the columns so far do not make up."""
+        declared = declared_problem(self.campaign, self.searched, self.noise_scale)
+        shares = [0.0]
+        for gyro in range(3):
+            new, whole = (
+                np.linalg.norm(each._beside(columns, gyro, kept), axis=0)  # noqa: SLF001
+                for each in (self, declared)
+            )
+            shares += (new[whole > _LEAST_SHARE] / whole[whole > _LEAST_SHARE]).tolist()
+        return max(shares)
+
     def _beside(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
         """Terms of one gyro scaled to length one, without what the columns so far say of them."""
         mine = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]

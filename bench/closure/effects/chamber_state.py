@@ -6,14 +6,13 @@ import numpy as np
 
 from bench.closure.campaign import Campaign
 from bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
-from bench.closure.set_point_path import set_point_path
 
 _LEAST_SLOPE_C = 1e-4
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Shares of each dwell with a falling set point, and with one that only cooling can hold: (n, 3, 2)."""
-    path_c = set_point_path(campaign.set_c, campaign.air_c)
+    path_c = campaign.set_point_path_c
     falling = np.mean(np.diff(path_c, axis=1) < -_LEAST_SLOPE_C, axis=1)
     cold = np.mean(path_c < values[0], axis=1)
     return np.repeat(np.stack([falling, cold], axis=1)[:, None, :], 3, axis=1)
