@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from bench.errors import DocumentError, GyrobenchError, InstrumentError
+from bench.errors import (
+    DocumentError,
+    GyrobenchError,
+    InstrumentError,
+    MeasurementError,
+    RunFolderError,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from bench.bias.bins import BiasBin
     from bench.bias.tables.verification_table import VerificationRow
+    from bench.closure.closure import Closure
+    from bench.engine.session import Job
 
 # The matrices of this project are small: threads of the linear algebra only get into each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -48,6 +58,9 @@ def run(
         Path | None,
         typer.Option(help="Run folder or dwell table that verifications are compared with."),
     ] = None,
+    compensation: Annotated[
+        Path | None, typer.Option(help="Compensation file that is loaded into the INS after each power-on.")
+    ] = None,
 ) -> None:
     """Run a procedure and report each gyro's bias.
 
@@ -58,11 +71,13 @@ def run(
     from bench.progress_view import PatientConsole, ProgressView
     from bench.report.html import write_report
     from bench.report.terminal import durations_table
+    from bench.run_store.compensation_file import read_compensation
     from bench.station.instruments import Emulation
     from bench.terminal_operator import TerminalOperator
 
     console = PatientConsole(markup=False)
-    job = prepare_job(procedure, station, Emulation(world, seed), calibration)
+    loaded = read_compensation(compensation) if compensation else None
+    job = prepare_job(procedure, station, Emulation(world, seed), calibration, loaded)
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
     with ProgressView(console, job.plan) as progress:
         folder, outcome = run_job(job, out, progress, operator)
@@ -90,10 +105,17 @@ def plan(
     figure: Annotated[
         Path | None, typer.Option(help="PNG file to draw; by default plan_PROCEDURE.png.")
     ] = None,
+    separability: Annotated[
+        bool, typer.Option("--separability", help="Tell which effects on the bias its dwells tell apart.")
+    ] = False,
+    target_dph: Annotated[
+        float, typer.Option(min=1e-6, help="With --separability: size of effect that matters, deg/h rms.")
+    ] = 0.002,
 ) -> None:
     """Show what a procedure would do and how long it takes, without touching an instrument.
 
-    The profile is drawn with the positions on it, as a PNG file.
+    The profile is drawn with the positions on it, as a PNG file; with --separability also
+    separability_PROCEDURE.png, how alike effects look.
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
@@ -109,6 +131,8 @@ def plan(
     path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
     save_figure(plan_figure(job.plan), path)
     typer.echo(f"Figure   {path}")
+    if separability:
+        _print_separability(job, target_dph)
 
 
 @app.command()
@@ -131,6 +155,180 @@ def bins(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run fol
     tables = [path.name for path in (folder.dwells, *results) if path.exists()]
     console.print(f"Tables   {', '.join(tables)}")
     console.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)
+
+
+@app.command()
+def close(
+    campaign: Annotated[Path, typer.Argument(metavar="DWELLS_OR_RUN", help="Dwell table or run folder.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; by default closure, beside the table or in the run.")
+    ] = None,
+    hold_out_cycle: Annotated[
+        list[int] | None,
+        typer.Option(help="Cycle that the search does not see, may be repeated; by default the last one."),
+    ] = None,
+) -> None:
+    """Search for the effect behind what the bias model leaves, and test it on a cycle held out.
+
+    Example: gyrobench close runs/six_position_fig7-001
+    """
+    from bench.progress_view import PatientConsole
+    from bench.report.closure_terminal import closure_summary
+
+    folder = out or (campaign if campaign.is_dir() else campaign.parent) / "closure"
+    closure = _search(campaign, hold_out_cycle or ())
+    page = _write_search(folder, closure, campaign)
+    console = PatientConsole(markup=False)
+    console.print(closure_summary(closure))
+    tables = "closure.json, predictions.csv, model.yaml"
+    console.print(f"Report   {page}\nFigures  {folder / 'figures'}\nTables   {tables}", soft_wrap=True)
+    console.print(f"Folder   {folder}", soft_wrap=True)
+
+
+class Compensated(StrEnum):
+    """What `verify` measures with; the values are those of bench.measurement.comparison."""
+
+    NONE = "none"
+    DECLARED = "declared"
+    EFFECT = "effect"
+
+
+@app.command()
+def verify(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder of a campaign.")],
+    procedure: Annotated[
+        str, typer.Option(help="Procedure file, or the name of a shipped one.")
+    ] = "verify_compensation",
+    station: Annotated[str | None, typer.Option(help=f"{_STATION_HELP} By default the run's.")] = None,
+    world: Annotated[
+        str | None, typer.Option(help="World behind emulated instruments; by default the run's.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the emulated world; by default the run's plus one.")
+    ] = None,
+    only: Annotated[
+        list[Compensated] | None,
+        typer.Option(help="Measure with this compensation alone, may be repeated; by default with each."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write; by default verify in the run.")] = None,
+) -> None:
+    """Load the model of a run into the INS and measure anew what it leaves.
+
+    The procedure runs without compensation, with the declared model, and with the effects found
+    added. A run that is in the folder already is not made again, so a verification can be continued.
+
+    Example: gyrobench verify runs/six_position_fig7-001
+    """
+    from bench.closure.files import is_written, read_held_out_cycles
+    from bench.engine.operator import ConsentingOperator
+    from bench.engine.verify import Verification, new_emulation
+    from bench.measurement.comparison import write_comparison
+    from bench.progress_view import PatientConsole, ProgressView
+    from bench.report.html import write_report
+    from bench.report.verify_page import write_verify_page
+    from bench.report.verify_terminal import verify_plan, verify_summary
+    from bench.run_store.folder import open_run_folder
+    from bench.terminal_operator import TerminalOperator
+
+    console = PatientConsole(markup=False, highlight=False)
+    run = open_run_folder(run_folder)
+    closure = _search(run.path, read_held_out_cycles(run.closure))
+    if not is_written(run.closure, closure):
+        _write_search(run.closure, closure, run.path)
+    folder = out or run.verify
+    verification = Verification(
+        run, closure, procedure, station or str(run.station), new_emulation(run, world, seed), folder
+    )
+    wanted = verification.choose([each.value for each in only or ()])
+    missing = [name for name in wanted if not verification.is_there(name)]
+    job = verification.jobs[wanted[0]]
+    console.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
+    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
+    for name in missing:
+        console.print(f"Compensation: {name}", style="bold")
+        with ProgressView(console, job.plan) as progress:
+            measured, outcome = verification.measure(name, progress, operator)
+        write_report(measured)
+        if outcome.ended != "finished":
+            console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+            console.print(f"Folder   {measured.path}", soft_wrap=True)
+            raise typer.Exit(EXIT_NOT_FINISHED)
+    comparison = verification.comparison()
+    write_comparison(folder / "comparison.csv", comparison.leftovers)
+    page = write_verify_page(folder, comparison)
+    console.print(verify_summary(comparison))
+    console.print(
+        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {folder / 'comparison.csv'}\n"
+        f"Folder   {folder}",
+        soft_wrap=True,
+    )
+
+
+@app.command("import")
+def import_log(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Log of a real IMU, or several in order.")
+    ],
+    mapping: Annotated[str, typer.Option("--map", help="What stands where: file or shipped name.")],
+    out: Annotated[Path, typer.Option(help="Dwell table to write.")] = Path("dwells.csv"),
+) -> None:
+    """Average logs of a real IMU or INS to a dwell table.
+
+    Example: gyrobench import imu.csv --map my_imu.yaml --out dwells.csv
+    """
+    from bench.sensor_log.log_import import import_logs, write_import
+
+    imported = import_logs(logs, mapping)
+    record = write_import(out, imported)
+    typer.echo(f"{imported.summary()}\nTable    {out}\nRecord   {record}")
+
+
+def _print_separability(job: Job, target_dph: float) -> None:
+    from functools import partial
+
+    from rich.console import Console
+
+    from bench.closure.effects import all_effects
+    from bench.closure.planned_campaign import planned_campaign
+    from bench.closure.separability import searched_dwells, separability
+    from bench.closure.separability_advice import advise
+    from bench.measurement.planned_unit import plan_on, planned_unit
+    from bench.report.figures import save_figure
+    from bench.report.separability_figure import separability_figure
+    from bench.report.separability_terminal import separability_summary
+
+    unit, name = planned_unit(job.station), job.plan.procedure.procedure
+    try:
+        campaign = planned_campaign(job.plan, unit)
+    except MeasurementError as error:
+        typer.echo(str(error))
+        return
+    now = separability(searched_dwells(campaign), all_effects())
+    advice = advise(job.document, job.plan, partial(plan_on, job.station), unit, now, target_dph)
+    console = Console(markup=False, highlight=False)
+    console.print(separability_summary(now, len(campaign), unit, target_dph, advice))
+    path = Path(f"separability_{name}.png")
+    save_figure(separability_figure(now, target_dph, name), path)
+    typer.echo(f"Figure   {path}")
+
+
+def _search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
+    from bench.closure.closure import close_loop
+    from bench.measurement.campaign import read_campaign
+
+    try:
+        return close_loop(read_campaign(campaign), hold_out_cycles)
+    except (MeasurementError, RunFolderError) as error:
+        _fail(error, EXIT_WRONG_INPUT)
+
+
+def _write_search(folder: Path, closure: Closure, campaign: Path) -> Path:
+    """Write what a search found; returns the page."""
+    from bench.closure.files import write_closure
+    from bench.report.closure_page import write_closure_page
+
+    write_closure(folder, closure)
+    return write_closure_page(folder, closure, str(campaign))
 
 
 def _print_biases(console: Console, bins: list[BiasBin], verification: list[VerificationRow]) -> None:
@@ -160,6 +358,6 @@ def main() -> None:
         _fail(error, EXIT_NOT_FINISHED)
 
 
-def _fail(error: GyrobenchError, code: int) -> None:
+def _fail(error: GyrobenchError, code: int) -> NoReturn:
     typer.echo(f"gyrobench: {error}", err=True)
     sys.exit(code)

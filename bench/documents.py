@@ -159,7 +159,7 @@ def find_document(kind: str, name: str) -> Path:
 
     Parameters
     ----------
-    kind : {"procedures", "stations", "worlds"}
+    kind : {"procedures", "stations", "worlds", "imports"}
         Which folder of shipped files to look in.
     name : str
         A path, or the name of a shipped file without its ending.

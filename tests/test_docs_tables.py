@@ -12,7 +12,10 @@ from bench.bias.noise.allan import AllanVariance, RateNoise
 from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate
 from bench.bias.tables import dwell_table, verification_table
 from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
+from bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
+from bench.measurement.comparison import ComparisonRow
 from bench.run_store.folder import RunFolder
+from tests.bench.report.made_up_closure import explained
 
 TEXT = (Path(__file__).parents[1] / "docs" / "tables.md").read_text(encoding="utf-8")
 
@@ -45,10 +48,21 @@ def values_of_findings():
         ("joint_biases.csv", names(JointBiasRow)),
         ("verification.csv", set(verification_table.COLUMNS)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
+        ("predictions.csv", set(PREDICTION_COLUMNS)),
+        ("comparison.csv", names(ComparisonRow)),
     ],
 )
 def test_the_page_names_the_columns_that_a_table_has_and_no_others(title, expected):
     assert named_in_tables(section(title)) == expected
+
+
+def test_the_page_names_the_keys_of_what_a_search_for_effects_leaves():
+    document, model = closure_document(explained()), model_document(explained())
+    effect, tried = document["effects"][0], document["tried"][0]
+    assert named_in_tables(section("closure.json")) == {*document, *effect, *tried}
+    assert named_in_tables(section("model.yaml")) == set(model)
+    named = set(re.findall(r"`([a-z_]+)`", section("model.yaml")))
+    assert {*model["effects"][0], *model["declared_dph"]["x"]} <= named
 
 
 def test_the_page_names_what_an_allan_variance_and_its_fit_hold():

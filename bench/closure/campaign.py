@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bench.bias.tables.dwell_table import DwellRow
 from bench.closure.set_point_path import set_point_path
 from bench.closure.temperature_record import TemperatureRecord, record_of_dwells
+from bench.closure.thermal_network import electronics_above_optics
 from bench.errors import MeasurementError
 from bench.navigation.positions import POSITIONS
 
@@ -93,12 +94,20 @@ class Campaign:
     @cached_property
     def set_point_path_c(self) -> FloatArray:
         """See :func:`bench.closure.set_point_path.set_point_path`."""
-        return set_point_path(self.set_c, self.air_c)
+        return set_point_path(self.start_s, self.end_s, self.set_c, self.air_c)
 
-    @property
-    def has_boards(self) -> bool:
-        """Whether the temperature of every gyro's electronics was measured in every dwell."""
-        return bool(np.isfinite(self.board_c).all())
+    @cached_property
+    def above_optics_c(self) -> FloatArray | None:
+        """Temperature of each gyro's electronics above its optics (n, 3); None where nothing tells it.
+
+        By the thermal network where that describes the temperatures, else as measured.
+        """
+        fitted = electronics_above_optics(
+            self.start_s, self.end_s, self.case_c, self.gyro_c, self.rate_c_per_h, self.board_c, self.up_body
+        )
+        if fitted is None and np.isfinite(self.board_c).all():
+            return self.board_c - self.gyro_c
+        return fitted
 
 
 def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = None) -> Campaign:

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.closure.campaign import Campaign
-from bench.closure.candidate import Candidate, stack
-from bench.closure.confirmation import gains_by_cycle, without_unseen_constants
-from bench.closure.effect_set import EffectSet, evaluate, price
+from bench.closure.candidate import Candidate, refine, stack
+from bench.closure.confirmation import leave_out_cycles, pooled_gain, without_unseen_constants
+from bench.closure.effect_set import EffectSet, evaluate, price, scored
 from bench.closure.effects import all_effects
 from bench.closure.effects.effect import Effect
 from bench.closure.lack_of_fit import LackOfFit, lack_of_fit
 from bench.closure.problem import Problem, Solution, declared_problem, solve
-from bench.closure.search import Search
+from bench.closure.search import MOST_EFFECTS, Search
 from bench.errors import MeasurementError
 from bench.navigation.positions import AXES
 
@@ -27,8 +27,9 @@ BoolArray = NDArray[np.bool_]
 LEFT_OVER_P = 1e-3
 #: Stated uncertainties are believed to this factor; scatter beyond them that follows nothing is noise.
 NOISE_TOLERANCE = 1.25
-#: Beside something unexplained an effect stays only if it takes away this share in every other cycle.
-PROVEN_SHARE = 0.5
+#: Beside something unexplained an effect stays only if it takes away this share of the squares of all
+#: cycles left out, and makes this share of them better.
+PROVEN_SHARE, PROVEN_CYCLES = 0.5, 0.75
 _NO_STRUCTURE_P = 0.05
 
 
@@ -49,7 +50,8 @@ class FoundEffect:
     rms_dph : float
         Its size in the dwells searched, without its mean.
     gains : dict of int to float
-        See :func:`bench.closure.confirmation.gains_by_cycle`.
+        Share of the squares of each cycle that it takes away, its size taken from the other cycles; see
+        :func:`bench.closure.confirmation.leave_out_cycles`.
     tied_with : tuple of str
         Effects that the data can't tell from it.
     """
@@ -133,7 +135,7 @@ class Closure:
 
 
 def close_loop(
-    campaign: Campaign, hold_out_cycle: int | None = None, effects: Sequence[Effect] | None = None
+    campaign: Campaign, hold_out_cycles: Sequence[int] = (), effects: Sequence[Effect] | None = None
 ) -> Closure:
     """Search a campaign for what the declared model does not explain.
 
@@ -141,8 +143,8 @@ def close_loop(
     ----------
     campaign : Campaign
         What was measured.
-    hold_out_cycle : int, optional
-        The cycle that nothing of the search sees; the last one if not given.
+    hold_out_cycles : sequence of int
+        Cycles that nothing of the search sees; the last one if none is given.
     effects : sequence of Effect, optional
         Candidates; all that the package knows if not given.
 
@@ -152,7 +154,7 @@ def close_loop(
         There is no such cycle, or too little is left without it.
     """
     candidates = all_effects() if effects is None else tuple(effects)
-    searched = _searched(campaign, hold_out_cycle)
+    searched = _searched(campaign, hold_out_cycles)
     problem = declared_problem(campaign, searched)
     search = Search(problem, candidates)
     found, after = _confirmed(search)
@@ -161,7 +163,7 @@ def close_loop(
         search = Search(problem, candidates)
         found, after = _confirmed(search)
     if _is_left(after):
-        found = _proven(problem, found)
+        found = _proven(search, after.noise_ratio)
         after = _test(problem, found)
     ties = [search.rivals(found, index) for index in range(len(found.candidates))]
     before = lack_of_fit(problem, 0)
@@ -188,24 +190,25 @@ def close_loop(
     )
 
 
-def _searched(campaign: Campaign, hold_out_cycle: int | None) -> BoolArray:
+def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     cycles = np.unique(campaign.cycle)
-    held_out = int(cycles[-1]) if hold_out_cycle is None else hold_out_cycle
-    if held_out not in cycles:
+    held_out = list(hold_out_cycles) or [int(cycles[-1])]
+    unknown = sorted(set(held_out) - set(cycles.tolist()))
+    if unknown:
         raise MeasurementError(
-            f"there is no cycle {held_out} to hold out; the table has {', '.join(map(str, cycles))}"
+            f"there is no cycle {listed(unknown)} to hold out; the table has {listed(cycles.tolist())}"
         )
-    if len(cycles) < 2:
+    if len(cycles) == len(set(held_out)):
         raise MeasurementError(
-            f"the table has only cycle {cycles[0]}: with it held out nothing is left to search; "
-            "measure the profile at least twice, better three times"
+            f"with cycle {listed(held_out)} held out nothing is left to search; measure the profile at least "
+            "twice, better three times"
         )
-    searched: BoolArray = np.asarray(campaign.cycle != held_out)
+    searched: BoolArray = ~np.isin(campaign.cycle, held_out)
     freedom = declared_problem(campaign, searched).freedom
     if freedom < 3 * 6:
         raise MeasurementError(
-            f"{searched.sum()} dwells without cycle {held_out} leave {freedom} values beside the declared "
-            "model; measure more dwells a cycle or more cycles"
+            f"{searched.sum()} dwells without cycle {listed(held_out)} leave {freedom} values beside the "
+            "declared model; measure more dwells a cycle or more cycles"
         )
     return searched
 
@@ -213,10 +216,11 @@ def _searched(campaign: Campaign, hold_out_cycle: int | None) -> BoolArray:
 def _confirmed(search: Search) -> tuple[EffectSet, LackOfFit]:
     """Best set without the effects that make cycles worse which they were not fitted to."""
     problem, found = search.problem, search.best()
-    for index, each in reversed(list(enumerate(found.candidates))):
-        gains = gains_by_cycle(problem, found.candidates, index)
-        if gains and np.mean(list(gains.values())) <= 0.0:
-            found = evaluate(problem, [other for other in found.candidates if other is not each])
+    for each in reversed(found.candidates):
+        others = _without(found, each)
+        cycles = leave_out_cycles(problem, others, found.candidates).values()
+        if cycles and pooled_gain(cycles) <= 0.0:
+            found = evaluate(problem, others)
     return found, _test(problem, found)
 
 
@@ -240,14 +244,57 @@ def _is_noise(after: LackOfFit) -> bool:
     )
 
 
-def _proven(problem: Problem, found: EffectSet) -> EffectSet:
-    """Effects that stay although something is left: each cycle, left out, has to show them."""
-    kept: list[Candidate] = []
-    for each in found.candidates:
-        gains = gains_by_cycle(problem, [*kept, each], len(kept))
-        if gains and min(gains.values()) > PROVEN_SHARE:
-            kept.append(each)
-    return evaluate(problem, kept)
+def _proven(of: Search, noise_ratio: float) -> EffectSet:
+    """Effects that stay although something is left, because they show in cycles left out.
+
+    What is left, not the noise, is what unknowns are paid with: its size takes the place of the
+    noise. Either the best set is what is proven, less the effects that fail, or what grows from
+    nothing one effect at a time; the one that takes away more of the cycles left out.
+    """
+    scale = of.problem.noise_scale * noise_ratio
+    search = Search(declared_problem(of.problem.campaign, of.problem.searched, scale), of.effects)
+    sets = (_shrunk(search), _grown(search), search.nothing)
+    best = max(
+        sets, key=lambda each: pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values())
+    )
+    return scored(of.problem, best.candidates)
+
+
+def _shrunk(search: Search) -> EffectSet:
+    """Best set; of it go, one by one and the weakest first, the effects that are not proven."""
+    found = search.best()
+    while found.candidates:
+        shares = [_proven_share(search.problem, found, each) for each in found.candidates]
+        weakest = int(np.argmin(shares))
+        if shares[weakest] > 0.0:
+            break
+        others = _without(found, found.candidates[weakest])
+        found = evaluate(search.problem, refine(search.problem, others))
+    return found
+
+
+def _grown(search: Search) -> EffectSet:
+    """Effects that are proven beside those before them, the strongest first."""
+    found = search.nothing
+    while len(found.candidates) < MOST_EFFECTS:
+        larger = [each for effect in search.effects if (each := search.add(found, effect)) is not None]
+        shares = [_proven_share(search.problem, each, each.candidates[-1]) for each in larger]
+        if max(shares, default=0.0) <= 0.0:
+            break
+        found = larger[int(np.argmax(shares))]
+    return found
+
+
+def _proven_share(problem: Problem, of: EffectSet, one: Candidate) -> float:
+    """Share of the squares of cycles left out that one effect takes away; 0 if that proves nothing."""
+    cycles = leave_out_cycles(problem, _without(of, one), of.candidates).values()
+    share = pooled_gain(cycles)
+    better = sum(each.gain > 0.0 for each in cycles)
+    return share if share > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles) else 0.0
+
+
+def _without(of: EffectSet, one: Candidate) -> list[Candidate]:
+    return [each for each in of.candidates if each is not one]
 
 
 def _verdict(found: EffectSet, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
@@ -265,6 +312,7 @@ def _found_effects(
     result = []
     for index, each in enumerate(found.candidates):
         sizes = model.sizes[index]
+        left_out_cycles = leave_out_cycles(problem, _without(found, each), found.candidates)
         part = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
         part = part - part.mean(axis=0)
         shows = np.sum((part / problem.sigma_dph) ** 2, axis=0) > price(problem)
@@ -275,7 +323,7 @@ def _found_effects(
                 axes=tuple(axis for axis, seen in zip(AXES, shows, strict=True) if seen),
                 p_value=search.p_value(found, index),
                 rms_dph=_rms(part),
-                gains=gains_by_cycle(problem, found.candidates, index),
+                gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=ties[index],
             )
         )
@@ -302,6 +350,12 @@ def _evidence(search: Search, found: EffectSet) -> tuple[Evidence, ...]:
 
 def _solve(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
     return solve(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])
+
+
+def listed(names: Sequence[object]) -> str:
+    """Names in a sentence: "x, y and z"."""
+    *first, last = map(str, names)
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _rms(values: FloatArray) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,35 +19,53 @@ BoolArray = NDArray[np.bool_]
 _LEAST_LENGTH = 0.3
 
 
-def gains_by_cycle(problem: Problem, candidates: Sequence[Candidate], index: int) -> dict[int, float]:
-    """Share of the squares that one effect takes away in each cycle, its size taken from the others.
+@dataclass(frozen=True)
+class LeftOut:
+    """Sums of squares of one cycle, in standard deviations, by two models fitted to the others."""
 
-    1 is all, 0 nothing; below 0 the effect makes the cycle worse. Cycles whose others can't tell
-    the effect's size (a warm-up where the one power-on is left out) are not in the answer.
+    fewer: float
+    more: float
+
+    @property
+    def gain(self) -> float:
+        """Share of the squares that the larger model takes away: 1 is all; below 0 it makes them more."""
+        return 1.0 - self.more / self.fewer
+
+
+def pooled_gain(cycles: Collection[LeftOut]) -> float:
+    """Share of the squares of all cycles that the larger model takes away; 0 without cycles."""
+    fewer = sum(each.fewer for each in cycles)
+    return 1.0 - sum(each.more for each in cycles) / fewer if cycles else 0.0
+
+
+def leave_out_cycles(
+    problem: Problem, fewer: Sequence[Candidate], more: Sequence[Candidate]
+) -> dict[int, LeftOut]:
+    """Squares of each cycle with fewer and with more effects, their sizes taken from the other cycles.
+
+    Cycles whose others can't tell the sizes (a warm-up where the one power-on is left out) are not
+    in the answer.
 
     Parameters
     ----------
     problem : Problem
         With the declared model alone.
-    candidates : sequence of Candidate
-        All effects of the model.
-    index : int
-        Which of them is asked about.
+    fewer, more : sequence of Candidate
+        The effects of the two models.
     """
     campaign = problem.campaign
-    others = [each for number, each in enumerate(candidates) if number != index]
-    gains = {}
+    answer = {}
     cycles = np.unique(campaign.cycle[problem.searched])
     for cycle in cycles if len(cycles) > 1 else ():
         left_out = problem.searched & (campaign.cycle == cycle)
         rest = declared_problem(campaign, problem.searched & ~left_out, problem.noise_scale)
-        if all(_can_tell(rest, each, left_out) for each in candidates):
-            without, with_it = (
+        if all(_can_tell(rest, each, left_out) for each in more):
+            squares = (
                 np.sum((measured_minus(rest, each)[left_out] / campaign.sigma_dph[left_out]) ** 2)
-                for each in (others, candidates)
+                for each in (fewer, more)
             )
-            gains[int(cycle)] = float(1.0 - with_it / without)
-    return gains
+            answer[int(cycle)] = LeftOut(*map(float, squares))
+    return answer
 
 
 def measured_minus(problem: Problem, candidates: Sequence[Candidate]) -> FloatArray:

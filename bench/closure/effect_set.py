@@ -47,12 +47,16 @@ def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> EffectSet:
     candidates : sequence of Candidate
         With good values of their parameters.
     """
-    if not candidates:
-        return EffectSet((), problem.chi2, problem.chi2)
-    pruned = _prune(problem, candidates)
-    gain, _ = problem.gain(*stack(pruned, problem.campaign))
-    left = problem.chi2 - gain
-    return EffectSet(tuple(pruned), left, left + price(problem) * sum(each.unknowns for each in pruned))
+    return scored(problem, _prune(problem, candidates) if candidates else ())
+
+
+def scored(problem: Problem, candidates: Sequence[Candidate]) -> EffectSet:
+    """Score candidates with the terms that they keep."""
+    left = problem.chi2
+    if candidates:
+        left -= problem.gain(*stack(candidates, problem.campaign))[0]
+    cost = price(problem) * sum(each.unknowns for each in candidates)
+    return EffectSet(tuple(candidates), left, left + cost)
 
 
 def price(problem: Problem) -> float:

@@ -12,8 +12,10 @@ from bench.bias.tables.csv_text import format_csv, write_text
 from bench.closure.closure import Closure, FoundEffect
 from bench.closure.problem import DEGREE, SCALE_C
 from bench.closure.wording import separating_measurement, statement, whereabouts
+from bench.errors import RunFolderError
 from bench.navigation.positions import AXES
 
+_DOCUMENT = "closure.json"
 PREDICTION_COLUMNS = (
     "dwell",
     *(f"bias_{axis}_before_dph" for axis in AXES),
@@ -30,9 +32,36 @@ def write_closure(folder: Path, closure: Closure) -> None:
         A file can't be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "closure.json", json.dumps(closure_document(closure), indent=2) + "\n")
+    write_text(folder / _DOCUMENT, _document_text(closure))
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
+
+
+def is_written(folder: Path, closure: Closure) -> bool:
+    """Whether a folder holds this search already."""
+    path = folder / _DOCUMENT
+    return path.exists() and path.read_bytes() == _document_text(closure).encode()
+
+
+def read_held_out_cycles(folder: Path) -> list[int]:
+    """Cycles that a search written before held out; none where there is no such search.
+
+    Raises
+    ------
+    RunFolderError
+        The file is there and can't be read.
+    """
+    path = folder / _DOCUMENT
+    if not path.exists():
+        return []
+    try:
+        return [int(cycle) for cycle in json.loads(path.read_text(encoding="utf-8"))["held_out_cycles"]]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise RunFolderError(f"{path}: can't be read: {error}. Remove it, or close the run again") from error
+
+
+def _document_text(closure: Closure) -> str:
+    return json.dumps(closure_document(closure), indent=2) + "\n"
 
 
 def closure_document(closure: Closure) -> dict[str, Any]:
@@ -48,7 +77,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "lack_of_fit_p_after": closure.after.p_value,
         "error_before_dph": closure.error_before_dph,
         "error_after_dph": closure.error_after_dph,
-        "held_out_cycle": int(closure.campaign.cycle[~closure.searched][0]),
+        "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
         "tried": [
             {

@@ -13,6 +13,8 @@ FloatArray = NDArray[np.float64]
 _STEPS_A_DWELL = 6
 _MOST_STEPS = 20_000
 _S_PER_H = 3600.0
+#: Corrections of a smooth course until its means are the measured ones.
+_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class TemperatureRecord:
 def record_of_dwells(
     start_s: FloatArray, end_s: FloatArray, gyro_c: FloatArray, rate_c_per_h: FloatArray
 ) -> TemperatureRecord:
-    """Record that passes through the dwells' mean temperatures with the dwells' slopes.
+    """Record with the dwells' mean temperatures and, in their middles, the dwells' slopes.
 
     Parameters
     ----------
@@ -68,9 +70,21 @@ def record_of_dwells(
     time_s = np.linspace(first_s, last_s, max(2, round(length_s / step_s) + 1))
     if len(middle_s) == 1:
         return TemperatureRecord(time_s, np.repeat(gyro_c[index], len(time_s), axis=0))
+    rates = rate_c_per_h[index] / _S_PER_H
+    nodes_c, means_c = gyro_c[index].copy(), gyro_c[index]
+    record = _through(time_s, middle_s, nodes_c, rates)
+    for _ in range(_ROUNDS):
+        nodes_c += means_c - record.mean_over(record.gyro_c, start_s[index], end_s[index])
+        record = _through(time_s, middle_s, nodes_c, rates)
+    return record
+
+
+def _through(
+    time_s: FloatArray, middle_s: FloatArray, nodes_c: FloatArray, rates: FloatArray
+) -> TemperatureRecord:
+    """Record through nodes (k, 3) at times (k,) with slopes in K/s, straight beyond them."""
     inside_s = np.clip(time_s, middle_s[0], middle_s[-1])
-    slopes = rate_c_per_h[index] / _S_PER_H
-    curve_c = CubicHermiteSpline(middle_s, gyro_c[index], slopes)(inside_s)
-    before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * slopes[0]
-    after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * slopes[-1]
+    before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * rates[0]
+    after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * rates[-1]
+    curve_c = CubicHermiteSpline(middle_s, nodes_c, rates)(inside_s)
     return TemperatureRecord(time_s, curve_c + before + after)

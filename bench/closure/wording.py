@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from bench.closure.closure import Closure, FoundEffect
+from bench.closure.closure import Closure, FoundEffect, listed
 
 
 def statement(found: FoundEffect) -> str:
@@ -52,11 +50,6 @@ def whereabouts(closure: Closure) -> str | None:
         f"{closure.after.follows} most clearly, and is largest in position {position}, at {low_c:.0f} to "
         f"{high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
     )
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names in a sentence: "x, y and z"."""
-    return " and ".join(part for part in (", ".join(names[:-1]), names[-1] if names else "") if part)
 
 
 def _worst_span(

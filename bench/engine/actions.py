@@ -15,7 +15,7 @@ import numpy as np
 from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.live_bench import LiveBench
-from bench.engine.operator import Operator
+from bench.engine.operator import Operator, asked
 from bench.errors import FaultError, InstrumentError, RunStoppedError
 from bench.measurement.temperatures import slopes_c_per_h
 from bench.navigation.positions import POSITIONS
@@ -239,9 +239,7 @@ def _lasting(bench: LiveBench, duration_s: float) -> Ticks:
 
 
 def _answered(context: Context, question: str, answers: list[str]) -> Ticks:
-    context.operator.ask(question, answers)
-    while (answer := context.operator.answer()) is None:
-        yield
+    answer = yield from asked(context.operator, question, answers)
     if answer != answers[0]:
         raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
 

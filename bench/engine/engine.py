@@ -10,6 +10,7 @@ from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.clock import Deadline
 from bench.documents import Document
 from bench.engine.actions import Context, perform
+from bench.engine.compensation import CompensationWatch
 from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
@@ -24,6 +25,7 @@ from bench.procedure.steps import Align, GoTo, PowerOn
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
 from bench.run_store.provenance import add_identity
+from drivers.ins.compensation import Compensation
 from drivers.ins.epochs import EpochCounts
 from drivers.ins.frames import FrameBlock
 
@@ -108,6 +110,8 @@ class Engine:
         Where the run leaves its results.
     operator, progress
         The person to ask, and the one who watches.
+    compensation : Compensation, optional
+        What the INS is to subtract from its gyros all along; without it, nothing.
     """
 
     def __init__(
@@ -120,6 +124,7 @@ class Engine:
         journal: Journal,
         operator: Operator,
         progress: Progress,
+        compensation: Compensation | None = None,
     ) -> None:
         self._document = document
         self._plan = plan
@@ -130,6 +135,9 @@ class Engine:
         self._progress = progress
         self._recorder = DwellRecorder(bench, setup)
         self._context = Context(bench, operator, self._recorder, progress.estimated, self._note)
+        self._compensation = CompensationWatch(
+            bench.instruments.ins, compensation, operator, journal.record, self._note
+        )
         self._outcome = RunOutcome()
 
     def run(self) -> RunOutcome:
@@ -167,6 +175,8 @@ class Engine:
         self._recorder.is_verification = planned.is_verification
         if isinstance(planned.step, Align) and not self._recorder.unit:
             self._identify_unit()  # one that is always on
+        if isinstance(planned.step, Align):
+            self._settle_compensation(after_power_on=False)
         if isinstance(planned.step, GoTo):
             self._context.turns_to_come_deg = turns_after(self._plan, planned)
         deadline = Deadline(clock, planned.timeout_s)
@@ -186,6 +196,7 @@ class Engine:
         )
         if isinstance(planned.step, PowerOn):
             self._identify_unit()
+            self._settle_compensation(after_power_on=True)
         self._progress.ticked(bench, self._plan.duration_s - planned.end_s)
         if planned.dwell and self._is_last_of_dwell(planned):
             self._finish_dwell()
@@ -200,6 +211,10 @@ class Engine:
         self._recorder.unit = str(ins.identity().get("serial_number", "unknown"))
         self._journal.record("ins_identified", unit=self._recorder.unit, identity=identity)
         add_identity(self._folder, "INS", identity)
+
+    def _settle_compensation(self, after_power_on: bool) -> None:
+        for _ in self._compensation.settle(after_power_on):
+            self._bench.tick()
 
     def _late(self, planned: PlannedStep) -> str:
         return (

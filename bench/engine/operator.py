@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from typing import Protocol
 
 
@@ -31,3 +31,11 @@ class ConsentingOperator:
     def answer(self) -> str | None:
         """The first answer."""
         return self._answer
+
+
+def asked(operator: Operator, question: str, answers: Sequence[str]) -> Generator[None, None, str]:
+    """Put a question and yield once a tick until it is answered; returns the answer."""
+    operator.ask(question, answers)
+    while (answer := operator.answer()) is None:
+        yield
+    return answer

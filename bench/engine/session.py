@@ -22,12 +22,14 @@ from bench.procedure.checks import check
 from bench.procedure.document import load_procedure
 from bench.procedure.plan import Plan, expand
 from bench.run_store.can_log import CanLog
+from bench.run_store.compensation_file import write_compensation
 from bench.run_store.folder import RunFolder, create_run_folder, open_run_folder
 from bench.run_store.journal import Journal
 from bench.run_store.provenance import write_provenance
 from bench.run_store.telemetry import Telemetry
 from bench.station.instruments import Emulation, Instruments
 from bench.station.station import Station
+from drivers.ins.compensation import Compensation
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class Job:
     station: Station
     emulation: Emulation
     calibration: tuple[DwellRow, ...] = ()
+    compensation: Compensation | None = None
 
     def emulated_world(self) -> dict[str, str | int]:
         """What stands behind emulated instruments; empty where none is emulated."""
@@ -53,7 +56,11 @@ class Job:
 
 
 def prepare_job(
-    procedure: str, station: str, emulation: Emulation | None = None, calibration: Path | None = None
+    procedure: str,
+    station: str,
+    emulation: Emulation | None = None,
+    calibration: Path | None = None,
+    compensation: Compensation | None = None,
 ) -> Job:
     """Read procedure and station and check the one against the other.
 
@@ -61,11 +68,13 @@ def prepare_job(
     ----------
     calibration : Path, optional
         Run folder or dwell table that verifications are compared with.
+    compensation : Compensation, optional
+        Loaded into the INS after each power-on.
 
     Raises
     ------
     DocumentError
-        Lists everything wrong with them, with places.
+        Lists everything wrong with them, with places; or the INS can't be given the compensation.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()
@@ -78,7 +87,27 @@ def prepare_job(
             "Leave --calibration out, or take a procedure with `purpose: verification`"
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
-    return Job(document, plan, bench, emulation or Emulation(), rows)
+    if compensation is not None:
+        _check_compensation(bench, compensation)
+    return Job(document, plan, bench, emulation or Emulation(), rows, compensation)
+
+
+def _check_compensation(station: Station, compensation: Compensation) -> None:
+    """Refuse what the INS does not take, before anything moves."""
+    commands = station.file.ins.commands
+    load = commands.load_compensation
+    if load is None or commands.apply_compensation is None:
+        raise DocumentError(
+            f"{station.path}: ins.commands lacks load_compensation or apply_compensation, so the INS can't "
+            "be given a compensation. Map them, or run without"
+        )
+    refused = load.refuses(compensation)
+    if refused:
+        raise DocumentError(
+            f"{station.path}: ins.commands.load_compensation does not take "
+            f"{', '.join(refused)}. Map the indices "
+            "that the INS has for it, or leave it out of the compensation"
+        )
 
 
 def run_job(
@@ -124,7 +153,9 @@ def run_job(
                 if not limit.sufficient:
                     progress.told(f"Warning: {limit.text}")
             bench = LiveBench(job.station, instruments, clock, can_log, telemetry, stop)
-            engine = Engine(job.document, job.plan, bench, setup, folder, journal, operator, progress)
+            engine = Engine(
+                job.document, job.plan, bench, setup, folder, journal, operator, progress, job.compensation
+            )
             try:
                 outcome = engine.run()
             finally:
@@ -177,4 +208,6 @@ def _copy_inputs(folder: RunFolder, job: Job) -> None:
     write_whole(folder.station, job.station.path.read_bytes())
     if job.calibration:
         write_dwells(folder.calibration, job.calibration)
+    if job.compensation is not None:
+        write_compensation(folder.compensation, job.compensation)
     write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())

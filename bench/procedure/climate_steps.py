@@ -31,7 +31,9 @@ class Chamber(Step):
         ramp_s = self._commanded(bench).ramp_left_s()
         air_lag_s = bench.thermal.air_lag_s
         behind_c = self.ramp_c_per_min / 60.0 * min(ramp_s, air_lag_s)
-        return ramp_s + air_lag_s * math.log(max(1.0, behind_c / self.within_c))
+        if self.within_c > behind_c:  # near enough while the set point still moves
+            return max(0.0, ramp_s - (self.within_c - behind_c) / self.ramp_c_per_min * 60.0)
+        return ramp_s + air_lag_s * math.log(behind_c / self.within_c)
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:

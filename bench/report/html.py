@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bench.files import write_whole
 from bench.navigation.positions import AXES
@@ -20,10 +17,10 @@ from bench.report.figures import save_figure, save_figures
 from bench.report.findings import NOTHING_TO_COMPARE
 from bench.report.joint_section import joint_section
 from bench.report.noise_section import noise_section
+from bench.report.pages import render_page
 from bench.report.sections import Section
 from bench.report.tables import gyro_part, measured_positions
 from bench.report.verification_section import dwells_text, verification_section, verification_sentence
-from bench.report.wording import position_label
 from bench.run_store.folder import RunFolder
 
 _TEMPLATE = "report.html.j2"
@@ -73,18 +70,10 @@ def render(content: RunContent, figures: Iterable[Path], sections: Sequence[Sect
     sections : sequence of Section
         Parts that are not in every report.
     """
-    environment = Environment(
-        loader=PackageLoader("bench.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["data_uri"] = _data_uri
-    environment.filters["position"] = position_label
-    return environment.get_template(_TEMPLATE).render(
+    return render_page(
+        _TEMPLATE,
+        figures,
         run=content,
-        figures={path.stem: path for path in figures},
         unit=_unit(content),
         facts=_facts(content),
         ending=_ending(content),
@@ -112,10 +101,6 @@ def _sections(content: RunContent) -> list[Section]:
         verification_section(content.verification),
     ]
     return [section for section in sections if section]
-
-
-def _data_uri(path: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _unit(content: RunContent) -> str:

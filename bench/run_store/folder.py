@@ -77,9 +77,24 @@ class RunFolder:
         return self.path / "calibration.csv"
 
     @property
+    def compensation(self) -> Path:
+        """The compensation that was loaded into the INS."""
+        return self.path / "compensation.yaml"
+
+    @property
     def verification(self) -> Path:
         """Verification of a calibration."""
         return self.path / "verification.csv"
+
+    @property
+    def closure(self) -> Path:
+        """Folder of the search for effects in this run."""
+        return self.path / "closure"
+
+    @property
+    def verify(self) -> Path:
+        """Folder of the proof of the compensation that the search gave."""
+        return self.path / "verify"
 
     @property
     def figures(self) -> Path:

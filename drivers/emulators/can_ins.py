@@ -13,17 +13,18 @@ from collections.abc import Callable
 import can
 import numpy as np
 
+from drivers.emulators.world.compensation import NUMBERS, checksum
 from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from drivers.emulators.world.strapdown import euler_output
 from drivers.emulators.world.world import World
 
 SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
 INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
-INS_COMMAND, COMPENSATION_COEFFICIENT = 0x200, 0x201
+COMPENSATION_STATUS = 0x012
+INS_COMMAND, COMPENSATION_NUMBER = 0x200, 0x201
 
-_MAX_DEGREE, _LOW_INDEX, _HIGH_INDEX = 5, 6, 7
 _FIRMWARE, _HARDWARE = 103, 1
-_FRAME_S = 0.00025
+_FRAME_S, _SLOW_FRAMES = 0.00025, 7
 _TWO_INTS = struct.Struct("<ii")
 _TWO_WORDS = struct.Struct("<II")
 _HEADING = struct.Struct("<iHBB")
@@ -72,8 +73,8 @@ class CanInsEmulator:
         data = bytes(message.data)
         if message.arbitration_id == INS_COMMAND and len(data) >= 2:
             self._command(data[0], data[1])
-        elif message.arbitration_id == COMPENSATION_COEFFICIENT and len(data) == 8:
-            self._coefficient(*struct.unpack("<BBxxf", data))
+        elif message.arbitration_id == COMPENSATION_NUMBER and len(data) == 8:
+            self._number(*struct.unpack("<BBxxf", data))
 
     def _command(self, command: int, argument: int) -> None:
         unit = self._world.unit
@@ -91,16 +92,9 @@ class CanInsEmulator:
             case 6:
                 unit.apply_compensation()
 
-    def _coefficient(self, axis: int, index: int, value: float) -> None:
-        loaded = self._world.unit.loaded
-        if axis > 2 or not np.isfinite(value):
-            return
-        if index <= _MAX_DEGREE:
-            loaded.coefficients_dph[axis, index] = value
-        elif index == _LOW_INDEX:
-            loaded.low_c[axis] = value
-        elif index == _HIGH_INDEX:
-            loaded.high_c[axis] = value
+    def _number(self, axis: int, index: int, value: float) -> None:
+        if axis < 3 and index < NUMBERS and np.isfinite(value):
+            self._world.unit.loaded[axis, index] = value
 
     def _send_epochs(self, epochs: Epochs) -> None:
         scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
@@ -112,7 +106,7 @@ class CanInsEmulator:
             time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
             if sample % SAMPLE_RATE_HZ == 0:
                 self._append_slow(messages, time_s, sample // SAMPLE_RATE_HZ, epochs)
-                time_s += 6 * _FRAME_S
+                time_s += _SLOW_FRAMES * _FRAME_S
             counter = self._epoch_counter
             self._epoch_counter = (counter + 1) & 0xFFFF
             heading_data = _HEADING.pack(heading % _FULL_TURN, counter, epochs.alignment, valid)
@@ -132,13 +126,15 @@ class CanInsEmulator:
         self._status_counter = (counter + 1) & 0xFFFF
         height = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
         align_s = min(int(unit.align_time_s), 0xFFFF)
-        compensated = 0 if unit.compensation is None else 1
-        status = (epochs.mode, int(unit.pitch_first), align_s, compensated, 0, counter)
+        in_use = unit.compensation
+        status = (epochs.mode, int(unit.pitch_first), align_s, 0 if in_use is None else 1, 0, counter)
+        checksums = (0 if in_use is None else in_use.checksum, checksum(unit.loaded))
         slow = (
             (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),
             (HEIGHT_VELOCITY_D, _TWO_INTS.pack(height, 0)),
             (INS_STATUS, _STATUS.pack(*status)),
             (INS_IDENTITY, _IDENTITY.pack(file.ins.serial_number, _FIRMWARE, _HARDWARE)),
+            (COMPENSATION_STATUS, _TWO_WORDS.pack(*checksums)),
             (OPTICS_TEMPERATURE, _OPTICS.pack(*gyros[:3], counter)),
             (ELECTRONICS_TEMPERATURE, _ELECTRONICS.pack(*gyros[3:], case)),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -24,6 +24,7 @@ from drivers.ins.attitude import EulerSequence
 from drivers.ins.bound_signals import bind_signals
 from drivers.ins.can_bus import INSTRUMENT
 from drivers.ins.command_map import Command, CommandMap, check_commands
+from drivers.ins.compensation import Compensation, checksum
 from drivers.ins.dbc_codec import DbcCodec
 from drivers.ins.ins_status import InsStatus, NewestFrames
 from drivers.ins.readout import InsMode
@@ -198,45 +199,69 @@ class CanIns:
             "clear_compensation", "compensation", lambda status: status.compensation is False, timeout_s
         )
 
-    def apply_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
-        """Have the INS use the compensation that was loaded; waits and raises as :meth:`align`."""
-        self._command(
-            "apply_compensation", "compensation", lambda status: status.compensation is True, timeout_s
-        )
+    def compensation_terms(self) -> list[str]:
+        """Names of the terms beyond the polynomial that a compensation of this INS can have."""
+        command = self._commands.load_compensation
+        return [] if command is None else command.takes()
 
-    def load_compensation(
-        self, axis: int, coefficients: Sequence[float], lowest_c: float, highest_c: float
-    ) -> None:
-        """Load the bias polynomial of one gyro, for :meth:`apply_compensation` to bring into use.
+    def load_compensation(self, compensation: Compensation, timeout_s: float = REPLY_TIMEOUT_S) -> int:
+        """Load a compensation, for :meth:`apply_compensation` to bring into use.
+
+        Waits until the INS tells the checksum of what was sent, if the map has a signal for it.
 
         Parameters
         ----------
-        axis : int
-            0, 1, 2 for the gyro along body x, y, z.
-        coefficients : sequence of float
-            From degree 0 up, in the temperature of the gyro's optics, degrees Celsius; in the
-            unit that the DBC gives.
-        lowest_c, highest_c : float
-            Temperatures between which the polynomial holds.
+        compensation : Compensation
+            All of its numbers are sent, those that are zero too, in the units that the DBC gives.
+
+        Returns
+        -------
+        int
+            Checksum that names what was loaded.
 
         Raises
         ------
         RefusedError
-            The INS has no such command, or takes fewer coefficients.
+            The INS has no such command, or does not take a term that the compensation has.
+        NoReplyError
+            The INS did not confirm in time: numbers were lost, or it has others than these.
         ConnectionFailedError
             The bus went away.
         """
         command = self._commands.load_compensation
         if command is None:
             raise self._unknown("load_compensation")
-        if len(coefficients) > command.coefficients:
+        refused = command.refuses(compensation)
+        if refused:
             raise RefusedError(
-                INSTRUMENT, f"takes {command.coefficients} coefficients for a gyro, not {len(coefficients)}"
+                INSTRUMENT,
+                f"can't compensate {', '.join(refused)}. It takes a polynomial of degree "
+                f"{command.coefficients - 1}{''.join(f', {term}' for term in command.takes())}, by the "
+                "station file's ins.commands.load_compensation",
             )
-        numbers = dict.fromkeys(range(command.coefficients), 0.0) | dict(enumerate(coefficients))
-        numbers |= command.limits(lowest_c, highest_c)
-        for index, value in numbers.items():
-            self._send(command, {"$axis": axis, "$index": index, "$value": value})
+        numbers = command.numbers(compensation)
+        for axis, of_gyro in enumerate(numbers):
+            for index, value in of_gyro.items():
+                self._send(command, {"$axis": axis, "$index": index, "$value": value})
+        expected = checksum(value for of_gyro in numbers for value in of_gyro.values())
+        if "compensation_loaded" in self._signals:
+            self._wait(
+                lambda status: status.compensation_loaded == expected,
+                f"checksum {expected:08x} of the loaded compensation",
+                timeout_s,
+            )
+        return expected
+
+    def apply_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        """Have the INS use the compensation that was loaded; waits and raises as :meth:`align`.
+
+        Where the map has a signal for the checksum in use, that confirms it too.
+        """
+        self._command("apply_compensation", "compensation", self._compensates, timeout_s)
+
+    def _compensates(self, status: InsStatus) -> bool:
+        in_use, loaded = status.compensation_in_use, status.compensation_loaded
+        return status.compensation is True and (in_use == loaded or None in (in_use, loaded))
 
     def _command(
         self,

@@ -7,12 +7,16 @@ the command is given stands as ``$sequence``, ``$axis``, ``$index`` or ``$value`
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Annotated, Self
 
 import can
+import numpy as np
+from pydantic import Field, model_validator
 
 from bench.documents import Location, Problem, StrictModel
 from bench.errors import DocumentError
 from drivers.ins.attitude import EulerSequence
+from drivers.ins.compensation import TERMS, Compensation
 from drivers.ins.dbc_codec import DbcCodec
 from drivers.ins.frames import EXTENDED_ID
 
@@ -47,6 +51,44 @@ class SequenceCommand(Command):
         return self.rpy_321 if sequence is EulerSequence.RPY_321 else self.pry_231
 
 
+Vector = Annotated[list[int], Field(min_length=3, max_length=3)]
+
+
+class TermIndices(StrictModel):
+    """Indices of what the INS takes beyond the polynomial, named as in :class:`Compensation`."""
+
+    rate_dph_per_c_per_h: int | None = None
+    rate_limit_c_per_h: int | None = None
+    gradient_dph_per_k: int | None = None
+    difference_low_k: int | None = None
+    difference_high_k: int | None = None
+    saturating_dph_per_k: Vector | None = None
+    growing_dph_per_k: Vector | None = None
+    onset_c: int | None = None
+    onset_width_c: int | None = None
+    gravity_dph_per_g: Vector | None = None
+    warm_up_dph: int | None = None
+    warm_up_s: int | None = None
+    hysteresis_dph_per_k: int | None = None
+    half_width_k: int | None = None
+
+    @model_validator(mode="after")
+    def _whole_terms(self) -> Self:
+        for name, others in _BELONGING.items():
+            missing = [other for other in others if getattr(self, other) is None]
+            if getattr(self, name) is not None and missing:
+                raise ValueError(f"{name} needs {' and '.join(missing)} too")
+        return self
+
+
+_BELONGING = {
+    "saturating_dph_per_k": ("onset_c", "onset_width_c"),
+    "growing_dph_per_k": ("onset_c", "onset_width_c"),
+    "warm_up_dph": ("warm_up_s",),
+    "hysteresis_dph_per_k": ("half_width_k",),
+}
+
+
 class CoefficientCommand(Command):
     """Loads one number of the compensation: ``$value`` at ``$index`` for the gyro ``$axis``.
 
@@ -58,11 +100,35 @@ class CoefficientCommand(Command):
     #: Indices of the lowest and highest temperature of validity.
     lowest_index: int | None = None
     highest_index: int | None = None
+    #: Terms that the INS takes beyond the polynomial.
+    terms: TermIndices = TermIndices()
 
-    def limits(self, lowest_c: float, highest_c: float) -> dict[int, float]:
-        """Temperatures of validity by index, as far as the INS takes them."""
-        limits = {self.lowest_index: lowest_c, self.highest_index: highest_c}
-        return {index: value for index, value in limits.items() if index is not None}
+    def takes(self) -> list[str]:
+        """Names of the terms that the INS takes."""
+        return [term for term, name in TERMS.items() if getattr(self.terms, name) is not None]
+
+    def refuses(self, compensation: Compensation) -> list[str]:
+        """What a compensation has that the INS does not take, in words."""
+        taken = self.takes()
+        refused = [term for term in compensation.terms() if term not in taken]
+        degree = int(np.flatnonzero(compensation.polynomial_dph.any(axis=0)).max(initial=0))
+        if degree >= self.coefficients:
+            refused.insert(0, f"a polynomial of degree {degree}")
+        return refused
+
+    def numbers(self, compensation: Compensation) -> list[dict[int, float]]:
+        """Numbers of each gyro by index, in the order of the indices."""
+        return [self._numbers(compensation, axis) for axis in range(3)]
+
+    def _numbers(self, compensation: Compensation, axis: int) -> dict[int, float]:
+        coefficients = compensation.polynomial_dph[axis, : self.coefficients]
+        numbers = dict.fromkeys(range(self.coefficients), 0.0) | dict(enumerate(coefficients))
+        indices = {"low_c": self.lowest_index, "high_c": self.highest_index, **dict(self.terms)}
+        for name, index in indices.items():
+            if index is not None:
+                values = np.atleast_1d(getattr(compensation, name)[axis])
+                numbers.update(zip(np.atleast_1d(index).tolist(), values.tolist(), strict=True))
+        return dict(sorted(numbers.items()))
 
 
 class CommandMap(StrictModel):

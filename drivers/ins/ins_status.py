@@ -121,6 +121,16 @@ class InsStatus:
         return None if np.isnan(value) else value != 0.0
 
     @cached_property
+    def compensation_in_use(self) -> int | None:
+        """Checksum of the compensation in use, 0 where none is."""
+        return self._whole_number("compensation_in_use")
+
+    @cached_property
+    def compensation_loaded(self) -> int | None:
+        """Checksum of what has been loaded."""
+        return self._whole_number("compensation_loaded")
+
+    @cached_property
     def ins_time_s(self) -> float:
         """Time on the clock of the INS."""
         return float(self._readout.time_s(_NOW)[0])
@@ -155,6 +165,10 @@ class InsStatus:
         """The numbers of the signal map's ``identity`` that have arrived."""
         numbers = {name: self._number(f"identity.{name}") for name in self._readout.map.identity}
         return {name: int(number) for name, number in numbers.items() if np.isfinite(number)}
+
+    def _whole_number(self, path: str) -> int | None:
+        value = self._number(path)
+        return None if np.isnan(value) else int(value)
 
     def _number(self, path: str) -> float:
         return float(self._readout.value(path, _NOW)[0])

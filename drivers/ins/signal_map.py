@@ -170,6 +170,10 @@ class SignalMap(StrictModel):
     alignment: AlignmentMap | None = None
     #: Not zero where a compensation is in use.
     compensation: SignalName | None = None
+    #: Checksum that names the compensation in use, 0 where none is; and that of what has been loaded:
+    #: CRC-32 of all numbers as little-endian 32-bit floats, gyro by gyro in the order of their indices.
+    compensation_in_use: SignalName | None = None
+    compensation_loaded: SignalName | None = None
     #: Numbers that say which INS this is, by name, such as ``serial_number``.
     identity: dict[str, SignalName] = Field(default_factory=dict)
 
@@ -211,7 +215,8 @@ class SignalMap(StrictModel):
         yield from _states(self.attitude.valid, ("attitude", "valid"))
         yield from _states(self.mode.signal if self.mode else None, ("mode",))
         yield from _states(self.alignment.signal if self.alignment else None, ("alignment",))
-        yield from _states(self.compensation, ("compensation",))
+        for name in ("compensation", "compensation_in_use", "compensation_loaded"):
+            yield from _states(getattr(self, name), (name,))
         for name, signal in self.identity.items():
             yield from _states(signal, ("identity", name))
 

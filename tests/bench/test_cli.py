@@ -1,5 +1,6 @@
 """The commands as a technician types them."""
 
+import json
 import os
 import re
 import signal
@@ -9,7 +10,9 @@ import time
 
 import pytest
 
+from bench.bias.tables.dwell_table import write_dwells
 from bench.cli import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from tests.bench.report.made_up_closure import made_up_rows
 
 
 def gyrobench(*arguments, cwd):
@@ -52,6 +55,54 @@ def test_bins_measures_a_run_anew(finished):
     assert [table.read_bytes() for table in tables] == before
 
 
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    path = tmp_path_factory.mktemp("campaign") / "dwells.csv"
+    write_dwells(path, made_up_rows())
+    return path
+
+
+def test_close_prints_the_verdict_and_leaves_page_figures_and_tables(table):
+    result = gyrobench("close", table, cwd=table.parent)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith(("Explained.", "Ambiguous."))
+    assert max(map(len, result.stdout.splitlines()[:-4])) <= 80
+    left = {path.name for path in (table.parent / "closure").iterdir()}
+    assert left == {"closure.html", "closure.json", "predictions.csv", "model.yaml", "figures"}
+
+
+def test_close_holds_out_the_cycles_that_it_is_told(table, tmp_path):
+    arguments = ("close", table, "--out", "found", "--hold-out-cycle", 1)
+    result = gyrobench(*arguments, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert json.loads((tmp_path / "found/closure.json").read_text())["held_out_cycles"] == [1]
+    assert re.search(r"^Report +found/closure\.html$", result.stdout, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nowhere.csv",), "nowhere.csv"),
+        ((".",), "is no run folder"),
+        (("TABLE", "--hold-out-cycle", 9), "no cycle 9"),
+        (("TABLE", "--hold-out-cycle", "last"), "integer"),
+    ],
+)
+def test_close_tells_what_is_wrong_with_its_input(table, tmp_path, arguments, message):
+    words = [table if word == "TABLE" else word for word in arguments]
+    result = gyrobench("close", *words, cwd=tmp_path)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_close_says_that_a_run_of_one_cycle_is_too_little(finished):
+    cwd, _ = finished
+    result = gyrobench("close", "runs/ten_minute_check-001", cwd=cwd)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert "at least twice" in " ".join(result.stderr.split())
+
+
 VERIFICATION = """\
 procedure: short_verification
 steps:
@@ -86,6 +137,20 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
     assert re.search(r"4\d:\d\d", result.stdout)
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_plan_tells_which_effects_its_dwells_tell_apart(tmp_path):
+    result = gyrobench("plan", "six_position_fig7", "--separability", "--target-dph", "0.05", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "A search sees 30 of 60 dwells" in result.stdout
+    assert "At 50.00 all of them are found and told apart." in result.stdout
+    assert (tmp_path / "separability_six_position_fig7.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_plan_of_a_verification_has_no_effects_to_tell_apart(tmp_path):
+    result = gyrobench("plan", "verification", "--separability", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "verification has no dwell that measures a bias" in result.stdout
 
 
 def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
@@ -149,7 +214,7 @@ def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
 
 def test_help_names_every_command_with_an_example(tmp_path):
     overview = gyrobench("--help", cwd=tmp_path).stdout
-    for command in ("run", "plan", "bins"):
+    for command in ("run", "plan", "bins", "close"):
         assert command in overview
         assert f"Example: gyrobench {command}" in gyrobench(command, "--help", cwd=tmp_path).stdout
 

@@ -86,11 +86,16 @@ def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
     return lambda campaign: np.array(values)  # noqa: ARG005
 
 
-def needs_boards(campaign: Campaign) -> str | None:
-    """Say what lacks where an electronics' temperature was not measured."""
-    return None if campaign.has_boards else "temperature sensors at the gyros' electronics"
+def above_optics_c(campaign: Campaign) -> FloatArray:
+    """Temperature of the electronics above the optics (n, 3), NaN where nothing tells it."""
+    known = campaign.above_optics_c
+    return np.full_like(campaign.gyro_c, np.nan) if known is None else known
 
 
-def needs_case(campaign: Campaign) -> str | None:
-    """Say what lacks where the case's temperature was not measured."""
-    return None if np.isfinite(campaign.case_c).all() else "a temperature sensor at the case"
+def needs_electronics(campaign: Campaign) -> str | None:
+    """Say what lacks where nothing tells the electronics' temperatures."""
+    return (
+        "temperature sensors at the gyros' electronics, or at the case with dwells that follow one another"
+        if campaign.above_optics_c is None
+        else None
+    )

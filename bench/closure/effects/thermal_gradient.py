@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form, needs_boards
+from bench.closure.effects.effect import Effect, FloatArray, Form, above_optics_c, needs_electronics
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
-    return (campaign.board_c - campaign.gyro_c)[:, :, None]
+    return above_optics_c(campaign)[:, :, None]
 
 
 EFFECT = Effect(
@@ -19,5 +19,5 @@ EFFECT = Effect(
         "soak at one temperature and change the electronics' power: the difference between electronics and "
         "optics changes while the temperature rate soon returns to zero"
     ),
-    forms=(Form(("electronics above optics, K",), _columns, lacks=needs_boards),),
+    forms=(Form(("electronics above optics, K",), _columns, lacks=needs_electronics),),
 )

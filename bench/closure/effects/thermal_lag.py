@@ -20,9 +20,7 @@ def _lagged(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArra
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     record = campaign.record
     lagged_c = _lagged(record.gyro_c, record.step_s, values[0])
-    powers = [(lagged_c**degree - record.gyro_c**degree) / 50.0 ** (degree - 1) for degree in (1, 2, 3)]
-    means = [record.mean_over(each, campaign.start_s, campaign.end_s) for each in powers]
-    return np.stack(means, axis=2)
+    return record.mean_over(lagged_c - record.gyro_c, campaign.start_s, campaign.end_s)[:, :, None]
 
 
 EFFECT = Effect(
@@ -34,7 +32,7 @@ EFFECT = Effect(
     ),
     forms=(
         Form(
-            ("lagged temperature less the measured one, K", "its square", "its cube"),
+            ("lagged temperature less the measured one, K",),
             _columns,
             (Parameter("tau_s", 60.0, 36_000.0, fixed(300.0, 900.0, 2700.0, 7200.0, 18_000.0)),),
         ),

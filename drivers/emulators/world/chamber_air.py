@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-#: Cooling demand, as a share of full power, at which the compressor starts.
-_COMPRESSOR_STARTS_AT = 0.02
+#: Least cooling, as a share of full power, at which the compressor runs without a pause.
+_LEAST_STEADY_COOLING = 0.3
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,9 @@ class ChamberAir:
         The set point as ramped so far.
     power : float
         Share of full power: 1 heats, -1 cools.
-    compressor_on : bool
-        Whether the refrigeration runs: as long as heat has to be taken out.
+    compressor_duty : float
+        Share of the time that the compressor runs: it can't be throttled at will, so it works in
+        bursts where little heat has to be taken out.
     """
 
     def __init__(self, parameters: ChamberParameters | None = None) -> None:
@@ -63,7 +64,11 @@ class ChamberAir:
         self.running = False
         self.working_set_point_c = self.air_c
         self.power = 0.0
-        self.compressor_on = False
+
+    @property
+    def compressor_duty(self) -> float:
+        """Share of the time that the compressor runs."""
+        return _within(-self.power / _LEAST_STEADY_COOLING, 0.0, 1.0)
 
     def step(self, dt_s: float) -> None:
         """Go on by ``dt_s``."""
@@ -99,7 +104,6 @@ class ChamberAir:
             limits.heating_limit_c_per_min if demand_c_per_min > 0.0 else limits.cooling_limit_c_per_min
         )
         self.power = _within(demand_c_per_min / full_c_per_min, -1.0, 1.0)
-        self.compressor_on = self.power < (0.0 if self.compressor_on else -_COMPRESSOR_STARTS_AT)
 
     def _drift(self, dt_s: float) -> None:
         limits = self.parameters
@@ -108,7 +112,6 @@ class ChamberAir:
         # Control that is switched on later ramps from where the air is by then.
         self.working_set_point_c = self.air_c
         self.power = 0.0
-        self.compressor_on = False
 
 
 def _within(value: float, low: float, high: float) -> float:

@@ -8,10 +8,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from bench.documents import StrictModel, read_document, validate
-
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+from drivers.emulators.world.effects.undeclared_bias import UndeclaredEffect
+from drivers.emulators.world.quantities import NotNegative, Positive, Vector
 
 # These bounds keep the thermal network's steps of one second stable.
 HeatCapacity = Annotated[float, Field(ge=20.0)]
@@ -103,19 +101,6 @@ class Thermal(StrictModel):
     z: GyroThermal
 
 
-class AttitudeThermalEffect(StrictModel):
-    """Heat that convection carries from the electronics to one side of the optics.
-
-    The bias follows that part of the heat flow that depends on the direction of gravity, the
-    more the colder the optics are below the onset.
-    """
-
-    kind: Literal["attitude_thermal"]
-    sensitivity_dph_per_w: Vector
-    onset_c: Positive = 50.0
-    onset_width_c: Positive = 2.0
-
-
 class InsBehaviour(StrictModel):
     """What the INS itself does."""
 
@@ -165,7 +150,7 @@ class WorldFile(StrictModel):
     ins: InsBehaviour = InsBehaviour()
     table: TableGeometry = TableGeometry()
     chamber: ChamberBehaviour = ChamberBehaviour()
-    undeclared_effects: list[AttitudeThermalEffect] = Field(default=[])
+    undeclared_effects: list[UndeclaredEffect] = Field(default=[])
 
 
 def load_world(path: Path) -> WorldFile:

@@ -8,15 +8,15 @@ east gyro). It looks at what it summed up once a second, so nothing depends on h
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.emulators.world.compensation import Compensation, ThermalSense, unloaded_numbers
 from drivers.emulators.world.document import InsBehaviour
-from drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, navigate
+from drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, matrix_of, navigate
 
 Array = NDArray[np.float64]
 
@@ -26,9 +26,6 @@ _DT_S = 1.0 / SAMPLE_RATE_HZ
 #: Rotation that counts as motion: this rate over a second, beyond a few pulses.
 _MOTION_RADPS = np.radians(0.02)
 _PULSES_RAD = np.radians(2.0 / 3600.0)
-_COEFFICIENTS = 6
-#: Most that a compensation can subtract, deg/h.
-_COMPENSATION_LIMIT_DPH = 3600.0
 
 
 class Mode(IntEnum):
@@ -66,29 +63,6 @@ class Epochs:
     alignment: Alignment
 
 
-class Compensation:
-    """Polynomial gyro biases over optics temperature, clamped to a range of temperatures.
-
-    Attributes
-    ----------
-    coefficients_dph : ndarray, shape (3, 6)
-        Of each gyro, from degree 0 up, in degrees Celsius.
-    low_c, high_c : ndarray, shape (3,)
-        Temperatures beyond which the polynomial's value at them is used.
-    """
-
-    def __init__(self) -> None:
-        self.coefficients_dph = np.zeros((3, _COEFFICIENTS))
-        self.low_c = np.full(3, -100.0)
-        self.high_c = np.full(3, 150.0)
-
-    def bias_dph(self, optics_c: Array) -> Array:
-        """What is subtracted from each gyro, shape (3,)."""
-        powers = np.clip(optics_c, self.low_c, self.high_c)[:, None] ** np.arange(_COEFFICIENTS)
-        bias_dph = np.sum(self.coefficients_dph * powers, axis=1)
-        return np.asarray(np.clip(bias_dph, -_COMPENSATION_LIMIT_DPH, _COMPENSATION_LIMIT_DPH))
-
-
 class InertialUnit:
     """State of the INS.
 
@@ -101,8 +75,10 @@ class InertialUnit:
 
     Attributes
     ----------
-    loaded, compensation : Compensation, and Compensation or None
-        What has been loaded so far, and what is subtracted from the gyros' output.
+    loaded : ndarray, shape (3, 28)
+        The compensation's numbers as loaded so far.
+    compensation : Compensation or None
+        What is subtracted from the gyros' output.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
@@ -116,6 +92,7 @@ class InertialUnit:
         self._second_samples = 0
         self._aligned_samples = 0
         self._boot_samples = 0
+        self._temperatures = ThermalSense()
         self.powered = False
         self.mode = Mode.OFF
         self.alignment = Alignment.INVALID
@@ -140,6 +117,7 @@ class InertialUnit:
             self._boot_samples = round(self._behaviour.boot_s * SAMPLE_RATE_HZ)
             self.mode = Mode.OFF
             self.pitch_first = False
+            self._temperatures = ThermalSense()
             self.clear_compensation()
             self._reset_state()
 
@@ -162,12 +140,26 @@ class InertialUnit:
 
     def clear_compensation(self) -> None:
         """Forget what was loaded, and compensate nothing."""
-        self.loaded = Compensation()
+        self.loaded = unloaded_numbers()
         self.compensation: Compensation | None = None
 
     def apply_compensation(self) -> None:
         """Use what is loaded now; what is loaded later waits for the next call."""
-        self.compensation = copy.deepcopy(self.loaded)
+        self.compensation = Compensation(self.loaded, self._temperatures, self._up_body)
+
+    def sense_temperatures(self, optics_c: Array, electronics_c: Array) -> None:
+        """Take the readings of the gyros' temperature sensors, shape (3,), at each whole second.
+
+        The compensation goes by them and by where Up is in the body: as navigated, or in
+        alignment as the accelerometers showed it in the last second.
+        """
+        self._temperatures.read(optics_c, electronics_c)
+        if self.mode is Mode.NAVIGATE:
+            self._up_body = matrix_of(self._state[:4])[2]
+        elif self._second_samples:
+            self._up_body = self._second[1] / np.linalg.norm(self._second[1])
+        if self.compensation is not None:
+            self.compensation.update(self._temperatures, self._up_body)
 
     def advance(self, first_sample: int, rotation: Array, velocity: Array) -> Epochs | None:
         """Take the next sensor samples, none of them beyond the next whole second.
@@ -206,6 +198,7 @@ class InertialUnit:
         self._sums[:] = 0.0
         self._aligned_samples = 0
         self._levelling_samples = round(self._behaviour.levelling_s * SAMPLE_RATE_HZ)
+        self._up_body = np.zeros(3)
         self._forget_second()
         self.alignment = Alignment.INVALID
         self._state[:] = 0.0

@@ -26,6 +26,8 @@ class ThermalNetwork:
         Temperature of the case.
     optics_c, electronics_c : ndarray, shape (3,)
         Temperatures of each gyro's optics and electronics.
+    optics_rate_c_per_h : ndarray, shape (3,)
+        Change of each gyro's optics in the last step.
     convected_w : ndarray, shape (3,)
         The part of the heat flow from electronics to optics that depends on attitude.
     powered : bool
@@ -40,6 +42,7 @@ class ThermalNetwork:
         paths = np.array([gyro.heat_path for gyro in gyros])
         self._paths = paths / np.linalg.norm(paths, axis=1, keepdims=True)
         self.nodes_c = np.full(7, float(start_c))
+        self.optics_rate_c_per_h = np.zeros(3)
         self.convected_w = np.zeros(3)
 
     @property
@@ -59,8 +62,10 @@ class ThermalNetwork:
 
     def step(self, dt_s: float, air_c: float, up_body: Array) -> None:
         """Go on by ``dt_s`` (a second or so) in air of that temperature; ``up_body`` (3,) is Up."""
+        before_c = self.optics_c.copy()
         _step(self.nodes_c, self.convected_w, self._case, self._gyro, self._paths, up_body, air_c,
               1.0 if self.powered else 0.0, dt_s)  # fmt: skip
+        self.optics_rate_c_per_h = (self.optics_c - before_c) * 3600.0 / dt_s
 
 
 def _row(gyro: GyroThermal) -> list[float]:

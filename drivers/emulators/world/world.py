@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
 from drivers.emulators.world.document import TableGeometry, WorldFile
-from drivers.emulators.world.effects import undeclared_bias
+from drivers.emulators.world.effects.effect import Conditions
+from drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
 from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
 from drivers.emulators.world.sensor_errors import ARCSEC, DPH, TriadErrors, accelerometer_errors, gyro_errors
 from drivers.emulators.world.strapdown import sense, table_attitude, true_increments
@@ -51,6 +52,8 @@ class World:
     def __init__(self, file: WorldFile, seed: int) -> None:
         self.file = file
         self._random = np.random.default_rng(seed)
+        # Its own, so that what else is random does not depend on it.
+        self._unit_random = np.random.default_rng((seed, 1))
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _Geometry(file.table)
         self.axes = {number: TableAxis(_axis_parameters(file.table)) for number in (OUTER, INNER)}
@@ -68,18 +71,22 @@ class World:
         self._gyro = gyro_errors(file.gyro)
         self._accelerometer = accelerometer_errors(file.accelerometer)
         self._power_on_bias = np.zeros(3)
+        self._powered_on_sample = 0
         self._remainders = np.zeros((2, 3))
         self._sample = 0
         self._resting: tuple[Array, Array, Array] | None = None
         self._errors_now: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
+        self._undeclared = UndeclaredBias(file.undeclared_effects)
+        self._undeclared_dph = self._undeclared.added_dph(self._conditions(self.attitude()[2]))
 
     def power_unit(self, on: bool) -> None:
         """Switch the unit's supply; each power-on has gyro biases a little different."""
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH
             self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
-            self._errors_now = None
+            self._powered_on_sample = self._sample
         self.thermal.powered = on
+        self._feel(self.attitude()[2])
         self.unit.power(on)
 
     def temperatures_c(self) -> Array:
@@ -90,6 +97,10 @@ class World:
     def true_gyro_bias(self) -> Array:
         """The gyro biases at this moment in rad/s, shape (3,): the truth that tests compare with."""
         return self._gyro_bias()[0]
+
+    def undeclared_bias(self) -> Array:
+        """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
+        return self._undeclared_dph * DPH
 
     def attitude(self) -> Array:
         """True ``C_nb`` (3, 3) at this moment."""
@@ -115,7 +126,30 @@ class World:
         resting = self._at_rest()
         up_body = self.attitude()[2] if resting is None else resting[2]
         self.thermal.step(1.0, self.air.air_c, up_body)
+        self._feel(up_body)
+        if self.unit.powered:
+            noise_c = self.file.thermal.sensor_noise_c * self._unit_random.standard_normal((2, 3))
+            self.unit.sense_temperatures(
+                self.thermal.optics_c + noise_c[0], self.thermal.electronics_c + noise_c[1]
+            )
+
+    def _feel(self, up_body: Array) -> None:
+        """Let the undeclared effects act for the second that begins; the sensors' errors are new then."""
+        self._undeclared_dph = self._undeclared.added_dph(self._conditions(up_body))
         self._errors_now = None
+
+    def _conditions(self, up_body: Array) -> Conditions:
+        on_s = (self._sample - self._powered_on_sample) * _DT_S
+        return Conditions(
+            time_s=self._sample * _DT_S,
+            since_power_on_s=on_s if self.thermal.powered else None,
+            optics_c=self.thermal.optics_c,
+            electronics_c=self.thermal.electronics_c,
+            optics_rate_c_per_h=self.thermal.optics_rate_c_per_h,
+            convected_w=self.thermal.convected_w,
+            up_body=up_body,
+            compressor_duty=self.air.compressor_duty,
+        )
 
     def _fast_samples(self, count: int) -> None:
         rotation = velocity = np.empty((count, 3))
@@ -136,7 +170,7 @@ class World:
             self._errors_now = self._sensor_errors()
         (gyro_bias, gyro_matrix), accelerometer = self._errors_now
         if self.unit.compensation is not None:
-            gyro_bias = gyro_bias - self.unit.compensation.bias_dph(self.thermal.optics_c) * DPH
+            gyro_bias = gyro_bias - self.unit.compensation.bias_dph * DPH
         return (
             _sensed(rotation, (gyro_bias, gyro_matrix), noise[:, 0], self._gyro, self._remainders[0]),
             _sensed(velocity, accelerometer, noise[:, 1], self._accelerometer, self._remainders[1]),
@@ -166,9 +200,7 @@ class World:
 
     def _gyro_bias(self) -> tuple[Array, Array]:
         bias, matrix = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
-        return bias + self._power_on_bias + undeclared_bias(
-            self.file.undeclared_effects, self.thermal
-        ), matrix
+        return bias + self._power_on_bias + self.undeclared_bias(), matrix
 
 
 class _Geometry:

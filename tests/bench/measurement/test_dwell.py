@@ -49,7 +49,7 @@ def test_a_dwell_without_frames_has_no_bias_and_says_why(recorded):
 def test_frames_that_stopped_flag_the_dwell(recorded):
     marks, frames, setup = recorded
     second = marks.windows[1]
-    row = measure_dwell(marks, frames.take(slice(0, second.first_frame + 36 * 40)), setup).row
+    row = measure_dwell(marks, frames.take(slice(0, second.first_frame + 37 * 40)), setup).row
     assert has_no_numbers(row)
     assert "the window lasts 39.9 s" in row.flags
 
@@ -74,7 +74,7 @@ def test_a_gap_of_some_seconds_flags_the_dwell(recorded):
 def test_three_windows_give_a_bias_that_is_not_the_papers(recorded):
     marks, frames, setup = recorded
     whole = measure_dwell(marks, frames, setup).estimate
-    three = (marks.windows[0], *halved(marks.windows[1], gap_frames=36 * 5))
+    three = (marks.windows[0], *halved(marks.windows[1], gap_frames=37 * 5))
     measured = measure_dwell(replace(marks, windows=three), frames, setup)
     assert measured.row.flags == ""
     assert measured.paper is None

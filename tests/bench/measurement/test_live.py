@@ -76,8 +76,8 @@ def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed)
 
 
 def test_uncertainties_fall_as_the_second_window_goes_on(recorded, replayed):
-    begin = recorded[0].windows[1].first_frame + 36 * 10
-    told = [replayed.estimate_at(now) for now in range(begin, end_of(recorded), 36 * 10)]
+    begin = recorded[0].windows[1].first_frame + 37 * 10
+    told = [replayed.estimate_at(now) for now in range(begin, end_of(recorded), 37 * 10)]
     assert (np.diff([each.sigma_dph for each in told], axis=0) < 0.0).all()
     assert (told[0].sigma_dph > 5.0 * told[-1].sigma_dph).any()
 
@@ -136,12 +136,12 @@ def test_noise_that_is_not_declared_is_that_of_all_windows_so_far(recorded):
 def test_a_window_that_has_just_begun_tells_no_noise_and_spoils_none(recorded):
     marks, frames, setup = recorded
     replayed = Replayed(marks, frames, replace(setup, noise=None))
-    assert replayed.estimate_at(marks.windows[1].first_frame + 36 * 10) is not None
+    assert replayed.estimate_at(marks.windows[1].first_frame + 37 * 10) is not None
 
 
 def test_noise_that_the_first_window_does_not_tell_leaves_the_biases_untold(recorded):
     marks, frames, setup = recorded
     first, second = marks.windows
-    short = replace(marks, windows=(replace(first, end_frame=first.first_frame + 36 * 20), second))
+    short = replace(marks, windows=(replace(first, end_frame=first.first_frame + 37 * 20), second))
     assert Replayed(short, frames, replace(setup, noise=None)).estimate_at(second.end_frame) is None
     assert Replayed(marks, frames, replace(setup, noise=None)).estimate_at(second.end_frame) is not None

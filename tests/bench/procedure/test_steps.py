@@ -73,6 +73,13 @@ def test_chamber_takes_its_ramp_and_the_time_for_the_air_to_come_near() -> None:
     assert step.expected_s(ROOM) == pytest.approx(20.0 * 60.0 + 100.0 * math.log(5.0))
 
 
+def test_a_chamber_step_that_is_content_far_from_its_temperature_ends_on_the_ramp() -> None:
+    half_way = Chamber(temperature_c=80, ramp_c_per_min=2.0, within_c=30.0).expected_s(ROOM)
+    # In the ramp the air is 2 degC/min * 100 s behind.
+    assert half_way == pytest.approx(60.0 * (30.0 + 2.0 * 100.0 / 60.0) / 2.0)
+    assert Chamber(temperature_c=60, ramp_c_per_min=2.0, within_c=50.0).expected_s(ROOM) == 0.0
+
+
 def test_chamber_already_at_its_temperature_takes_no_time() -> None:
     assert Chamber(temperature_c=20, ramp_c_per_min=1.0).expected_s(ROOM) == 0.0
 

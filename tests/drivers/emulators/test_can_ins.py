@@ -1,5 +1,6 @@
 import itertools
 import struct
+import zlib
 from pathlib import Path
 
 import can
@@ -12,12 +13,13 @@ from scipy.spatial.transform import Rotation
 
 import drivers.ins
 from drivers.emulators.can_ins import CanInsEmulator
+from drivers.emulators.world.compensation import NUMBERS, unloaded_numbers
 from drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
 
 DBC = cantools.database.load_file(Path(drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 QUICK = {"boot_s": 1.0, "levelling_s": 1.0, "coarse_alignment_s": 2.0, "fine_alignment_s": 4.0}
 SLOW = ["SYSTEM_TIME", "HEIGHT_VELOCITY_D", "INS_STATUS", "INS_IDENTITY",
-        "GYRO_OPTICS_TEMPERATURE", "GYRO_ELECTRONICS_TEMPERATURE"]  # fmt: skip
+        "COMPENSATION_STATUS", "GYRO_OPTICS_TEMPERATURE", "GYRO_ELECTRONICS_TEMPERATURE"]  # fmt: skip
 FAST = ["VELOCITY_NE", "ROLL_PITCH", "HEADING"]
 LSB_MPS, LSB_DEG, LSB_C = 1e-4, 1e-6, 0.01
 
@@ -262,9 +264,8 @@ def test_a_compensation_is_loaded_applied_told_and_cleared(bus):
     assert bus.newest("INS_STATUS")["COMPENSATION"] == 1
     for optics_c, used_c in ((10.0, 10.0), (70.0, 50.0), (-40.0, -20.0)):
         expected = np.polynomial.polynomial.polyval(used_c, coefficients)
-        np.testing.assert_allclose(
-            bus.unit.compensation.bias_dph(np.full(3, optics_c)), [0.0, 0.0, expected], rtol=1e-12
-        )
+        bus.unit.sense_temperatures(np.full(3, optics_c), np.full(3, optics_c))
+        np.testing.assert_allclose(bus.unit.compensation.bias_dph, [0.0, 0.0, expected], rtol=1e-12)
     bus.command(5)
     bus.run(1.0)
     assert bus.unit.compensation is None
@@ -275,7 +276,33 @@ def test_loading_does_not_change_what_is_applied(bus):
     load(bus, 0, [0.5, 0, 0, 0, 0, 0], -20.0, 50.0)
     bus.command(6)
     load(bus, 0, [9.0, 0, 0, 0, 0, 0], -20.0, 50.0)
-    assert bus.unit.compensation.bias_dph(np.zeros(3))[0] == 0.5
+    assert bus.unit.compensation.bias_dph[0] == 0.5
+
+
+def test_the_status_tells_the_checksums_of_what_is_loaded_and_in_use(bus):
+    bus.run(1.0)
+    empty = bus.newest("COMPENSATION_STATUS")
+    assert empty["IN_USE"] == 0
+    assert empty["LOADED"] == zlib.crc32(bus.unit.loaded.astype("<f4").tobytes())
+    load(bus, 1, [0.5, 0, 0, 0, 0, 0], -20.0, 50.0)
+    bus.run(1.0)
+    loaded = bus.newest("COMPENSATION_STATUS")["LOADED"]
+    assert loaded != empty["LOADED"]
+    bus.command(6)
+    load(bus, 1, [0.25, 0, 0, 0, 0, 0], -20.0, 50.0)
+    bus.run(1.0)
+    assert bus.newest("COMPENSATION_STATUS")["IN_USE"] == loaded
+    assert bus.newest("COMPENSATION_STATUS")["LOADED"] != loaded
+    bus.command(5)
+    bus.run(1.0)
+    assert bus.newest("COMPENSATION_STATUS") == empty
+
+
+def test_numbers_that_no_gyro_has_are_not_taken(bus):
+    for axis, index in ((3, 0), (0, NUMBERS), (255, 255)):
+        data = struct.pack("<BBxxf", axis, index, 1.0)
+        bus.ins.receive(can.Message(arbitration_id=0x201, data=data, is_extended_id=False))
+    assert np.array_equal(bus.unit.loaded, unloaded_numbers())
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -283,7 +310,7 @@ def test_a_coefficient_that_is_no_number_is_not_taken(bus, value):
     bus.ins.receive(
         can.Message(arbitration_id=0x201, data=struct.pack("<BBxxf", 0, 0, value), is_extended_id=False)
     )
-    assert not bus.unit.loaded.coefficients_dph.any()
+    assert np.array_equal(bus.unit.loaded, unloaded_numbers())
 
 
 @pytest.mark.parametrize("moment", ["off", "booting"])
@@ -306,15 +333,11 @@ def test_a_unit_that_is_off_or_boots_hears_nothing(make_world, moment):
         "FAULTS": 0,
         "STATUS_COUNTER": 0,
     }
-    assert not bus.unit.loaded.coefficients_dph.any()
+    assert np.array_equal(bus.unit.loaded, unloaded_numbers())
 
 
 def snapshot(unit):
-    loaded = unit.loaded
-    return (
-        unit.mode, unit.alignment, unit.pitch_first, unit.compensation is None,
-        loaded.coefficients_dph.tolist(), loaded.low_c.tolist(), loaded.high_c.tolist(),
-    )  # fmt: skip
+    return unit.mode, unit.alignment, unit.pitch_first, unit.compensation is None, unit.loaded.tolist()
 
 
 @st.composite
@@ -355,7 +378,7 @@ any_frame = st.builds(
         st.builds(bytes, st.tuples(st.integers(0, 8), st.integers(0, 3))),
         st.builds(
             lambda axis, index, value: struct.pack("<BBxxf", axis, index, value),
-            st.integers(0, 3), st.integers(0, 8), st.floats(width=32),
+            st.integers(0, 3), st.integers(0, NUMBERS), st.floats(width=32),
         ),
     ),
 )  # fmt: skip

@@ -108,7 +108,7 @@ def test_filters_are_kept(join, clock, bench):
     drained(bus)
     drained(other)
     clock.sleep(1.0)
-    assert len(drained(bus)) == len(drained(other)) == 36
+    assert len(drained(bus)) == len(drained(other)) == 37
 
 
 def test_a_time_out_counts_frames_that_do_not_pass_as_nothing(join, clock, bench):

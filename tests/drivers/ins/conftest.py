@@ -40,6 +40,8 @@ case_temperature: GYRO_ELECTRONICS_TEMPERATURE.CASE
 mode: {signal: INS_STATUS.MODE, standby: 1, align: 2, navigate: 3, fault: 4}
 alignment: {signal: HEADING.ALIGNMENT, coarse: 1, fine: 2}
 compensation: INS_STATUS.COMPENSATION
+compensation_in_use: COMPENSATION_STATUS.IN_USE
+compensation_loaded: COMPENSATION_STATUS.LOADED
 identity:
   serial_number: INS_IDENTITY.SERIAL_NUMBER
   firmware: INS_IDENTITY.FIRMWARE
@@ -58,6 +60,21 @@ load_compensation:
   coefficients: 6
   lowest_index: 6
   highest_index: 7
+  terms:
+    rate_dph_per_c_per_h: 8
+    rate_limit_c_per_h: 9
+    gradient_dph_per_k: 10
+    difference_low_k: 11
+    difference_high_k: 12
+    saturating_dph_per_k: [13, 14, 15]
+    growing_dph_per_k: [16, 17, 18]
+    onset_c: 19
+    onset_width_c: 20
+    gravity_dph_per_g: [21, 22, 23]
+    warm_up_dph: 24
+    warm_up_s: 25
+    hysteresis_dph_per_k: 26
+    half_width_k: 27
 """
 
 

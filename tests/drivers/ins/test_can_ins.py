@@ -1,3 +1,5 @@
+import zlib
+
 import can
 import numpy as np
 import pytest
@@ -11,8 +13,42 @@ from bench.errors import (
     RefusedError,
     ReplyError,
 )
-from drivers.ins import CanIns, CommandMap, EulerSequence, FrameBlock, InsMode, decode_navigation, open_bus
+from drivers.ins import (
+    CanIns,
+    CommandMap,
+    Compensation,
+    EulerSequence,
+    FrameBlock,
+    InsMode,
+    decode_navigation,
+    open_bus,
+)
+from drivers.ins.command_map import TermIndices
+from drivers.ins.compensation import TERMS
 from drivers.ins.ins_status import STALE_S
+
+POLYNOMIAL = Compensation(
+    np.array([[0.0, 0.0], [0.5, -0.25], [0.0, 0.0]]), np.full(3, -20.0), np.full(3, 70.0)
+)
+EVERY_TERM = Compensation(
+    polynomial_dph=np.array([[0.01], [0.02], [0.03]]),
+    low_c=np.full(3, -20.0),
+    high_c=np.full(3, 70.0),
+    rate_dph_per_c_per_h=np.full(3, 0.1),
+    rate_limit_c_per_h=np.full(3, 30.0),
+    gradient_dph_per_k=np.full(3, 0.2),
+    difference_low_k=np.full(3, 5.0),
+    difference_high_k=np.full(3, 25.0),
+    saturating_dph_per_k=np.arange(1.0, 10.0).reshape(3, 3),
+    growing_dph_per_k=np.arange(10.0, 19.0).reshape(3, 3),
+    onset_c=np.full(3, 50.0),
+    onset_width_c=np.full(3, 2.0),
+    gravity_dph_per_g=np.arange(19.0, 28.0).reshape(3, 3),
+    warm_up_dph=np.full(3, 0.04),
+    warm_up_s=np.full(3, 900.0),
+    hysteresis_dph_per_k=np.full(3, 0.05),
+    half_width_k=np.full(3, 3.0),
+)
 
 
 class ScriptedIns:
@@ -26,6 +62,11 @@ class ScriptedIns:
         self.silent = False
         self.fails = False
         self.coefficients = {}
+        self.loses = None
+
+    def checksum(self):
+        numbers = [value for _, value in sorted(self.coefficients.items())]
+        return zlib.crc32(np.array(numbers, "<f4").tobytes())
 
     def tick(self, before_s, now_s):
         while (message := self.bus.recv(0.0)) is not None:
@@ -34,6 +75,8 @@ class ScriptedIns:
             if not self.silent:
                 self.send("INS_STATUS", second, **self.state)
                 self.send("INS_IDENTITY", second, SERIAL_NUMBER=17, FIRMWARE=103)
+                in_use = self.checksum() if self.state["COMPENSATION"] else 0
+                self.send("COMPENSATION_STATUS", second, IN_USE=in_use, LOADED=self.checksum())
 
     def send(self, name, time_s, **values):
         for message in self._to_messages(self._frames_of(name, time_s, values)):
@@ -44,7 +87,9 @@ class ScriptedIns:
             message.arbitration_id, message.data, decode_choices=False
         )
         if message.arbitration_id == 0x201:
-            self.coefficients[decoded["AXIS"], decoded["INDEX"]] = decoded["VALUE"]
+            number = decoded["AXIS"], decoded["INDEX"]
+            if number != self.loses:
+                self.coefficients[number] = decoded["VALUE"]
         elif self.fails:
             self.state["MODE"] = 4
         elif self.obeys:
@@ -215,7 +260,7 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
     unit.send("VELOCITY_NE", 1.1, VELOCITY_EAST=2.0)
     driver.poll()
     identifiers = [message.arbitration_id for batch in batches for message in batch]
-    assert identifiers == [0x004, 0x010, 0x011, 0x004]
+    assert identifiers == [0x004, 0x010, 0x011, 0x012, 0x004]
 
 
 def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
@@ -234,13 +279,103 @@ def test_a_fault_ends_the_wait(driver, unit):
         driver.align()
 
 
-def test_a_compensation_is_loaded_coefficient_by_coefficient(driver, unit, clock):
-    driver.load_compensation(1, [0.5, -0.25], -20.0, 70.0)
-    clock.sleep(0.1)
+def test_a_compensation_is_loaded_number_by_number(driver, unit, clock):
+    loaded = driver.load_compensation(POLYNOMIAL)
+    of_y = {index: value for (axis, index), value in unit.coefficients.items() if axis == 1}
     expected = {0: 0.5, 1: -0.25, 2: 0.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: -20.0, 7: 70.0}
-    assert unit.coefficients == {(1, index): value for index, value in expected.items()}
-    with pytest.raises(RefusedError, match="takes 6 coefficients"):
-        driver.load_compensation(1, [0.0] * 7, -20.0, 70.0)
+    assert of_y == dict.fromkeys(range(28), 0.0) | expected
+    assert len(unit.coefficients) == 3 * 28
+    assert driver.status().compensation_loaded == loaded == unit.checksum()
+
+
+def test_every_term_is_sent_to_its_index(driver, unit):
+    driver.load_compensation(EVERY_TERM)
+    of_z = [unit.coefficients[2, index] for index in range(28)]
+    assert of_z == pytest.approx(
+        [
+            0.03,
+            0,
+            0,
+            0,
+            0,
+            0,
+            -20,
+            70,
+            0.1,
+            30,
+            0.2,
+            5,
+            25,
+            7,
+            8,
+            9,
+            16,
+            17,
+            18,
+            50,
+            2,
+            25,
+            26,
+            27,
+            0.04,
+            900,
+            0.05,
+            3,
+        ]
+    )
+    assert driver.compensation_terms() == list(TERMS)
+
+
+def test_numbers_that_are_lost_on_the_way_are_noticed(driver, unit):
+    unit.loses = (0, 3)
+    with pytest.raises(NoReplyError, match=r"no checksum [0-9a-f]{8} of the loaded compensation within 3 s"):
+        driver.load_compensation(POLYNOMIAL, timeout_s=3.0)
+
+
+def test_an_ins_without_checksums_is_not_waited_for(buses, make_signal_map, codec, clock, command_map, unit):
+    signal_map = make_signal_map(
+        {
+            "compensation_in_use: COMPENSATION_STATUS.IN_USE\n": "",
+            "compensation_loaded: COMPENSATION_STATUS.LOADED\n": "",
+        }
+    )
+    driver = CanIns(buses[0], signal_map, codec.database, clock, command_map)
+    driver.load_compensation(POLYNOMIAL)
+    assert clock.now() == 0.0
+    driver.apply_compensation()
+    assert driver.status().compensation is True
+    assert driver.status().compensation_in_use is None
+
+
+def test_terms_that_the_ins_does_not_take_are_refused_and_nothing_is_sent(
+    buses, signal_map, codec, clock, command_map, unit
+):
+    polynomial_alone = command_map.load_compensation.model_copy(
+        update={"terms": TermIndices(), "coefficients": 2}
+    )
+    commands = command_map.model_copy(update={"load_compensation": polynomial_alone})
+    driver = CanIns(buses[0], signal_map, codec.database, clock, commands)
+    assert driver.compensation_terms() == []
+    cubic = Compensation(np.ones((3, 4)), np.full(3, -20.0), np.full(3, 70.0), gravity_dph_per_g=np.eye(3))
+    with pytest.raises(
+        RefusedError,
+        match=r"can't compensate a polynomial of degree 3, g_sensitivity\. It takes a polynomial of degree 1",
+    ):
+        driver.load_compensation(cubic)
+    clock.sleep(1.0)
+    assert unit.coefficients == {}
+    assert driver.health().commands == 0
+
+
+def test_a_compensation_in_use_is_told_with_its_checksum(driver, unit, clock):
+    clock.sleep(1.0)
+    driver.poll()
+    assert (driver.status().compensation, driver.status().compensation_in_use) == (False, 0)
+    loaded = driver.load_compensation(EVERY_TERM)
+    driver.apply_compensation()
+    clock.sleep(1.0)
+    driver.poll()
+    assert (driver.status().compensation, driver.status().compensation_in_use) == (True, loaded)
 
 
 def test_commands_that_the_station_lacks_are_refused(buses, signal_map, codec, clock):
@@ -249,7 +384,7 @@ def test_commands_that_the_station_lacks_are_refused(buses, signal_map, codec, c
     for command in (
         driver.align,
         lambda: driver.set_euler_sequence(EulerSequence.RPY_321),
-        lambda: driver.load_compensation(0, [], 0.0, 1.0),
+        lambda: driver.load_compensation(POLYNOMIAL),
     ):
         with pytest.raises(RefusedError, match="has no command"):
             command()
@@ -318,7 +453,7 @@ def test_frames_before_a_failure_of_the_bus_are_not_lost(error, raised, signal_m
 def test_a_command_that_cannot_be_sent_is_a_failed_connection(signal_map, codec, clock, command_map):
     driver = CanIns(BreakingBus(ValueError()), signal_map, codec.database, clock, command_map)
     with pytest.raises(ConnectionFailedError, match="no room"):
-        driver.load_compensation(0, [1.0], 0.0, 1.0)
+        driver.load_compensation(POLYNOMIAL)
     driver.close()
 
 

@@ -40,3 +40,17 @@ def test_what_does_not_fit_the_dbc_is_reported_at_its_place(codec):
 def test_unknown_commands_are_mistakes():
     with pytest.raises(DocumentError, match="unknown key 'alignn' \\(did you mean 'align'"):
         command_map_of("alignn: {message: A, values: {}}")
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        ("{saturating_dph_per_k: [8, 9, 10], onset_c: 11}", "saturating_dph_per_k needs onset_width_c too"),
+        ("{warm_up_dph: 8}", "warm_up_dph needs warm_up_s too"),
+        ("{gravity_dph_per_g: [8, 9]}", "at least 3"),
+        ("{gravity: [8, 9, 10]}", "unknown key 'gravity'"),
+    ],
+)
+def test_terms_that_are_not_whole_are_mistakes(terms, message):
+    with pytest.raises(DocumentError, match=message):
+        command_map_of(f"load_compensation: {{message: A, values: {{}}, coefficients: 2, terms: {terms}}}")

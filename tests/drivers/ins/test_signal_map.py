@@ -10,7 +10,7 @@ def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):
     assert quantities["attitude.euler.yaw"].dimension is Dimension.ANGLE
     assert quantities["gyro_optics_temperature.z"].source.signal == "GYRO_OPTICS_TEMPERATURE.Z"
     assert quantities["identity.serial_number"].location == ("identity", "serial_number")
-    assert len(quantities) == 23
+    assert len(quantities) == 25
 
 
 def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, make_signal_map):

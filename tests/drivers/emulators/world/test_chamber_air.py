@@ -28,7 +28,7 @@ def test_it_starts_at_room_temperature_and_stays_there_when_off():
     air = ChamberAir()
     air.set_point_c = 85.0
     assert set(run(air, HOUR)) == {23.0}
-    assert not air.compressor_on
+    assert air.compressor_duty == 0.0
 
 
 def test_the_working_set_point_ramps_from_the_air_at_the_rate():
@@ -99,27 +99,41 @@ def test_switched_on_again_the_ramp_starts_at_the_air():
     assert air.working_set_point_c == pytest.approx(left_c + 1.0 / 60.0)
 
 
-def test_the_compressor_runs_while_heat_has_to_be_taken_out():
+def test_the_compressor_runs_without_a_pause_on_a_ramp_down():
     air = running(-40.0, 2.0)
     run(air, 10 * MINUTE)
-    assert air.compressor_on
-    run(air, 2 * HOUR)  # holding far below the room's temperature needs cooling too
-    assert air.compressor_on
-    assert -1.0 < air.power < 0.0
+    assert air.compressor_duty == 1.0
+    assert -1.0 < air.power < -0.3
+
+
+def test_holding_a_temperature_takes_the_compressor_the_longer_the_colder_it_is():
+    duties = []
+    for set_point_c in (60.0, 23.0, 10.0, -10.0, -20.0):
+        air = running(set_point_c)
+        run(air, 3 * HOUR)
+        duties.append(air.compressor_duty)
+    assert duties[0] == 0.0
+    assert duties[1] == pytest.approx(0.0, abs=1e-6)
+    assert duties[1] < duties[2] < duties[3] < duties[4] < 1.0
+    assert duties[4] > 0.3
+
+
+def test_the_compressor_stands_while_the_chamber_heats():
+    air = running(-40.0)
+    run(air, HOUR)
     air.set_point_c = 60.0
     run(air, 10 * MINUTE)
-    assert not air.compressor_on
     assert air.power > 0.0
-    run(air, 2 * HOUR)
-    assert not air.compressor_on
+    assert air.compressor_duty == 0.0
 
 
 def test_the_compressor_stops_with_the_chamber():
     air = running(-40.0)
     run(air, HOUR)
+    assert air.compressor_duty > 0.0
     air.running = False
     air.step(1.0)
-    assert not air.compressor_on
+    assert air.compressor_duty == 0.0
     assert air.power == 0.0
 
 

@@ -9,7 +9,8 @@ from bench.documents import find_document, parse_document, validate
 from bench.errors import DocumentError
 from drivers.emulators.world.document import WorldFile, load_world
 
-SHIPPED = {name: find_document("worlds", name).read_text() for name in ("gyro_a", "gyro_b", "ideal")}
+SHIPPED = {name: find_document("worlds", name).read_text() for name in ("gyro_a", "gyro_b", "ideal", "quick")}
+WORLDS_PAGE = (Path(__file__).parents[4] / "docs" / "worlds.md").read_text()
 WORLD = """\
 world: small
 latitude_deg: 36.4
@@ -110,6 +111,64 @@ def test_all_mistakes_are_told_at_once():
     text = replaced("height_m: 60", "hight_m: 60").replace("36.4", "95").replace("serial_number", "serial")
     places = [line.split(": ")[0] for line in complaint(text).splitlines()]
     assert places == ["w.yaml:2:1", "w.yaml:3:1", "w.yaml:15:3"]
+
+
+def with_effects(*effects):
+    head = WORLD[: WORLD.index("undeclared_effects")]
+    return head + "undeclared_effects:\n" + "".join(f"  - {effect}\n" for effect in effects)
+
+
+EFFECTS = {
+    "temperature_rate": "sensitivity_dph_per_c_per_h: [1.0e-4, 0, 0]",
+    "thermal_gradient": "sensitivity_dph_per_c: [0.001, 0, 0]",
+    "attitude_thermal": "sensitivity_dph_per_w: [0.035, -0.030, 0.028]",
+    "thermal_hysteresis": "half_width_c: 6, sensitivity_dph_per_c: [0.001, 0, 0]",
+    "warm_up": "bias_dph: [0.02, 0, 0], time_constant_s: 3600",
+    "time_drift": "drift_dph_per_day: [0.01, 0, 0]",
+    "bias_jump": "bias_dph: [0.01, 0, 0], at_h: 20",
+    "supply_ripple": "amplitude_dph: [0.01, 0, 0], period_h: 3",
+    "g_sensitivity": "sensitivity_dph_per_g: [[0, 0.001, 0], [0, 0, 0], [0, 0, 0.002]]",
+    "chamber_state": "bias_dph: [0.01, 0, 0]",
+    "mode_hop": "bias_dph: [0.01, 0, 0], first_reset_c: -10, reset_every_c: 8",
+    "dither_crossing": "gyros: [x, z], crossing_c: 30, half_width_c: 2, bias_dph: [0.01, 0.01]",
+}
+
+
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_each_kind_of_effect_loads_with_its_keys_and_none_without(kind):
+    [effect] = load(with_effects(f"{{kind: {kind}, {EFFECTS[kind]}}}")).undeclared_effects
+    assert effect.kind == kind
+    assert "is missing" in complaint(with_effects(f"kind: {kind}"))
+
+
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_each_kind_of_effect_is_explained_with_all_its_keys(kind):
+    [effect] = load(with_effects(f"{{kind: {kind}, {EFFECTS[kind]}}}")).undeclared_effects
+    [row] = [line for line in WORLDS_PAGE.splitlines() if line.startswith(f"| `{kind}` |")]
+    explained = re.findall("`([a-z_]+)`", row.rsplit("|", 2)[1])
+    assert ["kind", *explained] == [*type(effect).model_fields]
+
+
+def test_several_effects_may_stand_in_a_file():
+    text = with_effects(*(f"{{kind: {kind}, {keys}}}" for kind, keys in EFFECTS.items()))
+    assert [effect.kind for effect in load(text).undeclared_effects] == [*EFFECTS]
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "words"),
+    [
+        ("{kind: warm_up, bias_dph: [1, 0, 0], time_constant_s: 0}", "19", "greater than 0"),
+        ("{kind: warm_up, bias_dps: [1, 0, 0], time_constant_s: 9}", "19", "did you mean 'bias_dph'?"),
+        ("{kind: warm_up, bias_dph: [1, 0], time_constant_s: 9}", "19", "at least 3 items"),
+        ("{kind: g_sensitivity, sensitivity_dph_per_g: [[0, 1, 0], [0, 0, 0]]}", "19", "3 items"),
+        ("{kind: phase_of_the_moon}", "19", "'temperature_rate'"),
+        ("{bias_dph: [1, 0, 0]}", "19", "kind"),
+    ],
+)
+def test_a_mistake_in_an_effect_is_told_with_its_place(effect, place, words):
+    message = complaint(with_effects(effect))
+    assert message.startswith(f"w.yaml:{place}:")
+    assert words in message
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.02, 0.04, 0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 1])

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drivers.emulators.can_ins import CanInsEmulator
+from drivers.emulators.world.compensation import Number
 from drivers.emulators.world.inertial_unit import Alignment, Mode
 from drivers.emulators.world.sensor_errors import DPH
 from drivers.emulators.world.strapdown import matrix_of
@@ -213,7 +214,7 @@ def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
     aligned(world, 0.0)
     world.unit.navigate()
     assert heading_drift_dph(world, 20.0, 100.0) == pytest.approx(0.5, rel=0.01)
-    world.unit.loaded.coefficients_dph[2, 0] = 0.5
+    world.unit.loaded[2, Number.POLYNOMIAL] = 0.5
     world.unit.apply_compensation()
     assert abs(heading_drift_dph(world, 120.0, 100.0)) < 0.01
     assert world.unit.mode is Mode.NAVIGATE

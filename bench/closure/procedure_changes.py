@@ -1,0 +1,270 @@
+"""Small changes of a procedure that help to tell effects apart, made to the file's own steps.
+
+A change takes the steps of a procedure as its YAML file has them and gives the changed ones, or
+None where there is nothing to change. What it gives is checked and planned like any other file.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from bench.navigation.positions import POSITIONS
+from bench.procedure.document import variable_in
+from bench.procedure.navigation_steps import Align, Navigate
+from bench.procedure.steps import Chamber, GoTo, PowerOff, PowerOn, Soak, Turn, Wait
+
+#: A step or loop: its name alone, or ``{name: {key: value}}``.
+Entry = Any
+Steps = list[Entry]
+
+_REPEAT = "repeat"
+_OFF_S, _LEFT_ON_S = 3600, 43_200
+#: So wide that the step ends while the temperature still moves.
+_ANYWHERE_C = 50.0
+_OF_A_DWELL = {kind.name for kind in (GoTo, Align, Navigate, Turn, Wait)}
+
+
+@dataclass(frozen=True)
+class ProcedureChange:
+    """A change.
+
+    Attributes
+    ----------
+    what : tuple of str
+        What to do, for a person, each a clause: "switch the unit off ...".
+    apply : callable
+        Changed steps, or None.
+    """
+
+    what: tuple[str, ...]
+    apply: Callable[[Steps], Steps | None]
+
+
+def _together(*changes: ProcedureChange) -> ProcedureChange:
+    """Several changes, one after the other; None if one of them can't be made."""
+
+    def apply(steps: Steps) -> Steps | None:
+        changed: Steps | None = steps
+        for change in changes:
+            changed = None if changed is None else change.apply(changed)
+        return changed
+
+    return ProcedureChange(tuple(what for change in changes for what in change.what), apply)
+
+
+def _another_cycle(steps: Steps) -> Steps | None:
+    """The last cycle once more; where there are no cycles, everything after power-on twice."""
+    steps = list(_by_cycle(steps))
+    cycles = [cycle for entry in steps if (cycle := _cycle(entry)) is not None]
+    if cycles:
+        mine = [index for index, entry in enumerate(steps) if _cycle(entry) == max(cycles)]
+        again = copy.deepcopy([steps[index] for index in mine])
+        for entry in again:
+            entry[_REPEAT]["over"]["cycle"] = [max(cycles) + 1]
+        return [*steps[: mine[-1] + 1], *again, *steps[mine[-1] + 1 :]]
+    measuring = [index for index, entry in enumerate(steps) if _measures(entry)]
+    if not measuring:
+        return None
+    first = measuring[0]
+    while first > 0 and _name(steps[first - 1]) in _OF_A_DWELL:
+        first -= 1
+    inside, after = steps[first : measuring[-1] + 1], steps[measuring[-1] + 1 :]
+    if any("cycle" in loop["over"] for loop in _loops(inside)):
+        return None
+    return [*steps[:first], {_REPEAT: {"over": {"cycle": [1, 2]}, "steps": inside}}, *after]
+
+
+def _power_cycle(steps: Steps) -> Steps | None:
+    """The unit off for a while and on again before each cycle but the first."""
+    steps = list(_by_cycle(steps))
+    power_on = next((entry for entry in steps if _name(entry) == PowerOn.name), None)
+    changed: Steps = []
+    before: int | None = None
+    for entry in steps:
+        cycle = _cycle(entry)
+        if power_on and before is not None and cycle is not None and cycle != before:
+            changed += [PowerOff.name, {Wait.name: {"duration_s": _OFF_S}}, copy.deepcopy(power_on)]
+        before = before if cycle is None else cycle
+        changed.append(entry)
+    powered_ons = sum(_name(entry) == PowerOn.name for entry in steps)
+    return changed if powered_ons == 1 and len(changed) > len(steps) else None
+
+
+def _leave_on(steps: Steps) -> Steps | None:
+    """A long wait with the unit on: a warm-up is over after it, a drift goes on."""
+    steps = list(_by_cycle(steps))
+    cycles = [_cycle(entry) for entry in steps]
+    known = sorted({cycle for cycle in cycles if cycle is not None})
+    if len(known) < 2:
+        return None
+    second = cycles.index(known[1])
+    return [*steps[:second], {Wait.name: {"duration_s": _LEFT_ON_S}}, *steps[second:]]
+
+
+def _measure_on_ramps(steps: Steps) -> Steps | None:
+    """Two positions more between each ramp and its soak, while the temperature moves."""
+    changed = copy.deepcopy(steps)
+    found = False
+    for entries in [changed, *(loop["steps"] for loop in _loops(changed))]:
+        for index in range(len(entries) - 3, -1, -1):
+            ramp, soak, stay = entries[index : index + 3]
+            positions = _positions(stay)
+            if _name(ramp) == Chamber.name and _name(soak) == Soak.name and len(positions) > 1:
+                ramp[Chamber.name]["within_c"] = _ANYWHERE_C
+                moving = copy.deepcopy(stay)
+                moving[_REPEAT]["over"]["position"] = positions[:2]
+                entries.insert(index + 1, moving)
+                found = True
+    return changed if found else None
+
+
+def _return_to_first_position(steps: Steps) -> Steps | None:
+    """The first position of each stop once more at its end."""
+    return _with_positions(steps, lambda names: [*names, *(names[:1] if names[-1] != names[0] else [])])
+
+
+def _all_positions(steps: Steps) -> Steps | None:
+    """Those of the six positions that a stop lacks."""
+    return _with_positions(steps, lambda names: [*names, *(name for name in POSITIONS if name not in names)])
+
+
+def _with_positions(steps: Steps, lengthened: Callable[[list[str]], list[str]]) -> Steps | None:
+    changed = copy.deepcopy(steps)
+    for loop in _loops(changed):
+        if loop["over"].get("position"):
+            loop["over"]["position"] = lengthened(loop["over"]["position"])
+    return None if changed == steps else changed
+
+
+def _middle_temperature_again(steps: Steps) -> Steps | None:
+    """The middle temperature of each cycle once more at the cycle's end, from the other side."""
+    changed = list(_by_cycle(copy.deepcopy(steps)))
+    stops: dict[int, list[tuple[dict[str, Any], str]]] = {}
+    for entry in changed:
+        cycle = _cycle(entry)
+        variable = _temperature_variable(entry) if cycle is not None else None
+        if cycle is not None and variable is not None:
+            stops.setdefault(cycle, []).append((entry[_REPEAT]["over"], variable))
+    found = False
+    for loops in stops.values():
+        temperatures_c = [value for over, variable in loops for value in over[variable]]
+        over, variable = loops[-1]
+        others_c = sorted(set(temperatures_c) - {temperatures_c[-1]})
+        if others_c and all(len(values) == 1 for name, values in over.items() if name != variable):
+            over[variable] = [*over[variable], others_c[len(others_c) // 2 if len(others_c) > 2 else 0]]
+            found = True
+    return changed if found else None
+
+
+def _half_the_ramp_rate(steps: Steps) -> Steps | None:
+    """Every second cycle at half the ramp rate."""
+    changed = list(_by_cycle(copy.deepcopy(steps)))
+    cycles = sorted({cycle for entry in changed if (cycle := _cycle(entry)) is not None})
+    found = False
+    for entry in changed:
+        if _cycle(entry) not in cycles[1::2]:
+            continue
+        for loop in _loops([entry]):
+            for name in _ramp_variables(loop["steps"]) & set(loop["over"]):
+                loop["over"][name] = [0.5 * value for value in loop["over"][name]]
+                found = True
+            for inner in loop["steps"]:
+                rate = inner[Chamber.name]["ramp_c_per_min"] if _name(inner) == Chamber.name else None
+                if isinstance(rate, int | float):
+                    inner[Chamber.name]["ramp_c_per_min"] = 0.5 * rate
+                    found = True
+    return changed if found else None
+
+
+_RETURN = ProcedureChange(
+    ("return to the first position at the end of each temperature",), _return_to_first_position
+)
+_ON_RAMPS = ProcedureChange(("measure two positions on each ramp",), _measure_on_ramps)
+_ALL = ProcedureChange(("take all six positions at each temperature",), _all_positions)
+_POWER = ProcedureChange(("switch the unit off for an hour between cycles",), _power_cycle)
+_MIDDLE = ProcedureChange(
+    ("come back to the middle temperature at the end of each cycle",), _middle_temperature_again
+)
+_SLOWER = ProcedureChange(("run every second cycle at half the ramp rate",), _half_the_ramp_rate)
+_CYCLE = ProcedureChange(("add a cycle",), _another_cycle)
+_LEFT_ON = ProcedureChange(("leave the unit on for 12 h before the second cycle",), _leave_on)
+
+#: All changes known, alone and together.
+CHANGES: tuple[ProcedureChange, ...] = (
+    _RETURN,
+    _ON_RAMPS,
+    _ALL,
+    _POWER,
+    _MIDDLE,
+    _SLOWER,
+    _CYCLE,
+    _together(_ON_RAMPS, _MIDDLE),
+    _together(_ON_RAMPS, _RETURN),
+    _together(_ON_RAMPS, _POWER),
+    _together(_CYCLE, _POWER),
+    _together(_CYCLE, _ON_RAMPS),
+    _together(_CYCLE, _ON_RAMPS, _MIDDLE),
+    _together(_CYCLE, _POWER, _ON_RAMPS),
+    _together(_CYCLE, _POWER, _ON_RAMPS, _MIDDLE),
+    _LEFT_ON,
+    _together(_CYCLE, _LEFT_ON),
+    _together(_CYCLE, _LEFT_ON, _ON_RAMPS),
+)
+
+
+def _name(entry: Entry) -> str:
+    return entry if isinstance(entry, str) else str(next(iter(entry)))
+
+
+def _loops(entries: Steps) -> Iterator[dict[str, Any]]:
+    """All loops, outer ones first."""
+    for entry in entries:
+        if _name(entry) == _REPEAT:
+            yield entry[_REPEAT]
+            yield from _loops(entry[_REPEAT]["steps"])
+
+
+def _measures(entry: Entry) -> bool:
+    inside = [entry, *(step for loop in _loops([entry]) for step in loop["steps"])]
+    return any(_name(step) == Navigate.name for step in inside)
+
+
+def _cycle(entry: Entry) -> int | None:
+    """Cycle of a loop that is in one cycle alone."""
+    cycles = entry[_REPEAT]["over"].get("cycle", []) if _name(entry) == _REPEAT else []
+    return int(cycles[0]) if len(cycles) == 1 else None
+
+
+def _by_cycle(steps: Steps) -> Iterator[Entry]:
+    """Steps with one loop for each cycle where the outermost variable of a loop is the cycle."""
+    for entry in steps:
+        over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
+        if next(iter(over), None) == "cycle":
+            for cycle in over["cycle"]:
+                one = copy.deepcopy(entry)
+                one[_REPEAT]["over"]["cycle"] = [cycle]
+                yield one
+        else:
+            yield entry
+
+
+def _positions(entry: Entry) -> list[str]:
+    over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
+    return over.get("position", []) if _measures(entry) else []
+
+
+def _temperature_variable(entry: Entry) -> str | None:
+    """Variable of a loop that sets the chamber in it."""
+    for step in entry[_REPEAT]["steps"]:
+        if _name(step) == Chamber.name:
+            name = variable_in(step[Chamber.name]["temperature_c"])
+            return name if name in entry[_REPEAT]["over"] else None
+    return None
+
+
+def _ramp_variables(entries: Steps) -> set[str]:
+    ramps = [entry[Chamber.name]["ramp_c_per_min"] for entry in entries if _name(entry) == Chamber.name]
+    return {name for ramp in ramps if (name := variable_in(ramp)) is not None}

@@ -1,0 +1,267 @@
+"""Position error of a rotational INS: what the gyros' residual biases do in a day of navigation.
+
+A dual-axis rotational INS carries its sensors in two gimbals and turns them from one attitude to the
+next. A bias that stays the same in the body is turned with it and averages out; one that changes
+with attitude does not, and drives the position away.
+
+Both schemes here are assumptions. A 16-position scheme is what Chen et al. compare theirs with, but its
+table of turns was not at hand: :data:`HALF_TURNS` turns by 180 deg about one of two axes at a time and
+repeats all turns in the other sense, so that errors of the turns average out too. Dwell and rate are
+chosen.
+
+References
+----------
+Chen et al., "Enhanced Dual-Axis Rotation Modulation Scheme for Inertial Navigation Systems Using a
+64-Position Approach", Sensors 26(6):1796, 2026.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bench.errors import MeasurementError
+from bench.navigation.attitude import UP
+from bench.navigation.earth import DPH_TO_RADPS, curvature_radii
+from bench.navigation.error_model import INPUTS, STATES, Site, integrate
+from bench.navigation.positions import AXES, POSITIONS
+from bench.navigation.table_axes import TwoAxisTable
+
+Float64 = NDArray[np.float64]
+#: Time since the start (n,), s, and Up in body axes (n, 3), to the gyros' residual bias (n, 3), deg/h.
+ResidualBias = Callable[[Float64, Float64], Float64]
+
+#: One nautical mile, m.
+NAUTICAL_MILE_M = 1852.0
+#: One day, s.
+DAY_S = 86_400.0
+
+_DWELL_STEP_S = 60.0
+_TURN_STEPS = 6
+#: Direction cosines of Up below this are rounding.
+_LEVEL = 1e-9
+_EAST_VELOCITY, _NORTH_VELOCITY, _LATITUDE = 3, 4, 5
+#: Outer axis East, inner axis Up, body axes East, North, Up with both angles at zero.
+_GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
+
+
+@dataclass(frozen=True)
+class RotationScheme:
+    """Turns of the gimbals, one after the other and then from the beginning.
+
+    Attributes
+    ----------
+    turns_deg : tuple of tuple
+        Axis and angle of each turn. The outer axis points East, the inner one Up while the outer
+        angle is zero.
+    dwell_s : float
+        Rest before each turn. With 300 s sixteen dwells last a Schuler period, and what should
+        average out resonates.
+    rate_dps : float
+        Rate of the turns.
+
+    Raises
+    ------
+    MeasurementError
+        The turns do not lead back to the angles that they began with, or a time is not above zero.
+    """
+
+    turns_deg: tuple[tuple[Literal["outer", "inner"], float], ...]
+    dwell_s: float = 180.0
+    rate_dps: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not (self.dwell_s > 0.0 and self.rate_dps > 0.0):
+            raise MeasurementError("rotation scheme: dwell_s and rate_dps must be above zero")
+        if self.angles_deg()[-1] != (0.0, 0.0):
+            raise MeasurementError(
+                f"rotation scheme: the turns end at {self.angles_deg()[-1]} deg; they must lead back to zero"
+            )
+
+    def angles_deg(self) -> list[tuple[float, float]]:
+        """Outer and inner angle before each turn, and after the last one."""
+        steps = [(angle, 0.0) if axis == "outer" else (0.0, angle) for axis, angle in self.turns_deg]
+        sums = itertools.accumulate(
+            steps, lambda at, step: (at[0] + step[0], at[1] + step[1]), initial=(0.0, 0.0)
+        )
+        return list(sums)
+
+
+def _both_senses(turns: tuple[tuple[Literal["outer", "inner"], float], ...]) -> RotationScheme:
+    return RotationScheme((*turns, *((axis, -angle) for axis, angle in turns)))
+
+
+#: Sixteen half turns: the inner axis stays vertical, in four attitudes of two positions.
+HALF_TURNS = _both_senses(
+    (
+        *((("inner", 180.0), ("outer", 180.0)) * 2),
+        *((("inner", -180.0), ("outer", -180.0)) * 2),
+    )
+)
+
+#: Thirty-two turns through all six positions, each at azimuths half a turn apart: sixteen attitudes.
+SIX_POSITIONS = _both_senses(
+    (
+        ("inner", 180.0), ("outer", 180.0), ("inner", -180.0), ("inner", 90.0),
+        ("inner", 180.0), ("outer", -180.0), ("inner", -180.0), ("outer", 90.0),
+        ("inner", 180.0), ("outer", 180.0), ("inner", -180.0), ("inner", -90.0),
+        ("inner", 180.0), ("outer", -180.0), ("inner", -180.0), ("outer", -90.0),
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class PositionError:
+    """Errors of the navigation over time, from a start without error.
+
+    Attributes
+    ----------
+    time_s, east_m, north_m, velocity_east_mps, velocity_north_mps : ndarray, shape (n,)
+        Each at the end of a step of a minute or less.
+    """
+
+    time_s: Float64
+    east_m: Float64
+    north_m: Float64
+    velocity_east_mps: Float64
+    velocity_north_mps: Float64
+
+    @property
+    def distance_nmi(self) -> Float64:
+        """Distance from the true position, shape (n,)."""
+        return np.hypot(self.east_m, self.north_m) / NAUTICAL_MILE_M
+
+    @property
+    def max_nmi(self) -> float:
+        """Largest distance from the true position."""
+        return float(self.distance_nmi.max())
+
+    @property
+    def final_nmi(self) -> float:
+        """Distance from the true position at the end."""
+        return float(self.distance_nmi[-1])
+
+    @property
+    def velocity_east_max_mps(self) -> float:
+        """Largest error of the velocity East, of either sign."""
+        return float(np.abs(self.velocity_east_mps).max())
+
+
+def rotate_for(
+    duration_s: float, scheme: RotationScheme, residual_bias: ResidualBias, site: Site
+) -> PositionError:
+    """Navigate with gyros that have a residual bias, turning the sensors by a scheme.
+
+    The vehicle rests, the accelerometers are without error, and the navigation starts without one.
+
+    Parameters
+    ----------
+    duration_s : float
+        Rounded up to whole steps.
+    residual_bias : callable
+        Gets the middle of each step and Up in body axes then; :func:`bias_by_position` makes one.
+
+    Raises
+    ------
+    MeasurementError
+        A residual bias is not finite.
+    """
+    steps_s, attitudes = _cycle(scheme)
+    cycles = int(np.ceil(duration_s / steps_s.sum()))
+    steps_s, attitudes = np.tile(steps_s, cycles), np.tile(attitudes, (cycles, 1, 1))
+    count = int(np.searchsorted(np.cumsum(steps_s), duration_s - 1e-6)) + 1
+    steps_s, attitudes = steps_s[:count], attitudes[:count]
+    middle_s = np.cumsum(steps_s) - 0.5 * steps_s
+    body_dph = np.asarray(residual_bias(middle_s, attitudes[:, 2]))
+    return navigate_with_drift(steps_s, np.einsum("nij,nj->ni", attitudes, body_dph), site)
+
+
+def navigate_with_drift(steps_s: Float64, drift_enu_dph: Float64, site: Site) -> PositionError:
+    """Navigate at rest with gyro drifts in the navigation frame, each constant over a step.
+
+    Parameters
+    ----------
+    steps_s : ndarray, shape (n,)
+        Lengths of the steps.
+    drift_enu_dph : ndarray, shape (n, 3)
+        Drift East, North and Up.
+
+    Raises
+    ------
+    MeasurementError
+        A drift is not finite.
+    """
+    if not np.isfinite(drift_enu_dph).all():
+        raise MeasurementError("rotational INS: the residual bias must be finite at all times")
+    lengths_s, which = np.unique(steps_s, return_inverse=True)
+    intervals = integrate(site, lengths_s, 0.0, 0.0)
+    inputs = np.zeros((len(steps_s), INPUTS))
+    inputs[:, :3] = DPH_TO_RADPS * drift_enu_dph
+    driven = np.einsum("nij,nj->ni", intervals.response[which], inputs)
+    states = np.zeros((len(steps_s) + 1, STATES))
+    for k, (kind, response) in enumerate(zip(which, driven, strict=True)):
+        states[k + 1] = intervals.transition[kind] @ states[k] + response
+    velocity_east = states[:, _EAST_VELOCITY]
+    east_m = np.cumsum(0.5 * steps_s * (velocity_east[:-1] + velocity_east[1:]))
+    meridian_m, _ = curvature_radii(site.latitude, site.height)
+    return PositionError(
+        time_s=np.cumsum(steps_s),
+        east_m=east_m,
+        north_m=meridian_m * states[1:, _LATITUDE],
+        velocity_east_mps=velocity_east[1:],
+        velocity_north_mps=states[1:, _NORTH_VELOCITY],
+    )
+
+
+def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
+    """Residual bias that depends on the position alone.
+
+    On the way from one position to another the biases are weighted by the squares of the direction
+    cosines of Up, which add up to one.
+
+    Parameters
+    ----------
+    biases_dph : mapping of str to array_like, each of shape (3,)
+        Bias of the gyros, body axes, by the names of :data:`bench.navigation.positions.POSITIONS`.
+        Where one of two opposite positions is missing the scheme must not pass it.
+
+    Raises
+    ------
+    MeasurementError
+        A name is no position.
+    """
+    unknown = biases_dph.keys() - POSITIONS.keys()
+    if unknown:
+        raise MeasurementError(
+            f"no such position: {', '.join(sorted(unknown))}; there are {', '.join(POSITIONS)}"
+        )
+    missing = np.full(3, np.nan)
+    up, down = (
+        np.array([biases_dph.get(f"{axis}_{end}", missing) for axis in AXES], dtype=np.float64)
+        for end in ("up", "down")
+    )
+
+    def residual_bias(_: Float64, up_body: Float64) -> Float64:
+        weights = np.where(np.abs(up_body) > _LEVEL, up_body**2, 0.0)[:, :, np.newaxis]
+        parts = np.where(up_body[:, :, np.newaxis] > 0.0, up, down)
+        return np.asarray(np.sum(weights * np.where(weights > 0.0, parts, 0.0), axis=1))
+
+    return residual_bias
+
+
+def _cycle(scheme: RotationScheme) -> tuple[Float64, Float64]:
+    """Lengths (n,) of the steps of one cycle, and the attitude (n, 3, 3) in the middle of each."""
+    dwell_steps = int(np.ceil(scheme.dwell_s / _DWELL_STEP_S))
+    angles, lengths = [], []
+    for start, end in itertools.pairwise(scheme.angles_deg()):
+        turn_s = float(np.abs(np.subtract(end, start)).sum()) / scheme.rate_dps
+        shares = (np.arange(_TURN_STEPS) + 0.5) / _TURN_STEPS
+        angles += [start] * dwell_steps
+        angles += [tuple(np.add(start, share * np.subtract(end, start))) for share in shares]
+        lengths += [scheme.dwell_s / dwell_steps] * dwell_steps + [turn_s / _TURN_STEPS] * _TURN_STEPS
+    return np.array(lengths), np.stack([_GIMBALS.attitude(outer, inner) for outer, inner in angles])

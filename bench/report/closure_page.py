@@ -1,0 +1,87 @@
+"""The page of a search for effects, with its figures: ``closure.html`` and ``figures/``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from bench.closure.closure import Closure
+from bench.errors import RunFolderError
+from bench.files import write_whole
+from bench.report.closure_residuals import held_out_cycles
+from bench.report.closure_section import closure_sections
+from bench.report.closure_wording import verdict_sentence
+from bench.report.pages import render_page
+from bench.report.sections import Section
+from bench.report.style import save_figure
+from bench.report.wording import counted
+
+_TEMPLATE = "closure.html.j2"
+#: Colours of the template's box, by verdict.
+_COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped", "unexplained": "failed"}
+
+
+def write_closure_page(folder: Path, closure: Closure, source: str) -> Path:
+    """Write figures and page into a folder that is there.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write.
+    closure : Closure
+        Outcome of a search.
+    source : str
+        What was searched, for people.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be written.
+    """
+    sections = closure_sections(closure)
+    page = render_page(
+        _TEMPLATE,
+        _save_figures(folder / "figures", sections),
+        source=source,
+        verdict=closure.verdict,
+        colour=_COLOURS[closure.verdict],
+        sentence=verdict_sentence(closure),
+        facts=_facts(closure),
+        sections=sections,
+    )
+    path = folder / "closure.html"
+    write_whole(path, page.encode())
+    return path
+
+
+def _save_figures(folder: Path, sections: Sequence[Section]) -> list[Path]:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(f"{folder}: can't be made: {error.strerror}") from error
+    paths = []
+    for drawn in (figure for section in sections for figure in section.figures):
+        paths.append(folder / f"{drawn.name}.png")
+        save_figure(drawn.figure, paths[-1])
+    return paths
+
+
+def _facts(closure: Closure) -> dict[str, str]:
+    campaign, searched = closure.campaign, closure.searched
+    cycles = np.unique(campaign.cycle)
+    hours = (campaign.end_s.max() - campaign.start_s.min()) / 3600.0
+    gyro_c = campaign.gyro_c
+    return {
+        "dwells": f"{len(campaign)} without flags, over {hours:.0f} h",
+        "cycles": f"{len(cycles)}; {held_out_cycles(closure)} held out",
+        "searched": f"{counted(int(searched.sum()), 'dwell')}; {int((~searched).sum())} held out",
+        "power-ons": str(len(campaign.run_names)),
+        "gyro temperatures": f"{gyro_c.min():.0f} to {gyro_c.max():.0f} °C",
+    }

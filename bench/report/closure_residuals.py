@@ -1,0 +1,61 @@
+"""Numbers that figures, section and terminal show of a search for effects."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from bench.closure.candidate import starts
+from bench.closure.closure import LEFT_OVER_P, Closure
+from bench.closure.confirmation import without_unseen_constants
+from bench.closure.problem import Solution
+from bench.closure.search import SIGNIFICANCE
+from bench.report.wording import listed
+
+FloatArray = NDArray[np.float64]
+
+
+def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
+    """Measured bias minus a model in all dwells (n, 3), deg/h.
+
+    A run that was not searched has its own mean removed, as in the errors of the closure.
+    """
+    campaign = closure.campaign
+    return without_unseen_constants(campaign, closure.searched, campaign.bias_dph - model.bias_dph)
+
+
+def noise_dph(closure: Closure) -> FloatArray:
+    """Standard deviation of the noise in all dwells (n, 3), deg/h."""
+    return closure.campaign.sigma_dph * closure.noise_scale
+
+
+def rms(values: FloatArray) -> float:
+    """Root of the mean square of all values."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def held_out_cycles(closure: Closure) -> str:
+    """Name the cycles that the search did not see: "cycle 3", "cycles 2 and 3"."""
+    cycles = np.unique(closure.campaign.cycle[~closure.searched]).tolist()
+    return f"cycle{'s' if len(cycles) > 1 else ''} {listed(list(map(str, cycles)))}"
+
+
+def rests_on_noise(closure: Closure) -> bool:
+    """Whether the declared model leaves no more than noise: then there is nothing to have shares of."""
+    return closure.before.p_noise >= LEFT_OVER_P
+
+
+def smallest_visible_dph(closure: Closure) -> float:
+    """Rms size from which an effect on one gyro would have been found, deg/h.
+
+    In the best case: an effect of one term that neither the temperature's cubic nor the runs'
+    constants imitate. Its gain in the sum of squares would be the number of dwells searched times
+    the square of its size over the noise.
+    """
+    efforts = [
+        sum(len(starts(form, closure.campaign)) for form in each.effect.forms) for each in closure.evidence
+    ]
+    tried = min(efforts) * len(efforts)
+    gain = float(chi2_distribution.isf(SIGNIFICANCE / tried, 1))
+    return closure.noise_dph * float(np.sqrt(gain / closure.searched.sum()))

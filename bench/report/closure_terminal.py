@@ -1,0 +1,64 @@
+"""A search for effects in a terminal of 80 columns, readable without colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from bench.closure.closure import Closure
+from bench.report.closure_residuals import held_out_cycles, noise_dph, rms
+from bench.report.closure_rows import dph_text, effect_table, evidence_table, tried_caption
+from bench.report.closure_wording import chain, verdict_sentence
+
+_EFFECTS = "Effects found; size rms in 0.001 deg/h"
+
+
+def closure_summary(closure: Closure) -> RenderableType:
+    """Verdict, the chain in plain words, effects, what was tried, and the error before and after."""
+    parts: list[RenderableType] = [
+        Text(f"{closure.verdict.capitalize()}. {verdict_sentence(closure)}", style="bold"),
+        Text(),
+        _chain(closure),
+        Text(),
+    ]
+    if closure.effects:
+        parts += _titled(_EFFECTS, _table(*effect_table(closure.effects), words=4))
+    parts += _titled("What was tried", _table(*evidence_table(closure), words=2))[:-1]
+    parts += [Text(f"{tried_caption(closure)}."), Text()]
+    title = f"Error in {held_out_cycles(closure)}, held out; rms in 0.001 deg/h"
+    errors = _errors(closure)
+    parts += _titled(title, _table(list(errors), [list(errors.values())], words=0))
+    return Group(*parts)
+
+
+def _chain(closure: Closure) -> Table:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column()
+    for topic, text in chain(closure):
+        table.add_row(Text(topic), Text(text))
+    return table
+
+
+def _errors(closure: Closure) -> dict[str, str]:
+    before, after = dph_text(closure.error_before_dph), dph_text(closure.error_after_dph)
+    errors = {"before": before, "after": after} if closure.effects else {"error": before}
+    return errors | {"noise": dph_text(rms(noise_dph(closure)[~closure.searched]))}
+
+
+def _titled(title: str, table: Table) -> list[RenderableType]:
+    # Not the table's title: rich would fold that to the width of the table.
+    return [Text(title, style="bold"), table, Text()]
+
+
+def _table(headers: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for number, header in enumerate(headers):
+        table.add_column(header, justify="left" if number < words else "right")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table

@@ -1,0 +1,63 @@
+"""How much effects look alike in a planned campaign, as a map."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from bench.closure.separability import Separability
+from bench.report.style import house_style, new_figure, say_empty
+
+_BRIGHT_ABOVE = 0.6
+_INCH_A_ROW = 0.42
+
+
+@house_style
+def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
+    """Draw the correlations of all pairs of effects; pairs that are not told apart are framed.
+
+    Parameters
+    ----------
+    separability : Separability
+        Of the dwells that a search sees.
+    target_dph : float
+        Size at which pairs have to be told apart, deg/h rms.
+    name : str
+        Of the procedure.
+    """
+    names = [each.effect.name for each in separability.detections if each.lacks is None]
+    figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
+    axes = figure.subplots()
+    axes.grid(False)
+    axes.set_title(f"How alike effects look in {name}")
+    if len(names) < 2:
+        axes.set_axis_off()
+        say_empty(axes, "fewer than two effects can be seen")
+        return figure
+    values = np.array(
+        [[separability.correlation.get((row, column), 1.0) for column in names] for row in names]
+    )
+    image = axes.imshow(values, vmin=0.0, vmax=1.0, cmap="Blues", aspect="auto")
+    axes.set_xticks(range(len(names)), names, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(names)), names)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    framed = {
+        pair for one, other in separability.not_told(target_dph) for pair in ((one, other), (other, one))
+    }
+    for row, one in enumerate(names):
+        for column, other in enumerate(names):
+            if row == column:
+                continue
+            colour = "white" if values[row, column] > _BRIGHT_ABOVE else "black"
+            axes.text(
+                column, row, f"{values[row, column]:.2f}", ha="center", va="center", color=colour, fontsize=7
+            )
+            if (one, other) in framed:
+                frame = Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False)
+                frame.set(edgecolor="#D55E00", linewidth=1.6)
+                axes.add_patch(frame)
+    figure.colorbar(image, ax=axes, label="largest canonical correlation of any gyro", fraction=0.04)
+    axes.set_xlabel(f"framed: not told apart at {target_dph:g} deg/h rms")
+    return figure

@@ -1,0 +1,65 @@
+"""Effects of the time that has passed, on the calendar or since the unit was switched on."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from typing_extensions import override
+
+from drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from drivers.emulators.world.quantities import NotNegative, Positive, Vector
+
+_HOUR_S, _DAY_S = 3600.0, 86_400.0
+
+
+class WarmUp(Effect):
+    """A bias that dies away after each power-on."""
+
+    kind: Literal["warm_up"]
+    bias_dph: Vector
+    time_constant_s: Positive
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        if now.since_power_on_s is None:
+            return np.zeros(3)
+        return np.array(self.bias_dph) * math.exp(-now.since_power_on_s / self.time_constant_s)
+
+
+class TimeDrift(Effect):
+    """Biases that drift steadily from the world's beginning, as the gyros age."""
+
+    kind: Literal["time_drift"]
+    drift_dph_per_day: Vector
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        return np.array(self.drift_dph_per_day) * now.time_s / _DAY_S
+
+
+class BiasJump(Effect):
+    """Biases that change at one moment, counted from the world's beginning, and stay changed."""
+
+    kind: Literal["bias_jump"]
+    bias_dph: Vector
+    at_h: NotNegative
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        return np.array(self.bias_dph) * (now.time_s >= self.at_h * _HOUR_S)
+
+
+class SupplyRipple(Effect):
+    """Biases that swing with the mains supply, which follows the load of a building over the hours."""
+
+    kind: Literal["supply_ripple"]
+    amplitude_dph: Vector
+    period_h: Positive
+    phase_deg: float = 0.0
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        phase = math.tau * now.time_s / (self.period_h * _HOUR_S) + math.radians(self.phase_deg)
+        return np.array(self.amplitude_dph) * math.sin(phase)

@@ -1,0 +1,60 @@
+"""Effects inside the laser gyros that are narrow in temperature."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+from typing_extensions import override
+
+from drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from drivers.emulators.world.quantities import Positive, Vector
+
+
+class ModeHop(Effect):
+    """The path length control moves its mirrors back by one mode at every so many kelvin.
+
+    Modes of even and odd number see the mirrors differently: the bias is there in every second one,
+    first from the first reset up.
+    """
+
+    kind: Literal["mode_hop"]
+    bias_dph: Vector
+    first_reset_c: float
+    reset_every_c: Positive
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        mode = np.floor((now.optics_c - self.first_reset_c) / self.reset_every_c)
+        return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
+
+
+def _two_gyros(names: list[str]) -> list[str]:
+    if len(set(names)) != 2:
+        raise ValueError("two different gyros are needed, as in [x, y]")
+    return names
+
+
+class DitherCrossing(Effect):
+    """At one temperature two gyros dither at the same frequency and drive each other.
+
+    The frequencies part in proportion to the mean temperature of both gyros' optics, so the biases
+    are a resonance line over it.
+    """
+
+    kind: Literal["dither_crossing"]
+    gyros: Annotated[
+        list[Literal["x", "y", "z"]], Field(min_length=2, max_length=2), AfterValidator(_two_gyros)
+    ]
+    crossing_c: float
+    half_width_c: Positive
+    bias_dph: Annotated[list[float], Field(min_length=2, max_length=2)]
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        pair = ["xyz".index(gyro) for gyro in self.gyros]
+        detuning = (now.optics_c[pair].mean() - self.crossing_c) / self.half_width_c
+        added_dph = np.zeros(3)
+        added_dph[pair] = np.array(self.bias_dph) / (1.0 + detuning**2)
+        return added_dph

@@ -1,0 +1,49 @@
+"""Effects of gravity and of the chamber around the unit."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Tag
+from typing_extensions import override
+
+from drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from drivers.emulators.world.quantities import Matrix, Vector
+
+
+def _shape(value: Any) -> str:
+    return "matrix" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "vector"
+
+
+#: Told apart first, so that a mistake in one is not reported for the other as well.
+_VectorOrMatrix = Annotated[
+    Annotated[Vector, Tag("vector")] | Annotated[Matrix, Tag("matrix")], Discriminator(_shape)
+]
+
+
+class GSensitivity(Effect):
+    """Block and dither springs bend under the unit's own weight: biases linear in gravity's direction.
+
+    Three values are the sensitivity of each gyro to Up along its own axis; of a matrix, row i
+    column j is that of gyro i to Up along axis j.
+    """
+
+    kind: Literal["g_sensitivity"]
+    sensitivity_dph_per_g: _VectorOrMatrix
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        sensitivity = np.array(self.sensitivity_dph_per_g)
+        return np.asarray((np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity) @ now.up_body)
+
+
+class ChamberState(Effect):
+    """The chamber's compressor shakes the unit: all of the bias while it runs, its share while it cycles."""
+
+    kind: Literal["chamber_state"]
+    bias_dph: Vector
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        return np.array(self.bias_dph) * now.compressor_duty

@@ -1,0 +1,52 @@
+"""Effects of the unit's temperatures, as they are at the moment and as they change."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from typing_extensions import override
+
+from drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from drivers.emulators.world.quantities import Positive, Vector
+
+
+class TemperatureRate(Effect):
+    """The bias follows how fast the optics of each gyro change their temperature."""
+
+    kind: Literal["temperature_rate"]
+    sensitivity_dph_per_c_per_h: Vector
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
+
+
+class ThermalGradient(Effect):
+    """The bias follows how much hotter the electronics of each gyro are than its optics."""
+
+    kind: Literal["thermal_gradient"]
+    sensitivity_dph_per_c: Vector
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        return np.array(self.sensitivity_dph_per_c) * (now.electronics_c - now.optics_c)
+
+
+class AttitudeThermal(Effect):
+    """Heat that convection carries from the electronics to one side of the optics.
+
+    The bias follows that part of the heat flow that depends on the direction of gravity, the
+    more the colder the optics are below the onset.
+    """
+
+    kind: Literal["attitude_thermal"]
+    sensitivity_dph_per_w: Vector
+    onset_c: Positive = 50.0
+    onset_width_c: Positive = 2.0
+
+    @override
+    def added_dph(self, now: Conditions) -> Array:
+        below = (self.onset_c - now.optics_c) / self.onset_width_c
+        onset = np.logaddexp(0.0, below) * self.onset_width_c / self.onset_c
+        return np.asarray(np.array(self.sensitivity_dph_per_w) * now.convected_w * onset)

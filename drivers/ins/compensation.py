@@ -1,0 +1,225 @@
+"""What an INS subtracts from its gyros: a polynomial in temperature, and terms with a physical cause.
+
+Each gyro's terms are taken at its own sensor: with its optics at T, its electronics (board) at B and
+the unit vector Up in body axes, the bias of gyro i is::
+
+    polynomial_i(T)
+    + rate_i dT/dt
+    + gradient_i (B - T)
+    + (saturating_i . Up) (B - T) / (1 + exp(-c))           c = (onset_i - T) / width_i: how cold it is
+    + (growing_i . Up) (B - T) ln(1 + exp(c))
+    + gravity_i . Up
+    + warm_up_i exp(-t / tau_i)                             t: time since power-on
+    + hysteresis_i (play_i(T) - T)
+
+Nothing is extrapolated: T is held between the fitted temperatures wherever it stands, dT/dt and
+B - T between the limits of what was fitted. Up and the exponential are bounded by themselves.
+"""
+
+from __future__ import annotations
+
+import itertools
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from bench.errors import MeasurementError
+
+Float64 = NDArray[np.float64]
+
+#: The terms beyond the polynomial, by the effect that each describes, and the coefficients of each.
+TERMS = MappingProxyType(
+    {
+        "temperature_rate": "rate_dph_per_c_per_h",
+        "thermal_gradient": "gradient_dph_per_k",
+        "attitude_thermal": "saturating_dph_per_k",
+        "attitude_thermal_growing": "growing_dph_per_k",
+        "g_sensitivity": "gravity_dph_per_g",
+        "warm_up": "warm_up_dph",
+        "thermal_hysteresis": "hysteresis_dph_per_k",
+    }
+)
+
+#: What must be above zero where a term is used, by the coefficients of the term.
+_SCALES = {
+    "rate_dph_per_c_per_h": "rate_limit_c_per_h",
+    "saturating_dph_per_k": "onset_width_c",
+    "growing_dph_per_k": "onset_width_c",
+    "warm_up_dph": "warm_up_s",
+    "hysteresis_dph_per_k": "half_width_k",
+}
+_ON_DIFFERENCE = ("gradient_dph_per_k", "saturating_dph_per_k", "growing_dph_per_k")
+_VECTORS = ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g")
+
+
+def _zeros() -> Float64:
+    return np.zeros(3)
+
+
+def _zero_vectors() -> Float64:
+    return np.zeros((3, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What a unit goes through from power-on, in the order of time.
+
+    Attributes
+    ----------
+    optics_c, board_c : ndarray, shape (n, 3)
+        Temperatures of each gyro's optics and electronics.
+    rate_c_per_h : ndarray, shape (n, 3)
+        Rate of the optics' temperatures.
+    up_body : ndarray, shape (n, 3)
+        Unit vector Up in body axes.
+    since_power_on_s : ndarray, shape (n,)
+        Time since the unit was switched on.
+    """
+
+    optics_c: Float64
+    board_c: Float64
+    rate_c_per_h: Float64
+    up_body: Float64
+    since_power_on_s: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Numbers of a compensation, by gyro (first dimension: x, y, z); see the module.
+
+    Attributes
+    ----------
+    polynomial_dph : ndarray, shape (3, k)
+        Coefficients from degree 0 up, T in degrees Celsius.
+    low_c, high_c : ndarray, shape (3,)
+        Lowest and highest T used.
+    rate_dph_per_c_per_h, rate_limit_c_per_h : ndarray, shape (3,)
+        Coefficient, and the highest rate, of either sign, used.
+    gradient_dph_per_k : ndarray, shape (3,)
+        Coefficient of B - T.
+    difference_low_k, difference_high_k : ndarray, shape (3,)
+        Lowest and highest B - T used.
+    saturating_dph_per_k, growing_dph_per_k : ndarray, shape (3, 3)
+        Vectors in body axes of each gyro: B - T and Up act the same at all temperatures below the
+        onset, and the more the colder it is.
+    onset_c, onset_width_c : ndarray, shape (3,)
+        Temperature below which Up acts with B - T, and the width of the onset.
+    gravity_dph_per_g : ndarray, shape (3, 3)
+        Vector in body axes of each gyro.
+    warm_up_dph, warm_up_s : ndarray, shape (3,)
+        What there is at power-on, and its time constant.
+    hysteresis_dph_per_k, half_width_k : ndarray, shape (3,)
+        Coefficient of what the play is off T, and its half width.
+
+    Raises
+    ------
+    MeasurementError
+        A number is not finite, an array has another shape, limits are in the wrong order, or a
+        term that is used has no width, time constant or limits.
+    """
+
+    polynomial_dph: Float64
+    low_c: Float64
+    high_c: Float64
+    rate_dph_per_c_per_h: Float64 = field(default_factory=_zeros)
+    rate_limit_c_per_h: Float64 = field(default_factory=_zeros)
+    gradient_dph_per_k: Float64 = field(default_factory=_zeros)
+    difference_low_k: Float64 = field(default_factory=_zeros)
+    difference_high_k: Float64 = field(default_factory=_zeros)
+    saturating_dph_per_k: Float64 = field(default_factory=_zero_vectors)
+    growing_dph_per_k: Float64 = field(default_factory=_zero_vectors)
+    onset_c: Float64 = field(default_factory=_zeros)
+    onset_width_c: Float64 = field(default_factory=_zeros)
+    gravity_dph_per_g: Float64 = field(default_factory=_zero_vectors)
+    warm_up_dph: Float64 = field(default_factory=_zeros)
+    warm_up_s: Float64 = field(default_factory=_zeros)
+    hysteresis_dph_per_k: Float64 = field(default_factory=_zeros)
+    half_width_k: Float64 = field(default_factory=_zeros)
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            self._check_array(each.name)
+        for low, high in (("low_c", "high_c"), ("difference_low_k", "difference_high_k")):
+            if (getattr(self, low) > getattr(self, high)).any():
+                raise MeasurementError(f"compensation: {low} must not be above {high}")
+        for name, scale in _SCALES.items():
+            if (_used(getattr(self, name)) & (getattr(self, scale) <= 0.0)).any():
+                raise MeasurementError(f"compensation: {name} needs {scale} above zero")
+        no_range = self.difference_low_k == self.difference_high_k
+        for name in _ON_DIFFERENCE:
+            if (_used(getattr(self, name)) & no_range).any():
+                raise MeasurementError(f"compensation: {name} needs difference_low_k below difference_high_k")
+
+    def terms(self) -> tuple[str, ...]:
+        """Names of the :data:`TERMS` that are used."""
+        return tuple(term for term, name in TERMS.items() if np.any(getattr(self, name)))
+
+    def bias_dph(self, conditions: Conditions) -> Float64:
+        """Bias that is subtracted, shape (n, 3); the play begins with the first row."""
+        T = np.clip(conditions.optics_c, self.low_c, self.high_c)
+        hotter_k = np.clip(
+            conditions.board_c - conditions.optics_c, self.difference_low_k, self.difference_high_k
+        )
+        rate = np.clip(conditions.rate_c_per_h, -self.rate_limit_c_per_h, self.rate_limit_c_per_h)
+        t = conditions.since_power_on_s[:, np.newaxis]
+        polynomial = sum(c * T**degree for degree, c in enumerate(self.polynomial_dph.T))
+        # Where a width or a time constant is zero its term is not used.
+        width_c = np.where(self.onset_width_c > 0.0, self.onset_width_c, 1.0)
+        tau_s = np.where(self.warm_up_s > 0.0, self.warm_up_s, 1.0)
+        cold = (self.onset_c - T) / width_c
+        attitude = expit(cold) * (conditions.up_body @ self.saturating_dph_per_k.T)
+        attitude += np.logaddexp(0.0, cold) * (conditions.up_body @ self.growing_dph_per_k.T)
+        return np.asarray(
+            polynomial
+            + self.rate_dph_per_c_per_h * rate
+            + (self.gradient_dph_per_k + attitude) * hotter_k
+            + conditions.up_body @ self.gravity_dph_per_g.T
+            + self.warm_up_dph * np.exp(-t / tau_s)
+            + self.hysteresis_dph_per_k * (play(T, self.half_width_k) - T)
+        )
+
+    def _check_array(self, name: str) -> None:
+        value = getattr(self, name)
+        shape: tuple[int, ...] = (3, 3) if name in _VECTORS else (3,)
+        if name == "polynomial_dph":
+            shape = (3, value.shape[-1])
+        if value.shape != shape or not value.size:
+            raise MeasurementError(f"compensation: {name} has the shape {value.shape}, not {shape}")
+        if not np.isfinite(value).all():
+            raise MeasurementError(f"compensation: {name} must hold finite numbers; found {value.tolist()}")
+
+
+def play(values: Float64, half_width: Float64) -> Float64:
+    """Follow a course with slack: what a pointer does that has play on either side.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 3)
+        In the order of time; the pointer begins at the first one.
+    half_width : ndarray, shape (3,)
+        Slack on either side.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The pointer, never farther than the half width from the value.
+    """
+    pointer = np.array(values, dtype=np.float64)
+    for before, now in itertools.pairwise(pointer):
+        np.clip(before, now - half_width, now + half_width, out=now)
+    return pointer
+
+
+def checksum(numbers: Iterable[float]) -> int:
+    """CRC-32 of numbers as the INS holds them: little-endian 32-bit floats."""
+    return zlib.crc32(b"".join(struct.pack("<f", number) for number in numbers))
+
+
+def _used(coefficients: Float64) -> NDArray[np.bool_]:
+    return np.asarray(np.any(coefficients.reshape(3, -1) != 0.0, axis=1))

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from bench.bias.tables.dwell_table import DwellRow
+from bench.bias.verification.day_of_navigation import day_of_navigation
+from bench.errors import MeasurementError
+from bench.navigation.error_model import Site
+from bench.navigation.positions import POSITIONS
+from bench.navigation.rotational_ins import DAY_S, HALF_TURNS, SIX_POSITIONS, bias_by_position, rotate_for
+
+SITE = Site(np.deg2rad(36.4), 60.0)
+EQUAL = dict.fromkeys(POSITIONS, (0.003, -0.002, 0.004))
+
+
+def rows_of(biases_dph, sigma_dph=0.001, flags=""):
+    return [
+        DwellRow(
+            unit="1001",
+            run="1",
+            dwell=number,
+            cycle=1,
+            position=position,
+            start_s=0.0,
+            end_s=1200.0,
+            since_power_on_s=3600.0,
+            chamber_set_c=20.0,
+            chamber_c=20.0,
+            case_c=25.0,
+            gyro_c=(30.0, 30.0, 30.0),
+            gyro_rate_c_per_h=(0.0, 0.0, 0.0),
+            board_c=(42.0, 42.0, 42.0),
+            bias_dph=tuple(bias_dph),
+            sigma_dph=(sigma_dph,) * 3,
+            flags=flags,
+        )
+        for number, (position, bias_dph) in enumerate(biases_dph.items(), start=1)
+    ]
+
+
+def test_biases_that_are_the_same_in_all_positions_average_out():
+    day = day_of_navigation(rows_of(EQUAL, sigma_dph=1e-6), SITE)
+    assert day.error.max_nmi < 0.1
+    assert day.noise_nmi < 0.001
+
+
+def test_the_error_is_that_of_the_scheme_with_the_measured_biases():
+    biases = {name: np.array([0.01, -0.005, 0.002]) * number for number, name in enumerate(POSITIONS)}
+    for scheme in (HALF_TURNS, SIX_POSITIONS):
+        expected = rotate_for(DAY_S, scheme, bias_by_position(biases), SITE)
+        day = day_of_navigation(rows_of(biases), SITE, scheme)
+        np.testing.assert_array_equal(day.error.distance_nmi, expected.distance_nmi)
+
+
+def test_several_dwells_in_a_position_are_averaged_and_flagged_ones_left_out():
+    twice = {
+        name: np.array([0.01, 0.0, 0.0]) * sign for name, sign in zip(POSITIONS, [1, -1] * 3, strict=True)
+    }
+    nothing = {name: -bias for name, bias in twice.items()}
+    assert day_of_navigation(rows_of(twice) + rows_of(nothing), SITE).error.max_nmi == pytest.approx(
+        0.0, abs=1e-9
+    )
+    flagged = rows_of(twice) + rows_of(nothing, flags="the table moved")
+    alone = day_of_navigation(rows_of(twice), SITE)
+    assert day_of_navigation(flagged, SITE).error.max_nmi == alone.error.max_nmi > 0.5
+    assert day_of_navigation(rows_of(twice) * 4, SITE).noise_nmi == pytest.approx(0.5 * alone.noise_nmi)
+
+
+def test_the_noise_is_the_rms_distance_of_many_noisy_days():
+    random = np.random.default_rng(8)
+    squares = []
+    for _ in range(30):
+        noisy = {name: random.normal(0.0, 0.001, 3) for name in POSITIONS}
+        day = day_of_navigation(rows_of(noisy), SITE)
+        squares.append(day.error.distance_nmi**2)
+    assert np.sqrt(np.mean(squares, axis=0).max()) == pytest.approx(day.noise_nmi, rel=0.35)
+
+
+def test_a_position_that_was_not_measured_is_a_mistake():
+    rows = rows_of(EQUAL)
+    with pytest.raises(MeasurementError, match="all six positions; no bias in y_down, z_up"):
+        day_of_navigation([row for row in rows if row.position not in ("z_up", "y_down")], SITE)

@@ -1,0 +1,40 @@
+"""Campaigns of the simulated bench and what the search makes of them, each made once."""
+
+import pytest
+
+from bench.closure.campaign import campaign_of
+from bench.closure.closure import close_loop
+from bench.closure.problem import declared_problem
+from tests.bench.closure.thermal_bench import measure
+
+
+@pytest.fixture(scope="session")
+def closed():
+    """``closed(effects, **options of measure)``: the outcome of the search, of two cycles by default."""
+    done = {}
+
+    def close(effects=None, **options):
+        options = {"cycles": 2} | options
+        key = (*(effects or {}).items(), *sorted(options.items()))
+        if key not in done:
+            done[key] = close_loop(campaign_of(measure(effects, **options).rows))
+        return done[key]
+
+    return close
+
+
+@pytest.fixture(scope="session")
+def clean():
+    """A campaign with nothing undeclared in it."""
+    return campaign_of(measure().rows)
+
+
+@pytest.fixture(scope="session")
+def problem():
+    """``problem(effects, **options of measure)``: the last cycle held out, the declared model fitted."""
+
+    def of(effects=None, **options):
+        campaign = campaign_of(measure(effects, **options).rows)
+        return declared_problem(campaign, campaign.cycle != campaign.cycle.max())
+
+    return of

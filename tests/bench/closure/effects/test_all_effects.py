@@ -1,0 +1,99 @@
+"""What holds for every effect, and for the package that finds them."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.closure import effects as package
+from bench.closure.candidate import starts
+from bench.closure.effects import all_effects
+from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, ONSET_C, ONSET_WIDTH_C, WARM_UP_H
+
+ALL = [(effect, form) for effect in all_effects() for form in effect.forms]
+NAMES = {
+    "temperature_rate", "thermal_gradient", "attitude_thermal", "thermal_hysteresis", "warm_up",
+    "time_drift", "g_sensitivity", "chamber_state", "bias_jump",
+}  # fmt: skip
+#: Of the simulated effects, where they have parameters.
+TRUE = {
+    "attitude_thermal": (ONSET_C, ONSET_WIDTH_C),
+    "thermal_hysteresis": (HALF_WIDTH_C,),
+    "thermal_lag": (LAG_H * 3600.0,),
+    "warm_up": (WARM_UP_H * 3600.0,),
+    "chamber_state": (5.0,),
+    "bias_jump": (0.4 * 3 * 67_200.0,),
+}
+#: What the columns may miss of a simulated effect: its course between the dwells has to be guessed.
+MISSED = {"thermal_hysteresis": 0.02, "chamber_state": 0.01}
+
+
+def label(value):
+    return getattr(value, "name", None)
+
+
+def test_all_names_of_the_format_are_there_each_once():
+    names = [each.name for each in all_effects()]
+    assert set(names) >= NAMES
+    assert names == sorted(set(names))
+
+
+def test_a_new_module_with_an_effect_is_found(tmp_path, monkeypatch):
+    (tmp_path / "moon_phase.py").write_text(
+        "from bench.closure.effects.effect import Effect\n"
+        'EFFECT = Effect("moon_phase", "the bias follows the moon", "wait two weeks", ())\n'
+    )
+    (tmp_path / "no_effect.py").write_text("EFFECT = 3\n")
+    monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])
+    try:
+        names = {each.name for each in all_effects()}
+    finally:
+        for name in ("moon_phase", "no_effect"):
+            sys.modules.pop(f"{package.__name__}.{name}", None)
+            vars(package).pop(name, None)
+    assert names >= NAMES | {"moon_phase"}
+    assert not any("no_effect" in name for name in names)
+
+
+@pytest.mark.parametrize("effect", all_effects(), ids=label)
+def test_an_effect_says_what_it_is_and_how_to_show_it(effect):
+    for sentence in (effect.statement, effect.experiment):
+        assert len(sentence.split()) > 5
+        assert not sentence.endswith(".")
+    assert effect.forms
+    assert len({form.name for form in effect.forms}) == len(effect.forms)
+
+
+@pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
+def test_columns_have_a_term_for_each_gyro_and_no_gap_at_any_start(clean, effect, form):
+    assert form.lacks(clean) is None
+    for values in starts(form, clean):
+        columns = form.columns(clean, values)
+        assert columns.shape == (len(clean), 3, len(form.terms))
+        assert np.isfinite(columns).all()
+
+
+@pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
+def test_starts_lie_between_the_bounds(clean, effect, form):
+    for parameter in form.parameters:
+        values = parameter.starts(clean)
+        assert len(values)
+        assert parameter.low <= values.min() <= values.max() <= parameter.high
+
+
+@pytest.mark.parametrize("effect", all_effects(), ids=label)
+def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, effect):
+    one = problem({effect.name: 10.0}, noise=0.0)
+    misses = [
+        1.0 - one.gain(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
+        for form in effect.forms
+    ]
+    assert min(misses) < MISSED.get(effect.name, 0.002)
+
+
+@pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
+def test_columns_do_not_see_the_biases(clean, effect, form):
+    values = starts(form, clean)[0]
+    without = replace(clean, bias_dph=np.full_like(clean.bias_dph, np.nan))
+    np.testing.assert_array_equal(form.columns(without, values), form.columns(clean, values))

@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+
+from bench.closure.campaign import campaign_of
+from bench.closure.effects.attitude_thermal import EFFECT
+from tests.bench.closure.thermal_bench import measure
+
+
+@pytest.mark.parametrize("form", EFFECT.forms, ids=lambda form: form.name)
+def test_what_follows_gravity_vanishes_in_the_heat(clean, form):
+    hot = clean.gyro_c.min(axis=1) > 55.0
+    cold = clean.gyro_c.max(axis=1) < 0.0
+    along = np.abs(form.columns(clean, (30.0, 2.0))[:, :, 1:])
+    assert along[hot].max() < 1e-4 * along[cold].max()
+
+
+@pytest.mark.parametrize("form", EFFECT.forms, ids=lambda form: form.name)
+def test_its_sign_follows_gravity_along_each_axis(clean, form):
+    columns = form.columns(clean, (30.0, 2.0))
+    cold = clean.gyro_c.max(axis=1) < 20.0
+    for name, up in (
+        ("x_up", [1, 0, 0]),
+        ("x_down", [-1, 0, 0]),
+        ("y_up", [0, 1, 0]),
+        ("z_down", [0, 0, -1]),
+    ):
+        dwells = cold & (np.array(clean.position) == name)
+        np.testing.assert_array_equal(
+            np.sign(np.round(columns[dwells, :, 1:], 9)), np.broadcast_to(up, (dwells.sum(), 3, 3))
+        )
+
+
+def test_one_form_is_constant_in_the_cold_and_the_other_grows(clean):
+    saturating, growing = (form.columns(clean, (50.0, 2.0))[:, :, 1:] for form in EFFECT.forms)
+    flow = (clean.board_c - clean.gyro_c)[:, :, None]
+    cold = clean.gyro_c.max(axis=1) < 20.0
+    followed = (
+        np.broadcast_to(np.abs(clean.up_body[:, None, :]) > 0.5, saturating.shape) & cold[:, None, None]
+    )
+    np.testing.assert_allclose(np.abs(saturating / flow)[followed], 1.0, atol=1e-6)
+    below = np.broadcast_to(((50.0 - clean.gyro_c) / 2.0)[:, :, None], growing.shape)
+    np.testing.assert_allclose(np.abs(growing / flow)[followed], below[followed], rtol=1e-6)
+
+
+def test_the_first_term_is_the_flow_alike_in_all_positions(clean):
+    for form in EFFECT.forms:
+        np.testing.assert_allclose(form.columns(clean, (30.0, 2.0))[:, :, 0], clean.board_c - clean.gyro_c)
+
+
+def test_it_lacks_electronics_temperatures_where_nothing_tells_them():
+    campaign = campaign_of(measure(cycles=2, sensors=()).rows)
+    assert all("temperature sensors" in form.lacks(campaign) for form in EFFECT.forms)

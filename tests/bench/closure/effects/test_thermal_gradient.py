@@ -1,0 +1,15 @@
+import numpy as np
+
+from bench.closure.campaign import campaign_of
+from bench.closure.effects.thermal_gradient import EFFECT
+from tests.bench.closure.thermal_bench import measure
+
+[FORM] = EFFECT.forms
+
+
+def test_it_is_the_electronics_above_the_optics_whatever_the_position(clean):
+    np.testing.assert_allclose(FORM.columns(clean, ())[:, :, 0], clean.board_c - clean.gyro_c)
+
+
+def test_it_lacks_electronics_temperatures_where_nothing_tells_them():
+    assert "temperature sensors" in FORM.lacks(campaign_of(measure(cycles=2, sensors=()).rows))

@@ -1,0 +1,39 @@
+"""Plans on shipped stations, without a bench."""
+
+from pathlib import Path
+
+from bench.documents import Document, find_document, parse_document
+from bench.measurement.planned_unit import plan_on
+from bench.procedure.document import load_procedure
+from bench.procedure.plan import Plan
+from bench.station.station import Station
+
+
+def station(name: str = "emulated") -> Station:
+    return Station(find_document("stations", name))
+
+
+def shipped(procedure: str, on: str = "emulated") -> tuple[Document, Plan]:
+    """A shipped procedure and its plan."""
+    document, _ = load_procedure(find_document("procedures", procedure))
+    return document, plan_on(station(on), document)
+
+
+def planned(steps: str, on: str = "emulated") -> tuple[Document, Plan]:
+    """Steps in YAML and their plan."""
+    document = parse_document(f"procedure: test\nsteps:\n{steps}", Path("test.yaml"))
+    return document, plan_on(station(on), document)
+
+
+#: A dwell of 20 min of navigation in a position.
+DWELL = """\
+  - go_to: {position: POSITION}
+  - align: {duration_s: 300}
+  - navigate: {duration_s: 600}
+  - turn: {angle_deg: 180}
+  - navigate: {duration_s: 600}
+"""
+
+
+def dwell(position: str) -> str:
+    return DWELL.replace("POSITION", position)

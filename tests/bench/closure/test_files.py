@@ -1,0 +1,113 @@
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from bench.closure.campaign import campaign_of
+from bench.closure.closure import close_loop
+from bench.closure.effects import all_effects, bias_jump, g_sensitivity
+from bench.closure.files import closure_document, format_predictions, model_document, write_closure
+from tests.bench.closure.thermal_bench import measure
+
+FORMATS = Path("/work/shared/formats.md")
+
+
+@pytest.fixture(scope="module")
+def explained(closed):
+    return closed({"g_sensitivity": 4.0})
+
+
+def predictions(closure):
+    return list(csv.DictReader(format_predictions(closure).splitlines()))
+
+
+def test_a_closure_is_written_with_its_predictions_and_its_model(explained, tmp_path):
+    write_closure(tmp_path / "new" / "folder", explained)
+    written = {path.name: path.read_text() for path in (tmp_path / "new" / "folder").iterdir()}
+    assert set(written) == {"closure.json", "predictions.csv", "model.yaml"}
+    assert json.loads(written["closure.json"])["verdict"] == "explained"
+    assert yaml.safe_load(written["model.yaml"]) == model_document(explained)
+
+
+@pytest.mark.skipif(not FORMATS.exists(), reason="the description of the formats is not on this machine")
+def test_the_document_has_every_key_that_the_formats_name(explained):
+    table = FORMATS.read_text().split("`closure.json`")[1].split("`predictions.csv`")[0]
+    keys = {name.strip() for row in re.findall(r"^\| ([a-z_, ]+) \|", table, re.M) for name in row.split(",")}
+    document = closure_document(explained)
+    assert keys - {"key"} <= set(document)
+    of_an_effect = set(re.findall(r"`([a-z_]+)`", table.split("strongest first:")[1].split("\n")[0]))
+    assert of_an_effect <= set(document["effects"][0])
+
+
+def test_the_document_says_what_was_found(explained):
+    document = closure_document(explained)
+    [effect] = document["effects"]
+    assert effect["effect"] == "g_sensitivity"
+    assert effect["axes"] == ["x", "y", "z"]
+    assert effect["tied_with"] == []
+    assert document["separating_measurement"] is None
+    assert document["lack_of_fit_p_before"] < 1e-3 < document["lack_of_fit_p_after"]
+    assert document["error_after_dph"] < 0.5 * document["error_before_dph"]
+    assert {each["effect"] for each in document["tried"]} == {each.name for each in all_effects()}
+
+
+@pytest.mark.parametrize("effects", [None, {"g_sensitivity": 4.0}, {"sinusoid": 1.5}])
+def test_the_document_is_json_without_nan(closed, effects):
+    text = json.dumps(closure_document(closed(effects)), allow_nan=False)
+    assert json.loads(text)["verdict"] in {"clean", "explained", "unexplained"}
+
+
+def test_effects_are_listed_strongest_first():
+    rows = measure({"g_sensitivity": 3.0, "bias_jump": 8.0}, cycles=2).rows
+    closure = close_loop(campaign_of(rows), effects=[bias_jump.EFFECT, g_sensitivity.EFFECT])
+    document = closure_document(closure)
+    assert [each["effect"] for each in document["effects"]] == ["bias_jump", "g_sensitivity"]
+    assert document["effects"][0]["rms_dph"] > document["effects"][1]["rms_dph"]
+
+
+def test_every_dwell_has_its_predictions_held_out_ones_too(explained):
+    rows = predictions(explained)
+    assert [int(row["dwell"]) for row in rows] == explained.campaign.dwell.tolist()
+    assert {int(row["dwell"]) for row in rows} > set(explained.campaign.dwell[~explained.searched])
+    assert all(np.isfinite(float(value)) for row in rows for value in row.values())
+
+
+def test_predictions_give_the_errors_told(explained):
+    held_out = ~explained.searched
+    for kind, told in (("before", explained.error_before_dph), ("after", explained.error_after_dph)):
+        values = [[float(row[f"bias_{axis}_{kind}_dph"]) for axis in "xyz"] for row in predictions(explained)]
+        errors = (explained.campaign.bias_dph - values)[held_out]
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(told, rel=1e-5)
+
+
+def test_in_clean_data_nothing_is_predicted_otherwise_after(closed):
+    for row in predictions(closed()):
+        for axis in "xyz":
+            assert row[f"bias_{axis}_after_dph"] == row[f"bias_{axis}_before_dph"]
+
+
+def test_the_model_gives_the_predictions(explained):
+    document, campaign = model_document(explained), explained.campaign
+    [effect] = document["effects"]
+    [form] = g_sensitivity.EFFECT.forms
+    columns = form.columns(campaign, tuple(effect["parameters"].values()))
+    for gyro, axis in enumerate("xyz"):
+        declared = document["declared_dph"][axis]
+        scaled = campaign.gyro_c[:, gyro] / document["scale_c"]
+        bias_dph = sum(size * scaled**power for power, size in enumerate(declared["powers"], 1))
+        bias_dph += declared["constant_of_run"]["R1"]
+        bias_dph += columns[:, gyro] @ [effect["terms_dph"][axis][term] for term in form.terms]
+        np.testing.assert_allclose(bias_dph, explained.model.bias_dph[:, gyro], rtol=1e-9)
+        low_c, high_c = document["fitted_c"][axis]
+        assert low_c == campaign.gyro_c[explained.searched, gyro].min() < high_c
+
+
+def test_dwells_may_be_numbered_from_any_number():
+    rows = [replace(row, dwell=row.dwell + 500) for row in measure(cycles=2).rows]
+    closure = close_loop(campaign_of(rows), effects=[])
+    assert predictions(closure)[0]["dwell"] == "501"

@@ -1,0 +1,95 @@
+"""The campaign that a plan would give, beside the one that a run of it gives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.bias.tables.dwell_table import read_dwells
+from bench.closure.campaign import campaign_of
+from bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from bench.errors import MeasurementError
+from bench.measurement.planned_unit import planned_unit
+from tests.bench.closure.plans import dwell, planned, shipped, station
+
+
+@pytest.fixture(scope="module")
+def fig7():
+    _, plan = shipped("six_position_fig7")
+    return plan, planned_campaign(plan, planned_unit(station()))
+
+
+def test_every_dwell_of_the_plan_is_in_it(fig7):
+    plan, campaign = fig7
+    assert len(campaign) == plan.dwell_count == 60
+    assert np.bincount(campaign.cycle).tolist() == [0, 30, 30]
+    assert campaign.position[:7] == ("z_up", "z_down", "y_up", "y_down", "x_up", "x_down", "z_up")
+    np.testing.assert_allclose(campaign.up_body[:3], [[0, 0, 1], [0, 0, -1], [0, 1, 0]], atol=1e-12)
+
+
+def test_a_dwell_lasts_from_its_first_navigation_to_the_end_of_its_last(fig7):
+    plan, campaign = fig7
+    windows = [each for each in plan.steps if each.dwell == 7 and each.window is not None]
+    assert campaign.start_s[6] == windows[0].start_s
+    assert campaign.end_s[6] == windows[-1].end_s
+
+
+def test_the_uncertainty_is_the_random_walk_over_the_time_of_navigation(fig7):
+    _, campaign = fig7
+    np.testing.assert_allclose(campaign.sigma_dph, 0.0006 / np.sqrt(1200.0 / 3600.0))
+
+
+def test_each_power_on_begins_a_run():
+    _, plan = planned(
+        f"  - power_on: {{settle_s: 60}}\n{dwell('z_up')}  - power_off\n  - wait: {{duration_s: 600}}\n"
+        f"  - power_on: {{settle_s: 60}}\n{dwell('z_down')}{dwell('y_up')}"
+    )
+    campaign = planned_campaign(plan, PlannedUnit())
+    assert campaign.run.tolist() == [0, 1, 1]
+    assert len(campaign.run_names) == 2
+    np.testing.assert_allclose(campaign.since_power_on_s[:2], campaign.since_power_on_s[0])
+    assert len(campaign.power_on_s) == 2
+
+
+def test_what_a_unit_does_not_measure_is_not_known(fig7):
+    plan, campaign = fig7
+    without = planned_campaign(plan, PlannedUnit(has_boards=False, has_case=False))
+    assert np.isfinite(campaign.board_c).all()
+    assert np.isfinite(campaign.case_c).all()
+    assert np.isnan(without.board_c).all()
+    assert np.isnan(without.case_c).all()
+
+
+def test_without_a_chamber_there_is_no_set_point():
+    _, plan = planned(f"  - power_on\n{dwell('z_up')}")
+    assert np.isnan(planned_campaign(plan, PlannedUnit()).set_c).all()
+
+
+def test_a_verification_gives_no_campaign():
+    _, plan = shipped("verification")
+    with pytest.raises(MeasurementError, match="verification has no dwell that measures a bias"):
+        planned_campaign(plan, PlannedUnit())
+
+
+def test_noise_that_a_station_does_not_declare_is_taken_as_typical(tmp_path):
+    there = station()
+    noise = {"noise": "estimated"}
+    there.file = there.file.model_copy(update={"ins": there.file.ins.model_copy(update=noise)})
+    assert planned_unit(there) == replace(PlannedUnit(), is_noise_declared=False)
+    assert planned_unit(station()).is_noise_declared
+
+
+def test_it_is_near_what_a_run_measures(short_run):
+    _, plan = shipped("ten_minute_check")
+    folder = short_run[0]
+    measured = campaign_of(read_dwells(folder.dwells))
+    expected = planned_campaign(plan, planned_unit(station()))
+    assert expected.position == measured.position
+    assert abs(expected.start_s - measured.start_s) < 60.0
+    assert abs(expected.since_power_on_s - measured.since_power_on_s) < 60.0
+    for name, within in (("gyro_c", 1.5), ("case_c", 2.5), ("board_c", 3.0)):
+        assert np.abs(getattr(expected, name) - getattr(measured, name)).max() < within, name
+    # Accelerometers add to the uncertainty of the level gyros alone; z is the vertical one.
+    assert expected.sigma_dph[0, 2] == pytest.approx(measured.sigma_dph[0, 2], rel=0.02)
+    assert np.all(expected.sigma_dph[0] < 1.01 * measured.sigma_dph[0])
+    assert np.all(measured.sigma_dph[0] < 1.4 * expected.sigma_dph[0])

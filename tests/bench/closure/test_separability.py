@@ -1,0 +1,141 @@
+"""Sizes that a campaign tells, beside what the search does with made-up biases of such sizes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.closure.effect_shapes import unit_parts
+from bench.closure.effects import all_effects
+from bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from bench.closure.planned_campaign import planned_campaign
+from bench.closure.problem import declared_problem
+from bench.closure.search import SIGNIFICANCE, Search
+from bench.closure.separability import searched_dwells, separability
+from bench.measurement.planned_unit import planned_unit
+from tests.bench.closure.plans import shipped, station
+
+EFFECTS = {effect.name: effect for effect in all_effects()}
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    """The dwells of the procedure of the paper's Fig. 7 that a search sees."""
+    _, plan = shipped("six_position_fig7")
+    return searched_dwells(planned_campaign(plan, planned_unit(station())))
+
+
+@pytest.fixture(scope="module")
+def told(campaign):
+    return separability(campaign, all_effects())
+
+
+def detection(told, name):
+    [found] = [each for each in told.detections if each.effect.name == name]
+    return found
+
+
+def following(name, *values):
+    """An effect with terms that follow given numbers, the same for all gyros."""
+
+    def columns(_, __):
+        return np.repeat(np.stack(values, axis=1)[:, np.newaxis, :], 3, axis=1)
+
+    return Effect(name, "", "", (Form(tuple(map(str, range(len(values)))), columns),))
+
+
+def searched(campaign, name, size_dph, seed, beside=()):
+    """Search of made-up biases: one effect without parameters at some size, and noise."""
+    rng = np.random.default_rng(seed)
+    parts = unit_parts(EFFECTS[name].forms[0].columns(campaign, ()))
+    signs = rng.choice([-1.0, 1.0], (3, parts.shape[2]))
+    bias_dph = size_dph * np.einsum("ngk,gk->ng", parts, signs)
+    bias_dph += rng.normal(size=bias_dph.shape) * campaign.sigma_dph
+    problem = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
+    return Search(problem, [EFFECTS[each] for each in (name, *beside)])
+
+
+def share_found(campaign, name, size_dph, repeats=60):
+    """How often the search finds an effect, were it to try all effects."""
+    found = 0
+    for seed in range(repeats):
+        search = searched(campaign, name, size_dph, seed)
+        alone = search.alone.get(name)
+        found += alone is not None and search.p_value(alone, 0) * len(EFFECTS) < SIGNIFICANCE
+    return found / repeats
+
+
+@pytest.mark.parametrize("name", ["temperature_rate", "g_sensitivity", "time_drift"])
+def test_the_search_finds_nine_of_ten_effects_of_the_size_told(campaign, told, name):
+    size_dph = detection(told, name).typical_dph
+    # Three standard deviations of 60 trials.
+    assert share_found(campaign, name, size_dph) == pytest.approx(0.9, abs=0.12)
+    assert share_found(campaign, name, 0.5 * size_dph) < 0.3
+
+
+@pytest.mark.parametrize(("factor", "is_told"), [(0.5, False), (2.0, True)])
+def test_the_search_takes_effects_for_tied_below_the_size_told_and_not_above(campaign, told, factor, is_told):
+    true, rival = "time_drift", "warm_up"
+    size_dph = factor * told.told_dph[true, rival]
+    rivals = []
+    for seed in range(8):
+        search = searched(campaign, true, size_dph, seed, beside=(rival,))
+        rivals.append(rival not in search.rivals(search.alone[true], 0))
+    assert np.mean(rivals) == pytest.approx(float(is_told), abs=0.3)
+
+
+def test_a_special_case_of_another_effect_is_told_as_soon_as_it_is_found(told):
+    size_dph = told.told_dph["thermal_gradient", "attitude_thermal"]
+    assert size_dph == detection(told, "thermal_gradient").typical_dph
+    assert told.correlation["thermal_gradient", "attitude_thermal"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_sizes_go_with_the_noise(campaign, told):
+    noisier = separability(replace(campaign, sigma_dph=2.0 * campaign.sigma_dph), all_effects())
+    for one, other in zip(told.detections, noisier.detections, strict=True):
+        assert other.typical_dph == pytest.approx(2.0 * one.typical_dph)
+        assert other.inflation == pytest.approx(one.inflation, rel=1e-3)
+
+
+def test_independent_effects_inflate_nothing_and_equal_ones_without_bounds(campaign):
+    order = np.arange(len(campaign))
+    one, two = np.cos(2.0 * np.pi * order / 5.0), np.sin(2.0 * np.pi * order / 3.0)
+    apart = separability(campaign, [following("one", one), following("two", two)])
+    assert max(each.inflation for each in apart.detections) < 1.3
+    assert apart.hardest_rival("one") == ("two", detection(apart, "one").typical_dph)
+    same = separability(campaign, [following("one", one), following("same", -3.0 * one)])
+    assert [each.inflation for each in same.detections] == [np.inf, np.inf]
+    assert same.correlation["one", "same"] == pytest.approx(1.0)
+    assert same.told_dph["one", "same"] == np.inf
+    assert same.not_told(1.0) == [("one", "same")]
+    assert not same.is_settled("one", 1.0)
+
+
+def test_what_the_declared_model_takes_is_not_seen(campaign):
+    told = separability(campaign, [following("cubic", (campaign.gyro_c[:, 0] / 50.0) ** 3)])
+    assert told.detections[0].typical_dph == np.inf
+    assert told.detections[0].lacks is not None
+    assert told.hardest_rival("cubic") is None
+    assert told.not_found(1.0) == ["cubic"]
+
+
+def test_an_effect_that_needs_what_is_not_measured_says_so(campaign):
+    told = separability(replace(campaign, set_c=np.full(len(campaign), np.nan)), all_effects())
+    assert detection(told, "chamber_state").lacks == "the chamber's set point"
+    assert not any("chamber_state" in pair for pair in told.told_dph)
+
+
+def test_the_worst_value_of_a_parameter_counts(campaign):
+    def late(_, values):
+        return np.repeat((np.arange(30) >= values[0]).astype(float)[:, None, None], 3, axis=1)
+
+    jump = Effect("jump", "", "", (Form(("after",), late, (Parameter("at", 0, 30, fixed(6, 14, 27)),)),))
+    found = detection(separability(campaign, [jump]), "jump")
+    assert found.largest_dph > 2.0 * found.typical_dph
+
+
+def test_the_last_cycle_is_held_out_unless_it_is_the_only_one():
+    _, plan = shipped("six_position_fig7")
+    whole = planned_campaign(plan, planned_unit(station()))
+    assert set(searched_dwells(whole).cycle.tolist()) == {1}
+    assert len(searched_dwells(searched_dwells(whole))) == 30

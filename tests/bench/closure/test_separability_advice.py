@@ -1,0 +1,78 @@
+"""Changes that are advised, and whether they help."""
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from bench.closure.effects import all_effects
+from bench.closure.planned_campaign import planned_campaign
+from bench.closure.separability import searched_dwells, separability
+from bench.closure.separability_advice import advise
+from bench.documents import Problem
+from bench.measurement.planned_unit import plan_on, planned_unit
+from tests.bench.closure.plans import shipped, station
+
+TARGET_DPH = 0.002
+
+
+def now_of(plan, unit):
+    return separability(searched_dwells(planned_campaign(plan, unit)), all_effects())
+
+
+@pytest.fixture(scope="module")
+def fig7():
+    document, plan = shipped("six_position_fig7")
+    unit = planned_unit(station())
+    return document, plan, unit, now_of(plan, unit)
+
+
+@pytest.fixture(scope="module")
+def advice(fig7):
+    document, plan, unit, now = fig7
+    return advise(document, plan, partial(plan_on, station()), unit, now, TARGET_DPH)
+
+
+def test_everything_that_is_not_told_is_answered_once(fig7, advice):
+    now = fig7[-1]
+    assert sorted(pair for each in advice for pair in each.pairs) == now.not_told(TARGET_DPH)
+    assert sorted(name for each in advice for name in each.found) == now.not_found(TARGET_DPH)
+
+
+def test_the_least_added_time_comes_first(advice):
+    hours = [each.added_h for each in advice if each.what]
+    assert hours == sorted(hours)
+    assert hours[0] < 5.0
+
+
+def test_what_a_change_loses_was_told_before(fig7, advice):
+    now = fig7[-1]
+    lost = {pair for each in advice for pair in each.lost}
+    # A lag of a minute looks like the rate on a ramp, and no dwell of the shipped procedure sees a ramp.
+    assert ("temperature_rate", "thermal_lag") in lost
+    assert not lost & set(now.not_told(TARGET_DPH))
+
+
+def test_nothing_is_advised_where_all_is_told(fig7):
+    document, plan, unit, now = fig7
+    assert advise(document, plan, partial(plan_on, station()), unit, now, target_dph=0.1) == []
+
+
+def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7):
+    document, plan, unit, now = fig7
+
+    def refuse(changed):
+        raise changed.error([Problem((), "the mount is in the way")])
+
+    [open_] = advise(document, plan, refuse, unit, now, TARGET_DPH)
+    assert open_.what == ()
+    assert list(open_.pairs) == now.not_told(TARGET_DPH)
+
+
+def test_sensors_cost_no_time(fig7):
+    document, plan, unit, _ = fig7
+    blind = replace(unit, has_boards=False, has_case=False)
+    first = advise(document, plan, partial(plan_on, station()), blind, now_of(plan, blind), TARGET_DPH)[0]
+    assert first.what == ("measure the temperature of each gyro's electronics",)
+    assert first.added_h == 0.0
+    assert "attitude_thermal" in first.found or "thermal_gradient" in first.found

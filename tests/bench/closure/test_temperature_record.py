@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+
+from bench.closure.campaign import campaign_of
+from bench.closure.temperature_record import TemperatureRecord, record_of_dwells
+from tests.bench.closure.thermal_bench import measure
+
+DWELL_S = 1800.0
+
+
+def of_course(temperature_c, starts_s, length_s=DWELL_S):
+    """Record of dwells in which all three gyros follow one function of time."""
+    inside_s = (np.arange(400) + 0.5) / 400 * length_s
+    courses = temperature_c(starts_s[:, None] + inside_s)
+    centred = inside_s - inside_s.mean()
+    rates = courses @ centred / (centred @ centred) * 3600.0
+    three = np.ones(3)
+    return record_of_dwells(
+        starts_s, starts_s + length_s, np.outer(courses.mean(axis=1), three), np.outer(rates, three)
+    ), courses
+
+
+def settling_c(time_s):
+    return 20.0 + 40.0 * (1.0 - np.exp(-time_s / 7200.0))
+
+
+def test_a_smooth_course_is_recovered_between_the_dwells_middles():
+    record, _ = of_course(settling_c, DWELL_S * np.arange(16))
+    inside = (record.time_s > DWELL_S) & (record.time_s < 15 * DWELL_S)
+    np.testing.assert_allclose(
+        record.gyro_c[inside], np.repeat(settling_c(record.time_s[inside])[:, None], 3, axis=1), atol=0.05
+    )
+
+
+def test_means_over_the_dwells_are_those_measured():
+    starts_s = DWELL_S * np.arange(16)
+    record, courses = of_course(settling_c, starts_s)
+    means = record.mean_over(record.gyro_c, starts_s, starts_s + DWELL_S)
+    np.testing.assert_allclose(means[1:-1, 0], courses.mean(axis=1)[1:-1], atol=0.01)
+    np.testing.assert_allclose(means[[0, -1], 0], courses.mean(axis=1)[[0, -1]], atol=0.2)
+
+
+def test_means_of_a_simulated_campaign_are_reproduced(clean):
+    means = clean.record.mean_over(clean.record.gyro_c, clean.start_s, clean.end_s)
+    np.testing.assert_allclose(means, clean.gyro_c, atol=0.1)
+
+
+def test_the_fine_course_of_a_simulated_campaign_is_recovered():
+    measured = measure(cycles=2)
+    record = campaign_of(measured.rows).record
+    true_c = np.interp(record.time_s / 3600.0, measured.course.time_h, measured.course.optics_c[:, 0])
+    assert np.sqrt(np.mean((record.gyro_c[:, 0] - true_c) ** 2)) < 0.1
+    assert np.abs(record.gyro_c[:, 0] - true_c).max() < 1.0
+
+
+def test_a_long_pause_is_bridged_without_running_away():
+    starts_s = np.concatenate([DWELL_S * np.arange(6), 40 * 3600.0 + DWELL_S * np.arange(6)])
+    record, _ = of_course(lambda time_s: np.where(time_s < 36_000.0, 20.0, 30.0) + 0.0 * time_s, starts_s)
+    assert record.gyro_c.min() > 19.9
+    assert record.gyro_c.max() < 30.1
+    assert np.diff(record.time_s) == pytest.approx(record.step_s)
+
+
+def test_beyond_the_first_and_last_middle_the_course_goes_on_straight():
+    record, _ = of_course(lambda time_s: 20.0 + time_s / 3600.0, DWELL_S * np.arange(5))
+    np.testing.assert_allclose(record.gyro_c[:, 0], 20.0 + record.time_s / 3600.0, atol=1e-6)
+
+
+def test_one_dwell_alone_has_one_temperature():
+    record = record_of_dwells(
+        np.array([0.0]), np.array([1800.0]), np.full((1, 3), 25.0), np.full((1, 3), 7.0)
+    )
+    assert len(record.time_s) >= 2
+    assert np.all(record.gyro_c == 25.0)
+
+
+def test_two_dwells_at_one_time_count_once():
+    times = np.array([0.0, 0.0, 1800.0, 3600.0])
+    temperatures = np.repeat([[20.0], [20.0], [21.0], [22.0]], 3, axis=1)
+    record = record_of_dwells(times, times + 1800.0, temperatures, np.full((4, 3), 2.0))
+    np.testing.assert_allclose(record.gyro_c[:, 1], 20.0 + (record.time_s - 900.0) / 1800.0, atol=1e-6)
+
+
+def test_means_of_a_straight_course_are_exact_also_off_the_grid():
+    record = TemperatureRecord(
+        np.arange(0.0, 101.0, 10.0), np.repeat(np.arange(0.0, 101.0, 10.0)[:, None], 3, 1)
+    )
+    squares = record.gyro_c * 0.0 + 5.0
+    starts, ends = np.array([0.0, 20.0, 30.0]), np.array([100.0, 40.0, 30.0 + 20.0])
+    np.testing.assert_allclose(record.mean_over(record.gyro_c, starts, ends)[:, 0], [50.0, 30.0, 40.0])
+    np.testing.assert_allclose(record.mean_over(squares, starts + 3.0, ends - 4.0), 5.0)

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from bench.closure.campaign import campaign_of
+from tests.bench.closure.thermal_bench import measure
+
+ALL = ("set", "air", "case", "board")
+
+
+def above_optics(measured):
+    """What the campaign says of the electronics above the optics, and what is true."""
+    course = measured.course
+    true_c = course.board_c - course.optics_c
+    steps = round((measured.rows[0].end_s - measured.rows[0].start_s) / 60.0)
+    starts = [round(row.start_s / 60.0) for row in measured.rows]
+    means_c = np.array([true_c[first : first + steps].mean(axis=0) for first in starts])
+    return campaign_of(measured.rows).above_optics_c, means_c
+
+
+@pytest.mark.parametrize("attitude_convection", [0.0, 0.3])
+def test_with_sensors_the_network_agrees_with_the_truth(attitude_convection):
+    told_c, true_c = above_optics(measure(cycles=2, attitude_convection=attitude_convection, sensors=ALL))
+    np.testing.assert_allclose(told_c, true_c, atol=0.3)
+    assert np.sqrt(np.mean((told_c - true_c) ** 2)) < 0.06
+
+
+def test_where_no_network_describes_the_temperatures_the_sensors_say_it():
+    measured = measure(cycles=2, power_steps_h=5.3, sensors=ALL)
+    told_c, true_c = above_optics(measured)
+    np.testing.assert_allclose(told_c, true_c, atol=0.03)
+
+
+def test_pauses_leave_the_sensors_alone_to_say_it():
+    told_c, true_c = above_optics(measure(cycles=2, pause_s=600.0, sensors=ALL))
+    np.testing.assert_allclose(told_c, true_c, atol=0.03)
+    assert campaign_of(measure(cycles=2, pause_s=600.0, sensors=("case",)).rows).above_optics_c is None
+
+
+def test_without_sensors_at_the_electronics_the_difference_is_known_but_for_scale_and_offset():
+    told_c, true_c = above_optics(measure(cycles=2, attitude_convection=0.3, sensors=("case",)))
+    for told, true in zip(told_c.T, true_c.T, strict=True):
+        line = np.polyval(np.polyfit(told, true, 1), told)
+        assert np.std(true - line) < 0.2 * np.std(true)

@@ -1,0 +1,168 @@
+"""The driver's compensation against what the emulated INS does with it, over the real frames."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bench.clock import VirtualClock
+from bench.documents import find_document
+from bench.station.instruments import Emulation, Instruments
+from bench.station.station import Station
+from drivers.emulators.bench import BenchAddress, emulated_bench
+from drivers.emulators.world.sensor_errors import DPH
+from drivers.ins import Compensation, Conditions
+
+_STEP_S = 10.0
+_DIFFERENCE = {"difference_low_k": np.full(3, 2.0), "difference_high_k": np.full(3, 60.0)}
+_ONSET = {"onset_c": np.array([30.0, 25.0, 20.0]), "onset_width_c": np.array([4.0, 5.0, 6.0]), **_DIFFERENCE}
+_VECTORS = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, -0.6], [0.7, -0.8, 0.9]])
+
+TERMS = {
+    "polynomial": {
+        "polynomial_dph": np.array([[0.5, -0.02, 3e-4, 1e-6], [-0.5, 0, 0, 1e-6], [0, 0.01, 0, 0]])
+    },
+    "temperature_rate": {
+        "rate_dph_per_c_per_h": np.array([0.02, -0.01, 0.03]),
+        "rate_limit_c_per_h": np.full(3, 90.0),
+    },
+    "thermal_gradient": {"gradient_dph_per_k": np.array([0.02, -0.01, 0.03]), **_DIFFERENCE},
+    "attitude_thermal": {"saturating_dph_per_k": 0.1 * _VECTORS, **_ONSET},
+    "attitude_thermal_growing": {"growing_dph_per_k": 0.01 * _VECTORS, **_ONSET},
+    "g_sensitivity": {"gravity_dph_per_g": _VECTORS},
+    "warm_up": {"warm_up_dph": np.array([0.5, -0.4, 0.3]), "warm_up_s": np.array([1800.0, 3600.0, 900.0])},
+    "thermal_hysteresis": {
+        "hysteresis_dph_per_k": np.array([0.1, -0.2, 0.3]),
+        "half_width_k": np.array([3.0, 4.0, 100.0]),
+    },
+}
+
+
+def compensation(name, **changes):
+    numbers = {"polynomial_dph": np.zeros((3, 1)), "low_c": np.full(3, -30.0), "high_c": np.full(3, 75.0)}
+    return Compensation(**{**numbers, **TERMS[name], **changes})
+
+
+class EmulatedIns:
+    """An INS without noise on its tilted table, in a chamber that has cooled for a while."""
+
+    def __init__(self):
+        self.clock = VirtualClock()
+        station = Station(find_document("stations", "emulated"))
+        self.instruments = Instruments(station, self.clock, Emulation("ideal"))
+        self.ins = self.instruments.ins
+        address = BenchAddress(self.clock.name, str(find_document("worlds", "ideal")), 0)
+        self.world = emulated_bench(address).world
+        self._courses = []
+        self._measured = []
+        self._feel_increments()
+        self.instruments.power_unit(True)
+        self._on_s = self.clock.now()
+        self._keep_temperatures()
+        self.instruments.table.prepare()
+        self.instruments.table.move_to(station.by_axis_number((35.0, 50.0)), 10.0)
+        self.run(600.0)
+        self.instruments.chamber.set_temperature(-10.0, 1.0)
+        self.instruments.chamber.switch(True)
+        self.run(2400.0)
+        self.ins.align()
+
+    def _feel_increments(self):
+        advance = self.world.unit.advance
+
+        def advance_and_keep(first, rotation, velocity):
+            self._measured.append(rotation.copy())
+            return advance(first, rotation, velocity)
+
+        self.world.unit.advance = advance_and_keep
+
+    def run(self, duration_s):
+        for _ in range(round(duration_s / _STEP_S)):
+            self.clock.sleep(_STEP_S)
+            self.ins.poll()
+            self._keep_temperatures()
+
+    def _keep_temperatures(self):
+        optics_c, electronics_c = self.world.thermal.optics_c.copy(), self.world.thermal.electronics_c.copy()
+        self._courses.append((self.clock.now() - self._on_s, optics_c, electronics_c))
+
+    def rate_dph(self):
+        """Mean rate that the gyros measure in ten seconds."""
+        self._measured.clear()
+        self.run(_STEP_S)
+        return np.concatenate(self._measured).mean(axis=0) * 100.0 / DPH
+
+    def expected_dph(self, compensation):
+        """What the driver's own model says, for true temperatures and attitude, of the last ten seconds."""
+        t, optics_c, board_c = map(np.array, zip(*self._courses, strict=True))
+        up_body = np.tile(self.world.attitude()[2], (len(t), 1))
+        rate_c_per_h = np.gradient(optics_c, t, axis=0) * 3600.0
+        return compensation.bias_dph(Conditions(optics_c, board_c, rate_c_per_h, up_body, t))[-2:].mean(
+            axis=0
+        )
+
+
+@pytest.fixture
+def emulated():
+    bench = EmulatedIns()
+    with bench.instruments:
+        yield bench
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_the_gyros_measure_less_by_what_each_term_says(emulated, name):
+    emulated.run(20.0)
+    before_dph = emulated.rate_dph()
+    loaded = compensation(name)
+    emulated.ins.load_compensation(loaded)
+    np.testing.assert_allclose(emulated.rate_dph(), before_dph, atol=1e-6)
+    emulated.ins.apply_compensation()
+    subtracted_dph = before_dph - emulated.rate_dph()
+    expected_dph = emulated.expected_dph(loaded)
+    assert np.abs(expected_dph).min() > 0.005
+    # The INS knows a rate of temperature minutes late, and single-precision numbers.
+    np.testing.assert_allclose(
+        subtracted_dph, expected_dph, rtol=0.15 if name == "temperature_rate" else 0.01
+    )
+
+
+def test_an_ins_that_compensates_says_so_and_names_it_until_it_is_cleared(emulated):
+    ins = emulated.ins
+    emulated.run(10.0)
+    assert (ins.status().compensation, ins.status().compensation_in_use) == (False, 0)
+    checksum = ins.load_compensation(compensation("g_sensitivity"))
+    ins.apply_compensation()
+    emulated.run(10.0)
+    assert (ins.status().compensation, ins.status().compensation_in_use) == (True, checksum)
+    other = ins.load_compensation(compensation("warm_up"))
+    emulated.run(10.0)
+    assert checksum == ins.status().compensation_in_use != other == ins.status().compensation_loaded
+    ins.clear_compensation()
+    emulated.run(10.0)
+    assert (ins.status().compensation, ins.status().compensation_in_use) == (False, 0)
+
+
+def test_a_power_cycle_loses_the_compensation(emulated):
+    emulated.run(20.0)
+    before_dph = emulated.rate_dph()
+    emulated.ins.load_compensation(compensation("g_sensitivity"))
+    emulated.ins.apply_compensation()
+    assert np.abs(emulated.rate_dph() - before_dph).max() > 0.1
+    emulated.instruments.power_unit(False)
+    emulated.run(10.0)
+    emulated.instruments.power_unit(True)
+    emulated.run(20.0)
+    assert emulated.ins.status().compensation is False
+    emulated.ins.align()
+    emulated.run(20.0)
+    np.testing.assert_allclose(emulated.rate_dph(), before_dph, atol=1e-6)
+
+
+def test_outside_the_fitted_temperatures_nothing_is_extrapolated(emulated):
+    coldest_c = math.ceil(emulated.world.thermal.optics_c.max()) + 5.0
+    emulated.run(20.0)
+    before_dph = emulated.rate_dph()
+    emulated.ins.load_compensation(compensation("polynomial", low_c=np.full(3, coldest_c)))
+    emulated.ins.apply_compensation()
+    held_dph = np.polynomial.polynomial.polyval(coldest_c, TERMS["polynomial"]["polynomial_dph"].T)
+    np.testing.assert_allclose(before_dph - emulated.rate_dph(), held_dph, rtol=1e-5)
