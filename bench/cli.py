@@ -237,11 +237,16 @@ def verify(
         _write_search(run.closure, closure, run.path)
     folder = out or run.verify
     verification = Verification(
-        run, closure, procedure, station or str(run.station), new_emulation(run, world, seed), folder
+        run,
+        closure,
+        procedure,
+        station or str(run.station),
+        new_emulation(run, world, seed),
+        folder,
+        [each.value for each in only or ()],
     )
-    wanted = verification.choose([each.value for each in only or ()])
-    missing = [name for name in wanted if not verification.is_there(name)]
-    job = verification.jobs[wanted[0]]
+    missing = [name for name in verification.wanted if not verification.is_there(name)]
+    job = verification.jobs[verification.wanted[0]]
     console.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
     for name in missing:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,10 @@ from bench.navigation.positions import POSITIONS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: Share of the dwells in which a sensor other than a gyro's may have said nothing.
+_MOST_HOLES = 0.1
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,12 @@ class Campaign:
         Measured biases and their standard uncertainties.
     record : TemperatureRecord
         The gyros' temperatures at all times, between dwells too.
+    unit : str
+        Serial number of the INS.
+    without_temperatures : tuple of int
+        Dwells of the table that have no place here, because a gyro's temperature lacks.
+    part_of : tuple of Campaign and ndarray of bool, or None
+        The campaign with the dwells that gave no result too, and which of its dwells these are.
     """
 
     run_names: tuple[str, ...]
@@ -62,10 +73,28 @@ class Campaign:
     bias_dph: FloatArray
     sigma_dph: FloatArray
     record: TemperatureRecord
+    unit: str
+    without_temperatures: tuple[int, ...] = ()
+    part_of: tuple[Campaign, BoolArray] | None = None
 
     def __len__(self) -> int:
         """How many dwells there are."""
         return len(self.dwell)
+
+    @property
+    def whole(self) -> Campaign:
+        """The campaign with the dwells that gave no result too; their biases may be NaN."""
+        return self if self.part_of is None else self.part_of[0]
+
+    def part(self, chosen: BoolArray) -> Campaign:
+        """Some of the dwells; what is told by the course of temperatures is still told by all."""
+        arrays: dict[str, Any] = {
+            each.name: value[chosen]
+            for each in fields(self)
+            if isinstance(value := getattr(self, each.name), np.ndarray)
+        }
+        position = tuple(name for name, taken in zip(self.position, chosen, strict=True) if taken)
+        return replace(self, **arrays, position=position, part_of=(self, chosen))
 
     @property
     def middle_s(self) -> FloatArray:
@@ -75,12 +104,16 @@ class Campaign:
     @cached_property
     def power_on_s(self) -> FloatArray:
         """Times at which the unit was switched on, in order; at least one."""
+        if self.part_of is not None:
+            return self.whole.power_on_s
         times = np.unique(np.round(self.start_s - self.since_power_on_s))
         return np.asarray(times[np.diff(times, prepend=-np.inf) > 1.0])
 
     @cached_property
     def run_shares(self) -> FloatArray:
         """Share of each dwell that belongs to each run, shape (n, runs): a dwell may hold a power-on."""
+        if self.part_of is not None:
+            return self.whole.run_shares[self.part_of[1]]
         runs = np.arange(len(self.run_names))
         shares: FloatArray = np.asarray(self.run[:, np.newaxis] == runs, dtype=np.float64)
         for on_s in self.power_on_s:
@@ -94,6 +127,8 @@ class Campaign:
     @cached_property
     def set_point_path_c(self) -> FloatArray:
         """See :func:`bench.closure.set_point_path.set_point_path`."""
+        if self.part_of is not None:
+            return self.whole.set_point_path_c[self.part_of[1]]
         return set_point_path(self.start_s, self.end_s, self.set_c, self.air_c)
 
     @cached_property
@@ -102,6 +137,9 @@ class Campaign:
 
         By the thermal network where that describes the temperatures, else as measured.
         """
+        if self.part_of is not None:
+            whole_c = self.whole.above_optics_c
+            return None if whole_c is None else whole_c[self.part_of[1]]
         fitted = electronics_above_optics(
             self.start_s, self.end_s, self.case_c, self.gyro_c, self.rate_c_per_h, self.board_c, self.up_body
         )
@@ -111,7 +149,7 @@ class Campaign:
 
 
 def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = None) -> Campaign:
-    """Gather the dwells that have a result and no flags.
+    """Gather the dwells that have a result and no flags; the others tell temperatures alone.
 
     Parameters
     ----------
@@ -123,39 +161,53 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
     Raises
     ------
     MeasurementError
-        No dwell is good, or the dwells are of several units.
+        No dwell has a result, or the dwells are of several units.
     """
-    good = sorted((row for row in rows if not row.flags), key=lambda row: (row.start_s, row.dwell))
-    if not good:
+    ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
+    warm = [row for row in ordered if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()]
+    good = [not row.flags and bool(np.isfinite([*row.bias_dph, *row.sigma_dph]).all()) for row in warm]
+    if not any(good):
         raise MeasurementError("no dwell of the table has a result without flags: there is nothing to search")
-    units = sorted({row.unit for row in good})
+    units = sorted({row.unit for row in warm})
     if len(units) > 1:
         raise MeasurementError(
             f"the table holds dwells of {len(units)} units ({', '.join(units)}); give one table a unit"
         )
-    names = list(dict.fromkeys(row.run for row in good))
+    names = list(dict.fromkeys(row.run for row in warm))
 
     def gather(name: str) -> FloatArray:
-        return np.array([getattr(row, name) for row in good], dtype=np.float64)
+        return np.array([getattr(row, name) for row in warm], dtype=np.float64)
 
     start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
-    return Campaign(
+    boards = gather("board_c").T
+    whole = Campaign(
         run_names=tuple(names),
-        position=tuple(row.position for row in good),
-        dwell=np.array([row.dwell for row in good]),
-        cycle=np.array([row.cycle for row in good]),
-        run=np.array([names.index(row.run) for row in good]),
-        up_body=np.array([POSITIONS[row.position].C_nb()[2] for row in good]),
+        position=tuple(row.position for row in warm),
+        dwell=np.array([row.dwell for row in warm]),
+        cycle=np.array([row.cycle for row in warm]),
+        run=np.array([names.index(row.run) for row in warm]),
+        up_body=np.array([POSITIONS[row.position].C_nb()[2] for row in warm]),
         start_s=start_s,
         end_s=end_s,
         since_power_on_s=gather("since_power_on_s"),
-        set_c=gather("chamber_set_c"),
-        air_c=gather("chamber_c"),
-        case_c=gather("case_c"),
+        set_c=_without_holes(start_s, gather("chamber_set_c")),
+        air_c=_without_holes(start_s, gather("chamber_c")),
+        case_c=_without_holes(start_s, gather("case_c")),
         gyro_c=gyro_c,
         rate_c_per_h=rate_c_per_h,
-        board_c=gather("board_c"),
+        board_c=np.stack([_without_holes(start_s, board_c) for board_c in boards], axis=1),
         bias_dph=gather("bias_dph"),
         sigma_dph=gather("sigma_dph"),
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
+        unit=units[0],
+        without_temperatures=tuple(row.dwell for row in ordered if row not in warm),
     )
+    return whole if all(good) else whole.part(np.array(good))
+
+
+def _without_holes(time_s: FloatArray, readings: FloatArray) -> FloatArray:
+    """Put straight lines across missing readings where they are few; leave them out where they are many."""
+    known = np.isfinite(readings)
+    if np.mean(known) < 1.0 - _MOST_HOLES:
+        return readings
+    return np.interp(time_s, time_s[known], readings[known])

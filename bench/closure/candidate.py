@@ -58,15 +58,11 @@ def starts(form: Form, campaign: Campaign) -> list[tuple[float, ...]]:
     return list(itertools.product(*grids))
 
 
-def fit_form(problem: Problem, effect: Effect, form: Form) -> Candidate | None:
-    """Find the parameters with which a form explains most of what is left; None if it explains nothing."""
+def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
+    """Form with the parameters, of those that it starts from, that explain most of what is left."""
     tried = starts(form, problem.campaign)
     gains = [problem.gain(form.columns(problem.campaign, values))[0] for values in tried]
-    best = int(np.argmax(gains))
-    if not gains[best] > 0.0:
-        return None
-    kept = np.ones((3, len(form.terms)), dtype=bool)
-    return refine(problem, [Candidate(effect, form, tried[best], kept)])[0]
+    return Candidate(effect, form, tried[int(np.argmax(gains))], np.ones((3, len(form.terms)), dtype=bool))
 
 
 def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.closure.campaign import Campaign
-from bench.closure.candidate import Candidate, refine, stack
+from bench.closure.candidate import Candidate, stack
 from bench.closure.confirmation import leave_out_cycles, pooled_gain, without_unseen_constants
-from bench.closure.effect_set import EffectSet, evaluate, price, scored
+from bench.closure.effect_set import EffectSet, evaluate, scored
 from bench.closure.effects import all_effects
 from bench.closure.effects.effect import Effect
 from bench.closure.lack_of_fit import LackOfFit, lack_of_fit
@@ -30,6 +30,8 @@ NOISE_TOLERANCE = 1.25
 #: Beside something unexplained an effect stays only if it takes away this share of the squares of all
 #: cycles left out, and makes this share of them better.
 PROVEN_SHARE, PROVEN_CYCLES = 0.5, 0.75
+#: Sets that take away this share at least are carried on with, so many at each step.
+PROMISING_SHARE, PROVEN_BEAM = 0.3, 4
 _NO_STRUCTURE_P = 0.05
 
 
@@ -76,7 +78,8 @@ class Evidence:
     candidate : Candidate or None
         As fitted alone; None where the data don't show it at all.
     share : float
-        Share of the sum of squares beyond the noise that it takes away; 1 is all.
+        Share of the sum of squares beyond the noise that it takes away; 1 is all. NaN where nothing is
+        beyond the noise.
     p_value : float
         Probability that chance gives as much, over all that was tried.
     score_behind : float
@@ -248,49 +251,30 @@ def _proven(of: Search, noise_ratio: float) -> EffectSet:
     """Effects that stay although something is left, because they show in cycles left out.
 
     What is left, not the noise, is what unknowns are paid with: its size takes the place of the
-    noise. Either the best set is what is proven, less the effects that fail, or what grows from
-    nothing one effect at a time; the one that takes away more of the cycles left out.
+    noise. Sets grow by what they take away in cycles left out, and the one counts that takes away
+    most and of which each effect is proven beside the others.
     """
     scale = of.problem.noise_scale * noise_ratio
     search = Search(declared_problem(of.problem.campaign, of.problem.searched, scale), of.effects)
-    sets = (_shrunk(search), _grown(search), search.nothing)
-    best = max(
-        sets, key=lambda each: pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values())
-    )
+    best, best_gain, beam = search.nothing, 0.0, [search.nothing]
+    for _ in range(MOST_EFFECTS):
+        larger = [each for one in beam for effect in search.effects if (each := search.add(one, effect))]
+        gains = [
+            pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values()) for each in larger
+        ]
+        order = np.argsort(gains)[::-1][:PROVEN_BEAM]
+        beam = [larger[index] for index in order if gains[index] > PROMISING_SHARE]
+        for each, gain in zip(beam, (gains[index] for index in order), strict=False):
+            if gain > best_gain and all(_is_proven(search.problem, each, one) for one in each.candidates):
+                best, best_gain = each, gain
     return scored(of.problem, best.candidates)
 
 
-def _shrunk(search: Search) -> EffectSet:
-    """Best set; of it go, one by one and the weakest first, the effects that are not proven."""
-    found = search.best()
-    while found.candidates:
-        shares = [_proven_share(search.problem, found, each) for each in found.candidates]
-        weakest = int(np.argmin(shares))
-        if shares[weakest] > 0.0:
-            break
-        others = _without(found, found.candidates[weakest])
-        found = evaluate(search.problem, refine(search.problem, others))
-    return found
-
-
-def _grown(search: Search) -> EffectSet:
-    """Effects that are proven beside those before them, the strongest first."""
-    found = search.nothing
-    while len(found.candidates) < MOST_EFFECTS:
-        larger = [each for effect in search.effects if (each := search.add(found, effect)) is not None]
-        shares = [_proven_share(search.problem, each, each.candidates[-1]) for each in larger]
-        if max(shares, default=0.0) <= 0.0:
-            break
-        found = larger[int(np.argmax(shares))]
-    return found
-
-
-def _proven_share(problem: Problem, of: EffectSet, one: Candidate) -> float:
-    """Share of the squares of cycles left out that one effect takes away; 0 if that proves nothing."""
+def _is_proven(problem: Problem, of: EffectSet, one: Candidate) -> bool:
+    """Whether one effect takes away most of the squares of cycles left out, and of most of them."""
     cycles = leave_out_cycles(problem, _without(of, one), of.candidates).values()
-    share = pooled_gain(cycles)
     better = sum(each.gain > 0.0 for each in cycles)
-    return share if share > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles) else 0.0
+    return pooled_gain(cycles) > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles)
 
 
 def _without(of: EffectSet, one: Candidate) -> list[Candidate]:
@@ -315,7 +299,7 @@ def _found_effects(
         left_out_cycles = leave_out_cycles(problem, _without(found, each), found.candidates)
         part = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
         part = part - part.mean(axis=0)
-        shows = np.sum((part / problem.sigma_dph) ** 2, axis=0) > price(problem)
+        shows = search.shows(found, index)
         result.append(
             FoundEffect(
                 candidate=each,
@@ -332,7 +316,7 @@ def _found_effects(
 
 def _evidence(search: Search, found: EffectSet) -> tuple[Evidence, ...]:
     problem = search.problem
-    beyond = max(problem.chi2 - problem.freedom, 1e-9)
+    beyond = problem.chi2 - problem.freedom
     result = []
     for effect in search.effects:
         lacks = [form.lacks(problem.campaign) for form in effect.forms]
@@ -342,7 +326,7 @@ def _evidence(search: Search, found: EffectSet) -> tuple[Evidence, ...]:
         elif alone is None:
             result.append(Evidence(effect, score_behind=search.nothing.score - found.score))
         else:
-            share = (problem.chi2 - alone.chi2) / beyond
+            share = (problem.chi2 - alone.chi2) / beyond if beyond > 0.0 else np.nan
             p_value, behind = search.p_value(alone, 0), alone.score - found.score
             result.append(Evidence(effect, None, alone.candidates[0], share, p_value, behind))
     return tuple(sorted(result, key=lambda each: (each.lacks is not None, each.score_behind)))

@@ -89,11 +89,12 @@ def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph
 
 
 def _can_tell(rest: Problem, candidate: Candidate, left_out: BoolArray) -> bool:
-    columns = candidate.columns(rest.campaign)
-    for gyro in range(3):
-        for term in np.flatnonzero(candidate.kept[gyro]):
-            values = columns[:, gyro, term]
-            inside, outside = values[left_out], values[rest.searched]
-            if np.std(outside) < _LEAST_LENGTH * np.std(inside):
-                return False
-    return True
+    """Whether the terms are long enough in the rest, beside the declared model, for the cycle left out."""
+    campaign = rest.campaign
+    columns = candidate.columns(campaign)
+    cycle = columns[left_out] - columns[left_out].mean(axis=0)
+    weighted = cycle / (campaign.sigma_dph[left_out] * rest.noise_scale)[:, :, np.newaxis]
+    asked = np.concatenate(
+        [np.linalg.norm(weighted[:, gyro, candidate.kept[gyro]], axis=0) for gyro in range(3)]
+    )
+    return bool(np.all(rest.lengths_beside(columns, candidate.kept) >= _LEAST_LENGTH * asked))

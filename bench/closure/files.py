@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from bench.bias.tables.csv_text import format_csv, write_text
 from bench.closure.closure import Closure, FoundEffect
-from bench.closure.problem import DEGREE, SCALE_C
+from bench.closure.problem import DEGREE, SCALE_C, predict
 from bench.closure.wording import separating_measurement, statement, whereabouts
 from bench.errors import RunFolderError
 from bench.navigation.positions import AXES
@@ -83,7 +85,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
             {
                 "effect": each.effect.name,
                 "lacks": each.lacks,
-                "share_explained_alone": None if each.candidate is None else each.share,
+                "share_explained_alone": None if math.isnan(each.share) else each.share,
                 "p_value_alone": None if each.candidate is None else each.p_value,
             }
             for each in closure.evidence
@@ -92,17 +94,18 @@ def closure_document(closure: Closure) -> dict[str, Any]:
 
 
 def format_predictions(closure: Closure) -> str:
-    """CSV text: both models' bias of every dwell of the campaign."""
-    rows = zip(
-        closure.campaign.dwell.tolist(),
-        closure.declared.bias_dph.tolist(),
-        closure.model.bias_dph.tolist(),
-        strict=True,
-    )
-    return format_csv(
-        PREDICTION_COLUMNS,
-        ([str(dwell), *(f"{value:.9g}" for value in (*before, *after))] for dwell, before, after in rows),
-    )
+    """CSV text: both models' bias of every dwell of the table; empty where a temperature lacks."""
+    whole = closure.campaign.whole
+    columns = [each.candidate.columns(whole) for each in closure.effects]
+    before = predict(whole, closure.declared.declared, [], [])
+    after = predict(whole, closure.model.declared, [each.sizes_dph for each in closure.effects], columns)
+    known = dict(zip(whole.dwell.tolist(), np.hstack([before, after]).tolist(), strict=True))
+    nothing: list[float] = [math.nan] * 6
+    rows = [
+        [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in known.get(dwell, nothing))]
+        for dwell in sorted([*known, *whole.without_temperatures])
+    ]
+    return format_csv(PREDICTION_COLUMNS, rows)
 
 
 def model_document(closure: Closure) -> dict[str, Any]:

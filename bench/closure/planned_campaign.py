@@ -117,6 +117,7 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
         bias_dph=np.zeros((len(navigations), 3)),
         sigma_dph=_for_gyros(sigma_dph),
         record=TemperatureRecord(forecast.time_s, _for_gyros(forecast.optics_c)),
+        unit="planned",
     )
 
 

@@ -87,6 +87,15 @@ class Problem:
             rank += int(told.sum())
         return gain, rank
 
+    def lengths_beside(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
+        """Length of each kept term that the columns so far don't make up, in standard deviations."""
+        scales = [columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis] for gyro in range(3)]
+        lengths = [
+            np.linalg.norm(_rest(basis, scale[:, mine]), axis=0)
+            for basis, scale, mine in zip(self.bases, scales, kept, strict=True)
+        ]
+        return np.concatenate(lengths)
+
     def share_left(self, columns: FloatArray, kept: BoolArray | None = None) -> float:
         """Largest share of a term, beside the declared model, that the columns so far do not make up."""
         declared = declared_problem(self.campaign, self.searched, self.noise_scale)
@@ -136,7 +145,7 @@ class Solution:
     sizes : list of ndarray, each of shape (3, k)
         Sizes of the terms of each set of columns, deg/h; zero where not kept.
     bias_dph : ndarray, shape (n, 3)
-        The model in all dwells; a run that was not searched has the mean constant of the others.
+        The model in all dwells of the campaign.
     """
 
     declared: FloatArray
@@ -149,7 +158,6 @@ def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> So
     campaign, searched = problem.campaign, problem.searched
     declared = np.full((3, DEGREE + len(campaign.run_names)), np.nan)
     sizes = [np.zeros(kept.shape) for _, kept in terms]
-    bias_dph = np.empty_like(campaign.bias_dph)
     for gyro in range(3):
         base = declared_columns(campaign, gyro)
         known = np.any(base[searched] != 0.0, axis=0)
@@ -160,13 +168,32 @@ def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> So
         values = np.linalg.lstsq(weighted / lengths, data, rcond=_LEAST_SHARE)[0] / lengths
         parts = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
         declared[gyro, known] = parts[0]
-        constants = declared[gyro, DEGREE:]
-        constants = np.where(np.isnan(constants), np.nanmean(constants), constants)
-        bias_dph[:, gyro] = base @ np.concatenate([declared[gyro, :DEGREE], constants])
-        for size, part, (columns, kept) in zip(sizes, parts[1:], terms, strict=True):
+        for size, part, (_, kept) in zip(sizes, parts[1:], terms, strict=True):
             size[gyro, kept[gyro]] = part
-            bias_dph[:, gyro] += columns[:, gyro] @ size[gyro]
-    return Solution(declared, sizes, bias_dph)
+    return Solution(declared, sizes, predict(campaign, declared, sizes, [columns for columns, _ in terms]))
+
+
+def predict(
+    campaign: Campaign, declared: FloatArray, sizes: Sequence[FloatArray], columns: Sequence[FloatArray]
+) -> FloatArray:
+    """Bias (n, 3) by a fitted model in a campaign's dwells, deg/h.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With the runs that the model was fitted to, and others: those have the mean constant.
+    declared, sizes : ndarray, shape (3, DEGREE + runs), and sequence of ndarray, shape (3, k)
+        As in :class:`Solution`.
+    columns : sequence of ndarray, shape (n, 3, k)
+        Terms of the effects.
+    """
+    constants = declared[:, DEGREE:]
+    known = np.where(np.isnan(constants), np.nanmean(constants, axis=1, keepdims=True), constants)
+    whole = np.concatenate([declared[:, :DEGREE], known], axis=1)
+    bias_dph = np.stack([declared_columns(campaign, gyro) @ whole[gyro] for gyro in range(3)], axis=1)
+    for size, terms in zip(sizes, columns, strict=True):
+        bias_dph += np.einsum("ngk,gk->ng", terms, size)
+    return bias_dph
 
 
 def _basis(columns: FloatArray) -> FloatArray:

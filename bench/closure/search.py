@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from bench.closure.candidate import fit_form, refine, stack, starts
+from bench.closure.candidate import Candidate, best_start, refine, stack, starts
 from bench.closure.effect_set import EffectSet, evaluate
 from bench.closure.effects.effect import Effect
 from bench.closure.problem import Problem
@@ -22,7 +22,13 @@ MOST_EFFECTS = 3
 #: Sets of effects that are carried on with at each step.
 _BEAM = 3
 #: An effect whose terms another one's can make up to this share of their length is a case of it.
-_SAME_SHARE = 0.02
+SAME_SHARE = 0.05
+#: One dwell may hold up to this share of what an effect explains.
+MOST_OF_ONE_DWELL = 0.5
+#: Better parameters than those it starts from let an effect explain this many times as much, at most.
+_MOST_REFINED = 3.0
+#: Times that effects of the best set are exchanged for better ones.
+_MOST_EXCHANGES = 6
 
 
 class Search:
@@ -67,7 +73,7 @@ class Search:
             if not beam or beam[0].score >= best.score:
                 break
             best = beam[0]
-        return best
+        return self._exchanged(best)
 
     def add(self, to: EffectSet, effect: Effect) -> EffectSet | None:
         """Add one effect in its best form, all parameters fitted anew; None if it adds nothing."""
@@ -77,12 +83,17 @@ class Search:
 
     def p_value(self, of: EffectSet, index: int) -> float:
         """Probability that chance gives one effect of a set as much, over all effects and starts tried."""
-        problem, one = self.problem, of.candidates[index]
-        others = [each for number, each in enumerate(of.candidates) if number != index]
-        beside = problem.with_columns(stack(others, problem.campaign)[0]) if others else problem
-        gain, rank = beside.gain(one.columns(problem.campaign))
-        tried = sum(len(starts(form, problem.campaign)) for form in one.effect.forms) * len(self.effects)
-        return min(1.0, _chance(gain, rank + len(one.values)) * tried)
+        one = of.candidates[index]
+        gain, rank = self._beside_others(of, index).gain(one.columns(self.problem.campaign))
+        tried = sum(len(starts(form, self.problem.campaign)) for form in one.effect.forms)
+        return min(1.0, _chance(gain, rank + len(one.values)) * tried * len(self.effects))
+
+    def shows(self, of: EffectSet, index: int) -> list[bool]:
+        """Whether each gyro by itself shows one effect of a set."""
+        one = of.candidates[index]
+        beside, columns = self._beside_others(of, index), one.columns(self.problem.campaign)
+        gyros = [beside.gain(columns, one.kept & (np.arange(3) == gyro)[:, np.newaxis]) for gyro in range(3)]
+        return [_chance(gain, max(rank, 1)) < SIGNIFICANCE for gain, rank in gyros]
 
     def rivals(self, of: EffectSet, index: int) -> tuple[str, ...]:
         """Names of effects that do about as well in the place of one, best first.
@@ -108,26 +119,75 @@ class Search:
         beside = problem.with_columns(*stack(to.candidates, campaign)) if to.candidates else problem
         sets = []
         for form in effect.forms:
-            candidate = None if form.lacks(campaign) else fit_form(beside, effect, form)
-            if candidate is None:
+            if form.lacks(campaign):
                 continue
+            start = best_start(beside, effect, form)
+            gain, rank = beside.gain(start.columns(campaign))
+            if _chance(_MOST_REFINED * gain, rank + len(start.values)) >= SIGNIFICANCE:
+                continue
+            [candidate] = refine(beside, [start])
             gain, rank = beside.gain(candidate.columns(campaign))
             if _chance(gain, rank + len(candidate.values)) < SIGNIFICANCE:
                 whole = [replace(each, kept=np.ones_like(each.kept)) for each in (*to.candidates, candidate)]
                 sets.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
         return min(sets, key=lambda each: each.score, default=None)
 
+    def _exchanged(self, best: EffectSet) -> EffectSet:
+        """Set in which no effect has a better one in its place: early ones may be stand-ins for several."""
+        for _ in range(_MOST_EXCHANGES if len(best.candidates) > 1 else 0):
+            fewer = [
+                evaluate(self.problem, [each for each in best.candidates if each is not one])
+                for one in best.candidates
+            ]
+            others = [effect for effect in self.effects if effect.name not in best.names]
+            found = [self.add(each, effect) for each in fewer for effect in others]
+            better = [
+                each
+                for each in found
+                if each is not None and each.score < best.score and self._all_significant(each)
+            ]
+            if not better:
+                break
+            best = min(better, key=lambda each: each.score)
+        return best
+
     def _all_significant(self, of: EffectSet) -> bool:
-        return all(self.p_value(of, index) < SIGNIFICANCE for index in range(len(of.candidates)))
+        return all(
+            self.p_value(of, index) < SIGNIFICANCE and not self._rests_on_one_dwell(of, index)
+            for index in range(len(of.candidates))
+        )
+
+    def _rests_on_one_dwell(self, of: EffectSet, index: int) -> bool:
+        """Whether one dwell holds most of what an effect explains beside the others: an outlier may, too."""
+        beside, one = self._beside_others(of, index), of.candidates[index]
+        after = beside.with_columns(one.columns(self.problem.campaign))
+        explained = np.sum((beside.residuals - after.residuals) ** 2, axis=1)
+        return bool(explained.max() > MOST_OF_ONE_DWELL * explained.sum())
+
+    def _beside_others(self, of: EffectSet, index: int) -> Problem:
+        """Problem without what the other effects of a set, with all their terms, explain."""
+        others = [each for number, each in enumerate(of.candidates) if number != index]
+        return self.problem.with_columns(stack(others, self.problem.campaign)[0]) if others else self.problem
 
     def _is_case_of(self, special: EffectSet, general: EffectSet) -> bool:
-        campaign = self.problem.campaign
-        if sum(each.unknowns for each in general.candidates) <= sum(
-            each.unknowns for each in special.candidates
-        ):
+        """Whether one set makes up another with its terms as fitted, or at the lower bound of a parameter."""
+        unknowns = [sum(each.unknowns for each in of.candidates) for of in (special, general)]
+        if unknowns[1] <= unknowns[0]:
             return False
-        general_columns, special_columns = (stack(each.candidates, campaign) for each in (general, special))
-        return self.problem.with_columns(*general_columns).share_left(*special_columns) < _SAME_SHARE
+        wanted = stack(special.candidates, self.problem.campaign)
+        return any(
+            self.problem.with_columns(*stack(each, self.problem.campaign)).share_left(*wanted) < SAME_SHARE
+            for each in (general.candidates, *_limits(general.candidates))
+        )
+
+
+def _limits(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
+    """Candidates with one parameter at its lower bound, for each of them that has one."""
+    for place, each in enumerate(candidates):
+        for index, parameter in enumerate(each.form.parameters):
+            if np.isfinite(parameter.low):
+                values = (*each.values[:index], parameter.low, *each.values[index + 1 :])
+                yield [*candidates[:place], replace(each, values=values), *candidates[place + 1 :]]
 
 
 def _chance(gain: float, unknowns: int) -> float:

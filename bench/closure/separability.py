@@ -29,7 +29,7 @@ from bench.closure.effect_set import price
 from bench.closure.effect_shapes import NOTHING, Fit, Truth, basis_of, rivals, truths
 from bench.closure.effects.effect import Effect
 from bench.closure.problem import Problem, declared_problem
-from bench.closure.search import SIGNIFICANCE, TIE_MARGIN
+from bench.closure.search import SAME_SHARE, SIGNIFICANCE, TIE_MARGIN
 
 FloatArray = NDArray[np.float64]
 
@@ -38,8 +38,6 @@ POWER = 0.9
 _DIFFERENT_DWELLS = "dwells that differ more in what the effect follows"
 #: Sizes between which the smallest one is looked for, deg/h.
 _SIZES_DPH = np.geomspace(1e-6, 10.0, 1401)
-#: What the search takes for a special case of a rival, which is preferred to it.
-_SAME_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,7 @@ def _is_case_of(special: Fit, general: Fit) -> bool:
         return False
     made_up = general.basis @ (np.swapaxes(general.basis, 1, 2) @ special.terms)
     left, whole = (np.linalg.norm(each, axis=1) for each in (special.terms - made_up, special.terms))
-    return bool(np.all(left <= _SAME_SHARE * whole))
+    return bool(np.all(left <= SAME_SHARE * whole))
 
 
 def _score(true: Truth, fitted: Fit, price_of_unknown: float) -> FloatArray:

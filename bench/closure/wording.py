@@ -6,11 +6,14 @@ import numpy as np
 
 from bench.closure.closure import Closure, FoundEffect, listed
 
+_S_PER_H = 3600.0
+_UNITS = {"c": "degC"}
+
 
 def statement(found: FoundEffect) -> str:
     """One sentence: what the bias does, on which gyros, how much, with which parameters."""
     parameters = ", ".join(
-        f"{each.name} {value:.4g}"
+        _parameter(each.name, value)
         for each, value in zip(found.candidate.form.parameters, found.candidate.values, strict=True)
     )
     gyros = f"{listed(found.axes)} gyro{'s' if len(found.axes) > 1 else ''}"
@@ -19,16 +22,24 @@ def statement(found: FoundEffect) -> str:
     return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
 
 
+def _parameter(name: str, value: float) -> str:
+    """Name and value of a parameter with its unit: "tau 1.5 h", "onset width 4.2 degC"."""
+    words, _, unit = name.replace("_", " ").rpartition(" ")
+    if unit == "s" and abs(value) >= _S_PER_H:
+        return f"{words} {value / _S_PER_H:.2f} h"
+    return f"{words} {value:.3g} {_UNITS.get(unit, unit)}"
+
+
 def separating_measurement(closure: Closure) -> str | None:
     """What to measure next to split the first tie; None without ties."""
     experiments = {each.effect.name: each.effect.experiment for each in closure.evidence}
     for found in closure.effects:
         if found.tied_with:
             other = found.tied_with[0]
-            name = found.candidate.effect.name
+            one = found.candidate.effect
             return (
-                f"To tell {name} from {other}: {found.candidate.effect.experiment}; for {other}: "
-                f"{experiments[other]}."
+                f"To tell {_shown(one.name)} from {_shown(other)}: {one.experiment}; "
+                f"for {_shown(other)}: {experiments[other]}."
             )
     return None
 
@@ -47,9 +58,14 @@ def whereabouts(closure: Closure) -> str | None:
     low_h, high_h = _worst_span(campaign.middle_s[searched] / 3600.0, squares)
     return (
         f"{size:.2g} deg/h rms is left, {closure.after.noise_ratio:.1f} times the noise; it follows "
-        f"{closure.after.follows} most clearly, and is largest in position {position}, at {low_c:.0f} to "
-        f"{high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
+        f"{closure.after.follows} most clearly, and is largest in position {_shown(position)}, "
+        f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
     )
+
+
+def _shown(name: str) -> str:
+    """Name of a position or an effect for a person."""
+    return name.replace("_", " ")
 
 
 def _worst_span(

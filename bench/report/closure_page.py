@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bench.closure.closure import Closure
-from bench.errors import RunFolderError
 from bench.files import write_whole
 from bench.report.closure_residuals import held_out_cycles
 from bench.report.closure_section import closure_sections
 from bench.report.closure_wording import verdict_sentence
 from bench.report.pages import render_page
-from bench.report.sections import Section
-from bench.report.style import save_figure
+from bench.report.section_figures import save_section_figures
 from bench.report.wording import counted
 
 _TEMPLATE = "closure.html.j2"
@@ -48,7 +45,7 @@ def write_closure_page(folder: Path, closure: Closure, source: str) -> Path:
     sections = closure_sections(closure)
     page = render_page(
         _TEMPLATE,
-        _save_figures(folder / "figures", sections),
+        save_section_figures(folder / "figures", sections),
         source=source,
         verdict=closure.verdict,
         colour=_COLOURS[closure.verdict],
@@ -59,18 +56,6 @@ def write_closure_page(folder: Path, closure: Closure, source: str) -> Path:
     path = folder / "closure.html"
     write_whole(path, page.encode())
     return path
-
-
-def _save_figures(folder: Path, sections: Sequence[Section]) -> list[Path]:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise RunFolderError(f"{folder}: can't be made: {error.strerror}") from error
-    paths = []
-    for drawn in (figure for section in sections for figure in section.figures):
-        paths.append(folder / f"{drawn.name}.png")
-        save_figure(drawn.figure, paths[-1])
-    return paths
 
 
 def _facts(closure: Closure) -> dict[str, str]:

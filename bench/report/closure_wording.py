@@ -111,6 +111,12 @@ def runner_up_sentence(closure: Closure) -> str:
     if not others or closure.verdict == "clean":
         return ""
     best = min(others, key=lambda each: each.score_behind)
+    if not names and rests_on_noise(closure):
+        best = min(others, key=lambda each: each.p_value)
+        return (
+            f"The best of the effects tried is {effect_label(best.effect.name)}; chance gives as much as it "
+            f"explains, alone, with {p_phrase(best.p_value)}."
+        )
     if not names:
         return (
             f"The best of the effects tried, {effect_label(best.effect.name)}, takes away "

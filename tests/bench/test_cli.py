@@ -212,9 +212,17 @@ def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
     assert "Report" in printed
 
 
+def test_a_compensation_that_is_no_compensation_file_is_told_before_anything_moves(tmp_path):
+    (tmp_path / "wrong.yaml").write_text("low_c: [0, 0, 0]\n")
+    result = gyrobench("run", "ten_minute_check", "--compensation", "wrong.yaml", cwd=tmp_path)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert "wrong.yaml:1:1: the key 'polynomial_dph' is missing" in result.stderr
+    assert not (tmp_path / "runs").exists()
+
+
 def test_help_names_every_command_with_an_example(tmp_path):
     overview = gyrobench("--help", cwd=tmp_path).stdout
-    for command in ("run", "plan", "bins", "close"):
+    for command in ("run", "plan", "bins", "close", "verify"):
         assert command in overview
         assert f"Example: gyrobench {command}" in gyrobench(command, "--help", cwd=tmp_path).stdout
 

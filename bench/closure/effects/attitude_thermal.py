@@ -3,7 +3,8 @@
 Warm air rises: what convection carries from the electronics to the optics depends on the direction
 of gravity. The flow goes with the electronics' temperature above the optics. Above an onset
 temperature the bias no longer depends on attitude; below it the dependence is constant
-(saturating), or grows the colder it gets (growing).
+(saturating), or grows the colder it gets (growing). Where nothing tells the flow it is taken to be
+constant.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from bench.closure.effects.effect import (
     above_optics_c,
     fixed,
     needs_electronics,
+    needs_positions,
 )
 
 _ONSET = (
@@ -40,14 +42,38 @@ def _growing(below: FloatArray) -> FloatArray:
 
 def _form(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
     def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-        onset_c, width_c = values
         flow_k = above_optics_c(campaign)
-        part = flow_k * shape((onset_c - campaign.gyro_c) / width_c)
-        along = part[:, :, None] * campaign.up_body[:, None, :]
-        return np.concatenate([flow_k[:, :, None], along], axis=2)
+        return np.concatenate([flow_k[:, :, None], _along(campaign, flow_k, values, shape)], axis=2)
+
+    def lacks(campaign: Campaign) -> str | None:
+        return needs_positions(campaign) or needs_electronics(campaign)
 
     terms = ("heat flow, K", *(f"heat flow by gravity along {axis}, K" for axis in "xyz"))
-    return Form(terms, columns, _ONSET, needs_electronics, name)
+    return Form(terms, columns, _ONSET, lacks, name)
+
+
+def _form_without_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
+    def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+        return _along(campaign, np.ones_like(campaign.gyro_c), values, shape)
+
+    def lacks(campaign: Campaign) -> str | None:
+        known = "nothing: the heat flow is known" if needs_electronics(campaign) is None else None
+        return needs_positions(campaign) or known
+
+    terms = tuple(f"gravity along {axis} in the cold" for axis in "xyz")
+    return Form(terms, columns, _ONSET, lacks, name)
+
+
+def _along(
+    campaign: Campaign,
+    flow: FloatArray,
+    onset: tuple[float, ...],
+    shape: Callable[[FloatArray], FloatArray],
+) -> FloatArray:
+    """Parts of a flow (n, 3) that follow gravity along the body axes below the onset: (n, 3, 3)."""
+    onset_c, width_c = onset
+    part = flow * shape((onset_c - campaign.gyro_c) / width_c)
+    return part[:, :, None] * campaign.up_body[:, None, :]
 
 
 EFFECT = Effect(
@@ -61,5 +87,10 @@ EFFECT = Effect(
         "the difference between up and down is there in the cold and gone in the heat; a change of the "
         "electronics' power changes it"
     ),
-    forms=(_form("saturating", _saturating), _form("growing", _growing)),
+    forms=(
+        _form("saturating", _saturating),
+        _form("growing", _growing),
+        _form_without_flow("saturating, flow unknown", _saturating),
+        _form_without_flow("growing, flow unknown", _growing),
+    ),
 )

@@ -92,6 +92,11 @@ def above_optics_c(campaign: Campaign) -> FloatArray:
     return np.full_like(campaign.gyro_c, np.nan) if known is None else known
 
 
+def needs_positions(campaign: Campaign) -> str | None:
+    """Say what lacks where all dwells are in one position."""
+    return "dwells in more than one position" if len(set(campaign.position)) < 2 else None
+
+
 def needs_electronics(campaign: Campaign) -> str | None:
     """Say what lacks where nothing tells the electronics' temperatures."""
     return (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form
+from bench.closure.effects.effect import Effect, FloatArray, Form, needs_positions
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
@@ -19,5 +19,5 @@ EFFECT = Effect(
         "compare up and down at the hottest and the coldest temperature after a soak: what follows gravity "
         "is the same in both; a shield or coil tells it from the vertical magnetic field"
     ),
-    forms=(Form(("Up along x", "Up along y", "Up along z"), _columns),),
+    forms=(Form(("Up along x", "Up along y", "Up along z"), _columns, lacks=needs_positions),),
 )

@@ -9,18 +9,21 @@ from bench.closure.campaign import Campaign
 from bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
 
 
-def _lagged(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArray:
-    """First-order lag of a temperature over time (m, 3), at rest before the first instant."""
+def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArray:
+    """First-order lag of a temperature (m, 3) less that temperature, at rest before the first instant.
+
+    Exact for a temperature that is a straight line from each instant to the next.
+    """
     keep = np.exp(-step_s / tau_s)
-    rise = temperature_c - temperature_c[0]
-    lagged: FloatArray = lfilter([1.0 - keep], [1.0, -keep], rise, axis=0) + temperature_c[0]
-    return lagged
+    slopes = np.diff(temperature_c, axis=0, prepend=temperature_c[:1]) / step_s
+    behind: FloatArray = lfilter([-(1.0 - keep) * tau_s], [1.0, -keep], slopes, axis=0)
+    return behind
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     record = campaign.record
-    lagged_c = _lagged(record.gyro_c, record.step_s, values[0])
-    return record.mean_over(lagged_c - record.gyro_c, campaign.start_s, campaign.end_s)[:, :, None]
+    behind_c = _behind(record.gyro_c, record.step_s, values[0])
+    return record.mean_over(behind_c, campaign.start_s, campaign.end_s)[:, :, None]
 
 
 EFFECT = Effect(
@@ -34,7 +37,7 @@ EFFECT = Effect(
         Form(
             ("lagged temperature less the measured one, K",),
             _columns,
-            (Parameter("tau_s", 60.0, 36_000.0, fixed(300.0, 900.0, 2700.0, 7200.0, 18_000.0)),),
+            (Parameter("tau_s", 1.0, 36_000.0, fixed(300.0, 900.0, 2700.0, 7200.0, 18_000.0)),),
         ),
     ),
 )

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bench.closure.candidate import Candidate, fit_form, refine, stack, starts
+from bench.closure.candidate import Candidate, best_start, refine, stack, starts
 from bench.closure.effects import (
     attitude_thermal,
     bias_jump,
@@ -15,7 +15,7 @@ from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, WARM_UP_H
 
 
 def fitted(problem, effect):
-    return fit_form(problem, effect, effect.forms[0])
+    return refine(problem, [best_start(problem, effect, effect.forms[0])])[0]
 
 
 def whole(effect, *values):
@@ -52,13 +52,17 @@ def test_a_parameter_stays_between_its_bounds(problem):
         return np.repeat(np.exp(-campaign.middle_s / 3600.0 / values[0])[:, None, None], 3, axis=1)
 
     form = Form(("decay",), columns, (Parameter("tau_h", 0.2, 1.0, fixed(0.5)),))
-    best = fit_form(problem({"warm_up": 8.0}), Effect("short_warm_up", "", "", (form,)), form)
+    best = fitted(problem({"warm_up": 8.0}), Effect("short_warm_up", "", "", (form,)))
     assert best.values == (pytest.approx(1.0),)
 
 
-def test_terms_that_explain_nothing_give_no_candidate(problem):
-    form = Form(("nothing",), lambda campaign, _: np.zeros((len(campaign), 3, 1)))
-    assert fit_form(problem(), Effect("nothing", "", "", (form,)), form) is None
+def test_the_start_is_the_one_of_the_grid_that_explains_most(problem):
+    one, [form] = problem({"thermal_hysteresis": 8.0}), thermal_hysteresis.EFFECT.forms
+    start = best_start(one, thermal_hysteresis.EFFECT, form)
+    assert start.values in starts(form, one.campaign)
+    gain = one.gain(start.columns(one.campaign))[0]
+    assert gain == max(one.gain(form.columns(one.campaign, each))[0] for each in starts(form, one.campaign))
+    assert start.kept.all()
 
 
 def test_a_form_without_parameters_has_nothing_to_improve(problem):

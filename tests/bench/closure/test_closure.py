@@ -239,8 +239,9 @@ def test_sizes_follow_the_gyros(closed):
     np.testing.assert_allclose(found.sizes_dph[:, 0] / found.sizes_dph[0, 0], SHARES, atol=0.2)
 
 
-@pytest.mark.xfail(strict=True, reason="one dwell is enough for an effect")
-def test_one_dwell_far_off_is_no_effect():
+def test_one_dwell_far_off_is_no_effect_and_left_unexplained():
     rows = measure(cycles=2).rows
     rows[0] = replace(rows[0], bias_dph=tuple(np.add(rows[0].bias_dph, 10.0 * SIGMA_DPH).tolist()))
-    assert close_loop(campaign_of(rows)).effects == ()
+    closure = close_loop(campaign_of(rows))
+    assert closure.effects == ()
+    assert closure.verdict == "unexplained"

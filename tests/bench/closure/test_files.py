@@ -11,7 +11,15 @@ import yaml
 from bench.closure.campaign import campaign_of
 from bench.closure.closure import close_loop
 from bench.closure.effects import all_effects, bias_jump, g_sensitivity
-from bench.closure.files import closure_document, format_predictions, model_document, write_closure
+from bench.closure.files import (
+    closure_document,
+    format_predictions,
+    is_written,
+    model_document,
+    read_held_out_cycles,
+    write_closure,
+)
+from bench.errors import RunFolderError
 from tests.bench.closure.thermal_bench import measure
 
 FORMATS = Path("/work/shared/formats.md")
@@ -111,3 +119,19 @@ def test_dwells_may_be_numbered_from_any_number():
     rows = [replace(row, dwell=row.dwell + 500) for row in measure(cycles=2).rows]
     closure = close_loop(campaign_of(rows), effects=[])
     assert predictions(closure)[0]["dwell"] == "501"
+
+
+def test_a_search_that_is_written_is_known_again_with_its_cycles_held_out(closed, explained, tmp_path):
+    assert read_held_out_cycles(tmp_path) == []
+    assert not is_written(tmp_path, explained)
+    write_closure(tmp_path, explained)
+    assert read_held_out_cycles(tmp_path) == closure_document(explained)["held_out_cycles"]
+    assert is_written(tmp_path, explained)
+    assert not is_written(tmp_path, closed({"sinusoid": 1.5}))
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"held_out_cycles": ["last"]}'])
+def test_a_search_that_cannot_be_read_is_told(text, tmp_path):
+    (tmp_path / "closure.json").write_text(text)
+    with pytest.raises(RunFolderError, match="close the run again"):
+        read_held_out_cycles(tmp_path)

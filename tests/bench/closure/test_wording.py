@@ -3,7 +3,7 @@ import pytest
 
 from bench.closure.campaign import campaign_of
 from bench.closure.closure import FoundEffect, close_loop
-from bench.closure.effects import g_sensitivity, thermal_hysteresis
+from bench.closure.effects import attitude_thermal, g_sensitivity, thermal_hysteresis, warm_up
 from bench.closure.wording import separating_measurement, statement, whereabouts
 from tests.bench.closure.test_candidate import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
@@ -19,7 +19,17 @@ def found(module, *values, axes=("x", "y", "z")):
 def test_a_statement_says_what_how_much_on_which_gyros_and_with_which_parameters():
     sentence = statement(found(thermal_hysteresis, 5.25))
     assert sentence.startswith("The bias depends on the way that the temperature came")
-    assert sentence.endswith("0.012 deg/h rms on the x, y and z gyros (half_width_c 5.25).")
+    assert sentence.endswith("0.012 deg/h rms on the x, y and z gyros (half width 5.25 degC).")
+
+
+def test_a_time_constant_of_an_hour_or_more_is_told_in_hours():
+    assert statement(found(warm_up, 5400.0)).endswith("(tau 1.50 h).")
+    assert statement(found(warm_up, 900.0)).endswith("(tau 900 s).")
+
+
+def test_several_parameters_are_told_one_after_the_other():
+    sentence = statement(found(attitude_thermal, 45.0, 3.25))
+    assert sentence.endswith("(onset 45 degC, onset width 3.25 degC).")
 
 
 def test_a_statement_about_one_gyro_and_no_parameter():
@@ -35,7 +45,8 @@ def test_a_tie_asks_for_the_measurement_that_splits_it(closed):
     closure = closed({"temperature_rate": 1.0}, profile=TRIANGLE, cycles=2)
     [tied] = closure.effects
     sentence = separating_measurement(closure)
-    assert sentence.startswith(f"To tell {tied.candidate.effect.name} from {tied.tied_with[0]}: ")
+    names = [name.replace("_", " ") for name in (tied.candidate.effect.name, tied.tied_with[0])]
+    assert sentence.startswith(f"To tell {names[0]} from {names[1]}: ")
     assert tied.candidate.effect.experiment in sentence
 
 
@@ -58,7 +69,7 @@ def test_what_is_left_in_one_position_is_found_there(closed):
         return (course.up[:, 2] > 0.5)[:, None] * np.sin(course.time_h * 7.0)[:, None]
 
     campaign = campaign_of(measure({only_z_up: 4.0}, cycles=2).rows)
-    assert "position z_up" in whereabouts(close_loop(campaign, effects=[]))
+    assert "position z up," in whereabouts(close_loop(campaign, effects=[]))
 
 
 @pytest.mark.parametrize("effects", [None, {"g_sensitivity": 4.0}], ids=["clean", "explained"])

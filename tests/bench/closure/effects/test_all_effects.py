@@ -67,7 +67,6 @@ def test_an_effect_says_what_it_is_and_how_to_show_it(effect):
 
 @pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
 def test_columns_have_a_term_for_each_gyro_and_no_gap_at_any_start(clean, effect, form):
-    assert form.lacks(clean) is None
     for values in starts(form, clean):
         columns = form.columns(clean, values)
         assert columns.shape == (len(clean), 3, len(form.terms))
@@ -83,11 +82,17 @@ def test_starts_lie_between_the_bounds(clean, effect, form):
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
+def test_an_effect_has_a_form_for_a_table_with_all_sensors(clean, effect):
+    assert any(form.lacks(clean) is None for form in effect.forms)
+
+
+@pytest.mark.parametrize("effect", all_effects(), ids=label)
 def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, effect):
     one = problem({effect.name: 10.0}, noise=0.0)
     misses = [
         1.0 - one.gain(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
         for form in effect.forms
+        if form.lacks(one.campaign) is None
     ]
     assert min(misses) < MISSED.get(effect.name, 0.002)
 

@@ -5,18 +5,25 @@ from bench.closure.campaign import campaign_of
 from bench.closure.effects.attitude_thermal import EFFECT
 from tests.bench.closure.thermal_bench import measure
 
+WITH_FLOW, WITHOUT_FLOW = EFFECT.forms[:2], EFFECT.forms[2:]
+
+
+def along_gravity(form, campaign, values):
+    """The terms that follow gravity: the last three."""
+    return form.columns(campaign, values)[:, :, -3:]
+
 
 @pytest.mark.parametrize("form", EFFECT.forms, ids=lambda form: form.name)
 def test_what_follows_gravity_vanishes_in_the_heat(clean, form):
     hot = clean.gyro_c.min(axis=1) > 55.0
     cold = clean.gyro_c.max(axis=1) < 0.0
-    along = np.abs(form.columns(clean, (30.0, 2.0))[:, :, 1:])
+    along = np.abs(along_gravity(form, clean, (30.0, 2.0)))
     assert along[hot].max() < 1e-4 * along[cold].max()
 
 
 @pytest.mark.parametrize("form", EFFECT.forms, ids=lambda form: form.name)
 def test_its_sign_follows_gravity_along_each_axis(clean, form):
-    columns = form.columns(clean, (30.0, 2.0))
+    along = along_gravity(form, clean, (30.0, 2.0))
     cold = clean.gyro_c.max(axis=1) < 20.0
     for name, up in (
         ("x_up", [1, 0, 0]),
@@ -26,13 +33,15 @@ def test_its_sign_follows_gravity_along_each_axis(clean, form):
     ):
         dwells = cold & (np.array(clean.position) == name)
         np.testing.assert_array_equal(
-            np.sign(np.round(columns[dwells, :, 1:], 9)), np.broadcast_to(up, (dwells.sum(), 3, 3))
+            np.sign(np.round(along[dwells], 9)), np.broadcast_to(up, (dwells.sum(), 3, 3))
         )
 
 
-def test_one_form_is_constant_in_the_cold_and_the_other_grows(clean):
-    saturating, growing = (form.columns(clean, (50.0, 2.0))[:, :, 1:] for form in EFFECT.forms)
-    flow = (clean.board_c - clean.gyro_c)[:, :, None]
+@pytest.mark.parametrize("has_flow", [True, False], ids=["flow known", "flow unknown"])
+def test_one_form_is_constant_in_the_cold_and_the_other_grows(clean, has_flow):
+    forms = WITH_FLOW if has_flow else WITHOUT_FLOW
+    saturating, growing = (along_gravity(form, clean, (50.0, 2.0)) for form in forms)
+    flow = (clean.board_c - clean.gyro_c)[:, :, None] if has_flow else 1.0
     cold = clean.gyro_c.max(axis=1) < 20.0
     followed = (
         np.broadcast_to(np.abs(clean.up_body[:, None, :]) > 0.5, saturating.shape) & cold[:, None, None]
@@ -43,10 +52,18 @@ def test_one_form_is_constant_in_the_cold_and_the_other_grows(clean):
 
 
 def test_the_first_term_is_the_flow_alike_in_all_positions(clean):
-    for form in EFFECT.forms:
+    for form in WITH_FLOW:
         np.testing.assert_allclose(form.columns(clean, (30.0, 2.0))[:, :, 0], clean.board_c - clean.gyro_c)
 
 
-def test_it_lacks_electronics_temperatures_where_nothing_tells_them():
-    campaign = campaign_of(measure(cycles=2, sensors=()).rows)
-    assert all("temperature sensors" in form.lacks(campaign) for form in EFFECT.forms)
+def test_where_nothing_tells_the_flow_the_forms_without_it_are_tried(clean):
+    blind = campaign_of(measure(cycles=2, sensors=()).rows)
+    assert all("temperature sensors" in form.lacks(blind) for form in WITH_FLOW)
+    for form in WITHOUT_FLOW:
+        assert form.lacks(blind) is None
+        assert form.columns(blind, (30.0, 2.0)).shape == (len(blind), 3, len(form.terms))
+
+
+def test_where_the_flow_is_known_it_is_not_taken_for_constant(clean):
+    assert all(form.lacks(clean) is None for form in WITH_FLOW)
+    assert all("the heat flow is known" in form.lacks(clean) for form in WITHOUT_FLOW)

@@ -1,0 +1,280 @@
+"""The proof of a compensation: new measurements without it, with the declared model, with the effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from bench.bias.tables.dwell_table import DwellRow, read_dwells
+from bench.closure.closure import Closure
+from bench.closure.compensation import LoadableModel, declared_model, model_with_effects
+from bench.engine.engine import Progress, RunOutcome
+from bench.engine.operator import Operator
+from bench.engine.session import Job, prepare_job, run_job
+from bench.errors import DocumentError, RunFolderError
+from bench.measurement.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
+from bench.measurement.replay import replay
+from bench.measurement.setup import measurement_setup
+from bench.measurement.verification_dwell import VerificationDwell
+from bench.run_store.compensation_file import read_compensation
+from bench.run_store.folder import RunFolder
+from bench.run_store.journal import read_journal
+from bench.run_store.provenance import read_provenance
+from bench.station.instruments import Emulation
+from drivers.ins.compensation import Compensation
+
+_AZIMUTH_TOLERANCE_DEG = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Dwells of the run with one compensation."""
+
+    dwells: Sequence[DwellRow]
+    verifications: Sequence[VerificationDwell]
+
+
+class Verification:
+    """Measures with each compensation that a closed campaign gives, and compares what they leave.
+
+    Each compensation has a run of its own, in a folder by its name. A run that is finished there
+    already is not made again.
+
+    Parameters
+    ----------
+    run : RunFolder
+        The campaign.
+    closure : Closure
+        Outcome of the search in it.
+    procedure, station : str
+        What to run, and on what.
+    emulation : Emulation
+        World and seed behind emulated instruments, the same for each compensation.
+    folder : Path
+        Where the runs go.
+    only : sequence of str, optional
+        Compensations to measure with; all if none is given.
+
+    Attributes
+    ----------
+    models : mapping of str to LoadableModel
+        What there is to load. "effect" is missing where no effect was found that can be loaded.
+    jobs : mapping of str to Job
+        One for each compensation that is to be measured, or that there is a run of, in order.
+    wanted : list of str
+        Compensations to be measured.
+
+    Raises
+    ------
+    DocumentError
+        Procedure or station are wrong; the INS can't be given a compensation; there is nothing to load for
+        one that is to be measured; the campaign was measured with a compensation, or with the same seed.
+    """
+
+    def __init__(
+        self,
+        run: RunFolder,
+        closure: Closure,
+        procedure: str,
+        station: str,
+        emulation: Emulation,
+        folder: Path,
+        only: Sequence[str] = (),
+    ) -> None:
+        _check_uncompensated(run)
+        self.folder = folder
+        self._run = run
+        self._closure = closure
+        self._measured: dict[str, _Measured] = {}
+        self.models = MappingProxyType(_models(closure))
+        compensations: dict[str, Compensation | None] = {NONE: None}
+        compensations |= {name: model.compensation for name, model in self.models.items()}
+        if set(only) - compensations.keys():
+            raise DocumentError(
+                f"{run.path}: the search found no effect that an INS can compensate, so there is none to "
+                f"verify. Leave --only {EFFECT} out"
+            )
+        self.wanted = [name for name in compensations if name in only or not only]
+        self.jobs: Mapping[str, Job] = MappingProxyType(
+            {
+                name: prepare_job(procedure, station, emulation, compensation=compensation)
+                for name, compensation in compensations.items()
+                if name in self.wanted or (folder / name).exists()
+            }
+        )
+        self._job = self.jobs[self.wanted[0]]
+        _check_new(run, self._job)
+
+    def is_there(self, name: str) -> bool:
+        """Whether the run with a compensation has been made, as this one would be.
+
+        Raises
+        ------
+        RunFolderError
+            In its folder there is something else.
+        """
+        folder = RunFolder(self.folder / name)
+        if name in self._measured:
+            return True
+        if not folder.path.exists():
+            return False
+        if not _is_finished(folder) or not _is_run_of(folder, self.jobs[name]):
+            raise RunFolderError(
+                f"{folder.path}: holds a run that is not finished, or of another model, procedure or "
+                "world. Remove it, or give another --out"
+            )
+        return True
+
+    def measure(self, name: str, progress: Progress, operator: Operator) -> tuple[RunFolder, RunOutcome]:
+        """Run the procedure with one compensation.
+
+        Raises
+        ------
+        InstrumentError, RunFolderError
+            As :func:`bench.engine.session.run_job`.
+        """
+        folder, outcome = run_job(self.jobs[name], self.folder / name, progress, operator)
+        if outcome.ended == "finished":
+            rows = [dwell.row for dwell in outcome.dwells]
+            self._measured[name] = _Measured(rows, outcome.verifications)
+        return folder, outcome
+
+    def comparison(self) -> Comparison:
+        """Compare all that has been measured, now or earlier.
+
+        Raises
+        ------
+        RunFolderError
+            An earlier run can't be read.
+        """
+        names = [name for name in self.jobs if self.is_there(name)]
+        measured = {name: self._measured.get(name) or self._read(name) for name in names}
+        fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
+        first = measured[names[0]].dwells
+        site = self._job.station.site
+        return Comparison(
+            source=str(self._run.path),
+            closure=self._closure,
+            models=self.models,
+            leftovers=tuple(
+                leftover(name, each.dwells, each.verifications, site, fitted_c)
+                for name, each in measured.items()
+            ),
+            new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
+            dwells=len(first),
+            is_same_seed=bool(self._job.emulated_world()),
+            notes=tuple(self._notes(measured)),
+        )
+
+    def _read(self, name: str) -> _Measured:
+        dwells, verifications = replay(
+            RunFolder(self.folder / name), measurement_setup(self.jobs[name].station)
+        )
+        return _Measured([dwell.row for dwell in dwells], verifications)
+
+    def _notes(self, measured: Mapping[str, _Measured]) -> Iterator[str]:
+        units = {row.unit for row in read_dwells(self._run.dwells)}
+        for name, each in measured.items():
+            others = {row.unit for row in each.dwells} - units
+            if others:
+                yield (
+                    f"The run {name} measured the unit {', '.join(sorted(others))}, the model is of "
+                    f"{', '.join(sorted(units))}."
+                )
+            flagged = sum(bool(row.flags) for row in each.dwells)
+            if flagged:
+                yield f"In the run {name} {flagged} of {len(each.dwells)} dwells have flags and are left out."
+        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in measured else []
+        if kept:
+            yield f"In the run {NONE} the INS kept a compensation of its own ({', '.join(kept)})."
+
+
+def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
+    """World of a run, with the next seed: the same unit with new noise and new power-ons.
+
+    Parameters
+    ----------
+    world, seed : str or None, int or None
+        To be taken instead.
+    """
+    options = read_provenance(run).get("options", {})
+    known = Emulation(str(options.get("world", Emulation.world)), int(options.get("seed", Emulation.seed)))
+    return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
+
+
+def _models(closure: Closure) -> dict[str, LoadableModel]:
+    whole = model_with_effects(closure)
+    return {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
+
+
+def _check_uncompensated(run: RunFolder) -> None:
+    in_use = _compensations_in_use(run)
+    if in_use:
+        raise DocumentError(
+            f"{run.path}: was measured while the INS compensated its gyros ({', '.join(in_use)}), so its "
+            "model is of what that leaves and can't stand alone. Measure the campaign with the compensation "
+            "cleared"
+        )
+
+
+def _compensations_in_use(run: RunFolder) -> list[str]:
+    """Checksums of the compensations that an INS had in a run."""
+    found = [
+        str(entry["in_use"].get("checksum") or "checksum not known")
+        for entry in read_journal(run.journal)
+        if entry.get("event") == "compensation" and entry.get("in_use", {}).get("active")
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _check_new(run: RunFolder, job: Job) -> None:
+    options = read_provenance(run).get("options", {})
+    emulated = job.emulated_world()
+    if emulated and all(options.get(key) == value for key, value in emulated.items()):
+        raise DocumentError(
+            f"--seed {job.emulation.seed} is that of {run.path}: its noise would come again. Give another "
+            "one, or none"
+        )
+
+
+def _is_finished(folder: RunFolder) -> bool:
+    if not folder.journal.is_file():
+        return False
+    return any(
+        entry.get("event") == "run_ended" and entry.get("ended") == "finished"
+        for entry in read_journal(folder.journal)
+    )
+
+
+def _is_run_of(folder: RunFolder, job: Job) -> bool:
+    """Whether a run was made of the same procedure, in the same world, with the same compensation."""
+    options = read_provenance(folder).get("options", {})
+    same_world = all(options.get(key) == value for key, value in job.emulated_world().items())
+    same_files = (folder.procedure.read_bytes(), folder.station.read_bytes()) == (
+        job.document.path.read_bytes(),
+        job.station.path.read_bytes(),
+    )
+    if job.compensation is None or not folder.compensation.exists():
+        return same_world and same_files and (job.compensation is None) == (not folder.compensation.exists())
+    loaded, wanted = read_compensation(folder.compensation), job.compensation
+    same_numbers = all(
+        np.array_equal(getattr(loaded, each.name), getattr(wanted, each.name)) for each in fields(wanted)
+    )
+    return same_world and same_files and same_numbers
+
+
+def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:
+    """How many dwells began where none of the others did."""
+
+    def is_known(row: DwellRow) -> bool:
+        return any(
+            other.position == row.position
+            and abs((other.azimuth_deg - row.azimuth_deg + 180.0) % 360.0 - 180.0) < _AZIMUTH_TOLERANCE_DEG
+            for other in fitted
+        )
+
+    return sum(not is_known(row) for row in measured)
