@@ -12,6 +12,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
+	$(BIN)/gyrobench close "$$(ls -td runs/six_position_fig7-* | head -n 1)"
 
 # Three workers on two cores: one of them waits in real time for most of the run.
 test: install

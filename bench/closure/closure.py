@@ -32,6 +32,8 @@ NOISE_TOLERANCE = 1.25
 PROVEN_SHARE, PROVEN_CYCLES = 0.5, 0.75
 #: Sets that take away this share at least are carried on with, so many at each step.
 PROMISING_SHARE, PROVEN_BEAM = 0.3, 4
+#: Gains this near to each other count as one: the simpler cause is preferred.
+_GAIN_STEP = 0.01
 _NO_STRUCTURE_P = 0.05
 
 
@@ -259,13 +261,15 @@ def _proven(of: Search, noise_ratio: float) -> EffectSet:
     best, best_gain, beam = search.nothing, 0.0, [search.nothing]
     for _ in range(MOST_EFFECTS):
         larger = [each for one in beam for effect in search.effects if (each := search.add(one, effect))]
-        gains = [
-            pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values()) for each in larger
-        ]
-        order = np.argsort(gains)[::-1][:PROVEN_BEAM]
+        gains = np.array(
+            [pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values()) for each in larger]
+        )
+        unknowns = [sum(one.unknowns for one in each.candidates) for each in larger]
+        order = np.lexsort((np.array(unknowns), -np.round(gains, 2)))[:PROVEN_BEAM]
         beam = [larger[index] for index in order if gains[index] > PROMISING_SHARE]
         for each, gain in zip(beam, (gains[index] for index in order), strict=False):
-            if gain > best_gain and all(_is_proven(search.problem, each, one) for one in each.candidates):
+            proven = all(_is_proven(search.problem, each, one) for one in each.candidates)
+            if proven and gain > best_gain + _GAIN_STEP:
                 best, best_gain = each, gain
     return scored(of.problem, best.candidates)
 

@@ -117,7 +117,9 @@ def _turn_on_note(closure: Closure) -> str:
 def _reason_to_leave_out(campaign: Campaign, name: str) -> str | None:
     if name in _LEFT_OUT:
         return _LEFT_OUT[name]
-    if name in _BY_ELECTRONICS and not np.isfinite(campaign.board_c).all():
+    if name not in _NUMBERS:
+        return f"{name} is left out: the INS has no term for it"
+    if name in _BY_ELECTRONICS and not np.isfinite(campaign.whole.board_c).all():
         return _NO_BOARDS.format(name)
     return None
 

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 #: The other cycles tell a term's size if they hold at least this share of its length in the one left out.
-_LEAST_LENGTH = 0.3
+_LEAST_LENGTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,21 @@ def _can_tell(rest: Problem, candidate: Candidate, left_out: BoolArray) -> bool:
     """Whether the terms are long enough in the rest, beside the declared model, for the cycle left out."""
     campaign = rest.campaign
     columns = candidate.columns(campaign)
-    cycle = columns[left_out] - columns[left_out].mean(axis=0)
-    weighted = cycle / (campaign.sigma_dph[left_out] * rest.noise_scale)[:, :, np.newaxis]
-    asked = np.concatenate(
-        [np.linalg.norm(weighted[:, gyro, candidate.kept[gyro]], axis=0) for gyro in range(3)]
-    )
-    return bool(np.all(rest.lengths_beside(columns, candidate.kept) >= _LEAST_LENGTH * asked))
+    asked = columns - _known_constants(campaign, columns, rest.searched, left_out)
+    weighted = (asked / (campaign.sigma_dph * rest.noise_scale)[:, :, np.newaxis])[left_out]
+    lengths = [np.linalg.norm(weighted[:, gyro, candidate.kept[gyro]], axis=0) for gyro in range(3)]
+    told = rest.lengths_beside(columns, candidate.kept)
+    return bool(np.all(told >= _LEAST_LENGTH * np.concatenate(lengths)))
+
+
+def _known_constants(
+    campaign: Campaign, columns: FloatArray, rest: BoolArray, left_out: BoolArray
+) -> FloatArray:
+    """What the constant of each run takes up of terms: their mean in the rest, or in the cycle itself."""
+    constants = np.zeros_like(columns)
+    for run in np.unique(campaign.run):
+        mine = campaign.run == run
+        known = mine & rest if np.any(mine & rest) else mine & left_out
+        if known.any():
+            constants[mine] = columns[known].mean(axis=0)
+    return constants

@@ -89,11 +89,12 @@ class Search:
         return min(1.0, _chance(gain, rank + len(one.values)) * tried * len(self.effects))
 
     def shows(self, of: EffectSet, index: int) -> list[bool]:
-        """Whether each gyro by itself shows one effect of a set."""
+        """Which gyros by themselves show one effect of a set; at least the one that shows it most."""
         one = of.candidates[index]
         beside, columns = self._beside_others(of, index), one.columns(self.problem.campaign)
         gyros = [beside.gain(columns, one.kept & (np.arange(3) == gyro)[:, np.newaxis]) for gyro in range(3)]
-        return [_chance(gain, max(rank, 1)) < SIGNIFICANCE for gain, rank in gyros]
+        chances = [_chance(gain, max(rank, 1)) for gain, rank in gyros]
+        return [chance < SIGNIFICANCE or chance == min(chances) for chance in chances]
 
     def rivals(self, of: EffectSet, index: int) -> tuple[str, ...]:
         """Names of effects that do about as well in the place of one, best first.

@@ -12,9 +12,8 @@ Sizes are those of :mod:`bench.closure.effect_shapes`.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -124,15 +123,7 @@ class Separability:
 def searched_dwells(campaign: Campaign) -> Campaign:
     """The dwells that a search sees: all but those of the last cycle, or all where there is one cycle."""
     searched = campaign.cycle < campaign.cycle.max()
-    if not searched.any():
-        return campaign
-    kept = {
-        each.name: getattr(campaign, each.name)[searched]
-        for each in fields(campaign)
-        if isinstance(getattr(campaign, each.name), np.ndarray)
-    }
-    positions = tuple(itertools.compress(campaign.position, searched))
-    return replace(campaign, position=positions, **kept)
+    return campaign.part(searched) if searched.any() else campaign
 
 
 def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:

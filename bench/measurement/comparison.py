@@ -155,7 +155,7 @@ def leftover(
     stops = check_residuals(good, verifications, site)
     varying = _varying(good)
     rows = tuple(
-        _row(compensation, number, stop, _members(good, varying, stop), fitted_c)
+        _row(compensation, number, stop, varying[[row.dwell in stop.dwells for row in good]], fitted_c)
         for number, stop in enumerate(stops, start=1)
     )
     return Leftover(compensation, tuple(stops), rows, _total(compensation, rows, good, varying))
@@ -179,15 +179,6 @@ def _varying(rows: Sequence[DwellRow]) -> FloatArray:
     bias = np.array([row.bias_dph for row in rows]).reshape(-1, 3)
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
     return np.asarray(bias - (weights * bias).sum(axis=0) / weights.sum(axis=0)) if rows else bias
-
-
-def _members(rows: Sequence[DwellRow], varying: FloatArray, stop: ResidualCheck) -> FloatArray:
-    mine = [
-        (row.cycle, None if math.isnan(row.chamber_set_c) else row.chamber_set_c)
-        == (stop.cycle, stop.chamber_set_c)
-        for row in rows
-    ]
-    return np.asarray(varying[np.array(mine, dtype=bool)])
 
 
 def _row(

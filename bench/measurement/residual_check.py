@@ -26,6 +26,8 @@ class ResidualCheck:
     ----------
     cycle, chamber_set_c : int, float or None
         Which stop; None where the chamber had no set point.
+    dwells : tuple of int
+        Numbers of the dwells whose biases are in it.
     gyro_c : float
         Mean temperature of the gyros.
     bias_rms_dph, sigma_rms_dph : float
@@ -42,6 +44,7 @@ class ResidualCheck:
 
     cycle: int
     chamber_set_c: float | None
+    dwells: tuple[int, ...]
     gyro_c: float
     bias_rms_dph: float
     sigma_rms_dph: float
@@ -96,6 +99,7 @@ def _check(rows: list[DwellRow], verifications: list[VerificationDwell], site: S
     return ResidualCheck(
         cycle=first.cycle,
         chamber_set_c=_set_c(first),
+        dwells=tuple(row.dwell for row in rows),
         gyro_c=float(np.mean(measured_c)),
         bias_rms_dph=_rms(biases),
         sigma_rms_dph=_rms(sigmas),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bench.closure.closure import Closure, FoundEffect
 from bench.navigation.positions import AXES
-from bench.report.closure_residuals import noise_dph, residuals_dph, rms
+from bench.report.closure_residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from bench.report.closure_style import BAND_COLOUR, draw_dwells
 from bench.report.closure_wording import effect_label
 from bench.report.style import house_style, new_figure, say_empty
@@ -39,7 +39,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     parts = {
         axis: _MainTerm(closure, found, columns, axis) for axis, gyro in enumerate(AXES) if gyro in found.axes
     }
-    scale = BiasScale.of((), [closure.noise_dph])
+    scale = scale_of_errors(closure)
     figure = new_figure(3.1)
     all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):

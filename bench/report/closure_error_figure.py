@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bench.closure.closure import Closure
 from bench.navigation.positions import AXES, POSITIONS
-from bench.report.closure_residuals import held_out_cycles, noise_dph, residuals_dph, rms
+from bench.report.closure_residuals import held_out_cycles, noise_dph, residuals_dph, rms, scale_of_errors
 from bench.report.closure_style import AFTER_COLOUR, BEFORE_COLOUR, NOISE_COLOUR
 from bench.report.style import house_style, new_figure
 from bench.report.wording import BiasScale, gyro_label, position_label
@@ -27,7 +27,7 @@ def closure_error_figure(closure: Closure) -> Figure:
     Paired bars, declared model and with the effects; without any effect single bars.
     """
     held_out = ~closure.searched
-    scale = BiasScale.of((), [closure.noise_dph])
+    scale = scale_of_errors(closure)
     figure = new_figure(4.6)
     upper, lower = figure.subplots(2, 1, sharey=True)
     groups = {gyro_label(gyro): _of_gyro(held_out, axis) for axis, gyro in enumerate(AXES)}

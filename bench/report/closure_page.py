@@ -63,8 +63,9 @@ def _facts(closure: Closure) -> dict[str, str]:
     cycles = np.unique(campaign.cycle)
     hours = (campaign.end_s.max() - campaign.start_s.min()) / 3600.0
     gyro_c = campaign.gyro_c
+    measured = len(campaign.whole) + len(campaign.without_temperatures)
     return {
-        "dwells": f"{len(campaign)} without flags, over {hours:.0f} h",
+        "dwells": f"{len(campaign)} of {measured} have a result without flags, over {hours:.0f} h",
         "cycles": f"{len(cycles)}; {held_out_cycles(closure)} held out",
         "searched": f"{counted(int(searched.sum()), 'dwell')}; {int((~searched).sum())} held out",
         "power-ons": str(len(campaign.run_names)),

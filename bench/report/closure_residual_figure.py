@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from bench.closure.closure import Closure
 from bench.navigation.positions import AXES, POSITIONS
-from bench.report.closure_residuals import noise_dph, residuals_dph, rms
+from bench.report.closure_residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from bench.report.closure_style import BAND_COLOUR, draw_dwells
 from bench.report.style import house_style, new_figure
-from bench.report.wording import BiasScale, gyro_label, position_label
+from bench.report.wording import gyro_label, position_label
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
         models["with the effects found"] = closure.model
     residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models.items()}
     noise = rms(noise_dph(closure)[:, axis])
-    scale = BiasScale.of((), [noise])
+    scale = scale_of_errors(closure)
     against = _against(closure, axis)
     largest = _ROOM * scale.factor * max(float(np.abs(each).max()) for each in residuals.values())
     figure = new_figure(0.8 + 1.75 * len(residuals))

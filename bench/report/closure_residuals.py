@@ -11,7 +11,7 @@ from bench.closure.closure import LEFT_OVER_P, Closure
 from bench.closure.confirmation import without_unseen_constants
 from bench.closure.problem import Solution
 from bench.closure.search import SIGNIFICANCE
-from bench.report.wording import listed
+from bench.report.wording import BiasScale, listed
 
 FloatArray = NDArray[np.float64]
 
@@ -59,3 +59,8 @@ def smallest_visible_dph(closure: Closure) -> float:
     tried = min(efforts) * len(efforts)
     gain = float(chi2_distribution.isf(SIGNIFICANCE / tried, 1))
     return closure.noise_dph * float(np.sqrt(gain / closure.searched.sum()))
+
+
+def scale_of_errors(closure: Closure) -> BiasScale:
+    """Choose unit and decimals for errors of a closure: a tenth of the noise is shown."""
+    return BiasScale.of([closure.error_before_dph], [0.1 * closure.noise_dph])

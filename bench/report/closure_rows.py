@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from bench.closure.closure import Closure, FoundEffect
-from bench.report.closure_residuals import rests_on_noise
+from bench.closure.closure import Closure
+from bench.report.closure_residuals import rests_on_noise, scale_of_errors
 from bench.report.closure_wording import effect_label, gains_text, odds_text, share_text
 from bench.report.wording import listed, p_text
 
 
-def dph_text(value_dph: float) -> str:
-    """Write a size in 0.001 deg/h, without the unit."""
-    return f"{1000.0 * value_dph:.2f}"
-
-
-def effect_table(effects: Sequence[FoundEffect]) -> tuple[list[str], list[list[str]]]:
+def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the effects found; four columns of words, then size and p."""
+    scale = scale_of_errors(closure)
     head = ["effect", "gyros", "tied with", "confirmed in cycle", "size", "p"]
     rows = [
         [
@@ -24,10 +18,10 @@ def effect_table(effects: Sequence[FoundEffect]) -> tuple[list[str], list[list[s
             listed(each.axes),
             listed([effect_label(name) for name in each.tied_with]) or "nothing",
             gains_text(each.gains) or "none",
-            dph_text(each.rms_dph),
+            scale.text(each.rms_dph),
             p_text(each.p_value),
         ]
-        for each in effects
+        for each in closure.effects
     ]
     return head, rows
 

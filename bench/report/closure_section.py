@@ -14,8 +14,8 @@ from bench.report.closure_effect_figure import closure_effect_figure
 from bench.report.closure_error_figure import closure_error_figure
 from bench.report.closure_evidence_figure import closure_evidence_figure
 from bench.report.closure_residual_figure import closure_residual_figure
-from bench.report.closure_residuals import noise_dph, residuals_dph, rests_on_noise, rms
-from bench.report.closure_rows import dph_text, effect_table, evidence_table, tried_caption
+from bench.report.closure_residuals import noise_dph, residuals_dph, rests_on_noise, rms, scale_of_errors
+from bench.report.closure_rows import effect_table, evidence_table, tried_caption
 from bench.report.sections import Section, SectionFigure, SectionTable
 from bench.report.wording import gyro_label, p_text
 
@@ -75,30 +75,31 @@ def _cause(closure: Closure) -> Section | None:
         caption = _EFFECT.format(wording.effect_label(name).capitalize())
         figures.append(SectionFigure(f"effect_{name}", caption, closure_effect_figure(closure, each)))
     effects = SectionTable(
-        "Size: rms in the dwells searched, without its mean, in 0.001 deg/h. Confirmed: share of the squares "
-        "that it takes away in each cycle left out, its size taken from the others",
-        *effect_table(closure.effects),
+        f"Size: rms in the dwells searched, without its mean, in {scale_of_errors(closure).unit}. Confirmed: "
+        "share of the squares that it takes away in each cycle left out, its size taken from the others",
+        *effect_table(closure),
         words=4,
     )
     return Section("The cause", wording.cause_sentences(closure), figures, [effects, _sizes(closure)])
 
 
 def _sizes(closure: Closure) -> SectionTable:
+    scale = scale_of_errors(closure)
     rows = [
-        [wording.effect_label(each.candidate.effect.name), term, *(_size(value) for value in sizes)]
+        [wording.effect_label(each.candidate.effect.name), term, *map(_size, scale.factor * sizes_dph)]
         for each in closure.effects
-        for term, sizes in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
+        for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
     ]
     return SectionTable(
-        "Size of each term in 0.001 deg/h for one unit of what it follows; empty: the gyro does without",
+        f"Size of each term in {scale.unit} for one unit of what it follows; empty: the gyro does without",
         ["effect", "follows", *(gyro_label(gyro) for gyro in AXES)],
         rows,
         words=2,
     )
 
 
-def _size(value_dph: float) -> str:
-    return f"{1000.0 * value_dph:.4g}" if value_dph else ""
+def _size(value: float) -> str:
+    return f"{value:.4g}" if value else ""
 
 
 def _tried(closure: Closure) -> Section:
@@ -114,16 +115,16 @@ def _tried(closure: Closure) -> Section:
 
 
 def _error(closure: Closure) -> Section:
-    held_out = ~closure.searched
+    held_out, scale = ~closure.searched, scale_of_errors(closure)
     names = ["declared model", "with the effects found"] if closure.effects else ["declared model"]
     models = [closure.declared, closure.model][: len(names)]
     rows = [
-        [name, *(dph_text(value) for value in _rms_by_gyro(residuals_dph(closure, model)[held_out]))]
+        [name, *(scale.text(value) for value in _rms_by_gyro(residuals_dph(closure, model)[held_out]))]
         for name, model in zip(names, models, strict=True)
     ]
-    rows.append(["noise", *(dph_text(value) for value in _rms_by_gyro(noise_dph(closure)[held_out]))])
+    rows.append(["noise", *(scale.text(value) for value in _rms_by_gyro(noise_dph(closure)[held_out]))])
     table = SectionTable(
-        "Rms of measured minus predicted bias in the cycles held out, in 0.001 deg/h",
+        f"Rms of measured minus predicted bias in the cycles held out, in {scale.unit}",
         ["", *(gyro_label(gyro) for gyro in AXES), "all"],
         rows,
     )

@@ -10,11 +10,9 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.closure.closure import Closure
-from bench.report.closure_residuals import held_out_cycles, noise_dph, rms
-from bench.report.closure_rows import dph_text, effect_table, evidence_table, tried_caption
+from bench.report.closure_residuals import held_out_cycles, noise_dph, rms, scale_of_errors
+from bench.report.closure_rows import effect_table, evidence_table, tried_caption
 from bench.report.closure_wording import chain, verdict_sentence
-
-_EFFECTS = "Effects found; size rms in 0.001 deg/h"
 
 
 def closure_summary(closure: Closure) -> RenderableType:
@@ -26,10 +24,11 @@ def closure_summary(closure: Closure) -> RenderableType:
         Text(),
     ]
     if closure.effects:
-        parts += _titled(_EFFECTS, _table(*effect_table(closure.effects), words=4))
+        title = f"Effects found; size rms in {scale_of_errors(closure).unit}"
+        parts += _titled(title, _table(*effect_table(closure), words=4))
     parts += _titled("What was tried", _table(*evidence_table(closure), words=2))[:-1]
     parts += [Text(f"{tried_caption(closure)}."), Text()]
-    title = f"Error in {held_out_cycles(closure)}, held out; rms in 0.001 deg/h"
+    title = f"Error in {held_out_cycles(closure)}, held out; rms in {scale_of_errors(closure).unit}"
     errors = _errors(closure)
     parts += _titled(title, _table(list(errors), [list(errors.values())], words=0))
     return Group(*parts)
@@ -45,9 +44,10 @@ def _chain(closure: Closure) -> Table:
 
 
 def _errors(closure: Closure) -> dict[str, str]:
-    before, after = dph_text(closure.error_before_dph), dph_text(closure.error_after_dph)
+    scale = scale_of_errors(closure)
+    before, after = scale.text(closure.error_before_dph), scale.text(closure.error_after_dph)
     errors = {"before": before, "after": after} if closure.effects else {"error": before}
-    return errors | {"noise": dph_text(rms(noise_dph(closure)[~closure.searched]))}
+    return errors | {"noise": scale.text(rms(noise_dph(closure)[~closure.searched]))}
 
 
 def _titled(title: str, table: Table) -> list[RenderableType]:

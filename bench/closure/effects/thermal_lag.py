@@ -35,9 +35,9 @@ EFFECT = Effect(
     ),
     forms=(
         Form(
-            ("lagged temperature less the measured one, K",),
+            ("lag behind the sensor, K",),
             _columns,
-            (Parameter("tau_s", 1.0, 36_000.0, fixed(300.0, 900.0, 2700.0, 7200.0, 18_000.0)),),
+            (Parameter("tau_s", 1.0, 14_400.0, fixed(300.0, 900.0, 2700.0, 7200.0)),),
         ),
     ),
 )

@@ -45,8 +45,79 @@ def test_dwells_of_two_units_are_not_mixed(rows):
         campaign_of([rows[0], replace(rows[1], unit="T2"), *rows[2:]])
 
 
-def test_a_flagged_dwell_of_another_unit_does_not_count(rows):
-    assert len(campaign_of([replace(rows[0], unit="T2", flags="aborted"), *rows[1:]])) == len(rows) - 1
+def test_a_flagged_dwell_of_another_unit_is_not_mixed_in_either(rows):
+    with pytest.raises(MeasurementError, match="2 units"):
+        campaign_of([replace(rows[0], unit="T2", flags="aborted"), *rows[1:]])
+
+
+def test_a_dwell_of_another_unit_without_temperatures_does_not_count(rows):
+    campaign = campaign_of([replace(rows[0], unit="T2", gyro_c=(np.nan,) * 3), *rows[1:]])
+    assert campaign.unit == "T1"
+    assert campaign.dwell.tolist() == [row.dwell for row in rows[1:]]
+
+
+def test_a_dwell_without_a_bias_is_left_out_like_a_flagged_one(rows):
+    without = [replace(row, bias_dph=(0.1, np.nan, 0.1)) if row.dwell == 5 else row for row in rows]
+    assert campaign_of(without).dwell.tolist() == [row.dwell for row in rows if row.dwell != 5]
+
+
+def test_dwells_without_a_gyros_temperature_are_named(rows):
+    blind = [
+        replace(row, gyro_c=(row.gyro_c[0], np.nan, row.gyro_c[2])) if row.dwell == 9 else row for row in rows
+    ]
+    blind[3] = replace(blind[3], gyro_rate_c_per_h=(np.nan,) * 3, flags="aborted")
+    campaign = campaign_of(blind)
+    assert campaign.without_temperatures == (4, 9)
+    assert {4, 9}.isdisjoint(campaign.whole.dwell)
+
+
+def test_a_table_with_good_dwells_alone_is_whole(rows):
+    campaign = campaign_of(rows)
+    assert campaign.part_of is None
+    assert campaign.whole is campaign
+
+
+def test_what_the_course_of_temperatures_tells_is_told_by_flagged_dwells_too(rows):
+    # One of them is the dwell with the power-on, and one the first of the second cycle.
+    flagged = [replace(row, flags="vibration") if row.dwell in (7, 38, 39) else row for row in rows]
+    campaign, undisturbed = campaign_of(flagged), campaign_of(rows)
+    good = np.array([not row.flags for row in flagged])
+    whole, chosen = campaign.part_of
+    assert campaign.whole is whole
+    np.testing.assert_array_equal(chosen, good)
+    assert whole.dwell.tolist() == [row.dwell for row in rows]
+    np.testing.assert_array_equal(campaign.power_on_s, undisturbed.power_on_s)
+    for name in ("run_shares", "set_point_path_c", "above_optics_c"):
+        np.testing.assert_array_equal(getattr(campaign, name), getattr(undisturbed, name)[good], err_msg=name)
+    np.testing.assert_array_equal(campaign.record.gyro_c, undisturbed.record.gyro_c)
+
+
+@pytest.mark.parametrize("name", ["chamber_set_c", "chamber_c", "case_c"])
+def test_few_missing_readings_lie_on_a_line_between_their_neighbours(name):
+    rows = measure(cycles=2, sensors=("set", "air", "case", "board")).rows
+    holed = [replace(row, **{name: np.nan}) if row.dwell in (11, 12) else row for row in rows]
+    whole, filled = (
+        getattr(campaign_of(each), {"chamber_set_c": "set_c", "chamber_c": "air_c"}.get(name, name))
+        for each in (rows, holed)
+    )
+    expected = whole.copy()
+    expected[10:12] = np.interp([1, 2], [0, 3], whole[[9, 12]])
+    np.testing.assert_allclose(filled, expected)
+
+
+def test_few_missing_readings_of_one_board_leave_the_others_as_they_are(rows):
+    holed = [
+        replace(row, board_c=(row.board_c[0], np.nan, row.board_c[2])) if row.dwell == 20 else row
+        for row in rows
+    ]
+    whole_c, filled_c = (campaign_of(each).board_c for each in (rows, holed))
+    np.testing.assert_array_equal(filled_c[:, [0, 2]], whole_c[:, [0, 2]])
+    assert filled_c[19, 1] == pytest.approx(whole_c[[18, 20], 1].mean())
+
+
+def test_many_missing_readings_are_not_made_up(rows):
+    holed = [replace(row, chamber_set_c=np.nan) if row.dwell % 5 == 0 else row for row in rows]
+    assert np.isnan(campaign_of(holed).set_c).sum() == len(rows) // 5
 
 
 def test_a_dwell_belongs_to_its_run_alone(rows):

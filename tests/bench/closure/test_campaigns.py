@@ -4,11 +4,21 @@ import numpy as np
 import pytest
 
 from bench.bias.tables.dwell_table import read_dwells
+from bench.closure.planned_campaign import planned_campaign
 from bench.documents import find_document, read_document
 from bench.engine.session import prepare_job
+from bench.measurement.planned_unit import planned_unit
 from bench.navigation.positions import POSITIONS
 from drivers.emulators.world.document import load_world
-from tests.bench.closure.campaigns import EFFECTS, STATION, watched_campaign, write_procedure, write_world
+from tests.bench.closure.campaigns import (
+    EFFECTS,
+    PROCEDURE,
+    STATION,
+    watched_campaign,
+    write_procedure,
+    write_world,
+)
+from tests.bench.closure.plans import shipped, station
 
 CYCLES, SOAKS, DWELLS, RESTING = 3, 4, 6, 4
 HYSTERESIS = ("half_width_c", "sensitivity_dph_per_c")
@@ -60,6 +70,16 @@ def test_biases_are_as_far_from_the_truth_as_their_uncertainties_say(campaign):
     # 216 errors, those of a dwell nearly independent.
     assert np.std(errors) == pytest.approx(1.0, abs=0.14)
     assert np.abs(errors.mean(axis=0)).max() < 4.0 / np.sqrt(len(errors))
+
+
+def test_the_plan_tells_the_uncertainty_of_the_vertical_gyro_and_leaves_the_accelerometers_out(dwells):
+    """They add to the level gyros what the prediction lacks: much in windows of a minute."""
+    _, plan = shipped(PROCEDURE, STATION)
+    told_dph = planned_campaign(plan, planned_unit(station(STATION))).sigma_dph
+    ratios = np.array([row.sigma_dph for row in dwells]) / told_dph
+    vertical = np.array([np.abs(POSITIONS[row.position].C_nb()[2]) > 0.5 for row in dwells])
+    assert np.median(ratios[vertical]) == pytest.approx(1.0, abs=0.01)
+    assert 1.0 < np.median(ratios[~vertical]) < 1.7
 
 
 def test_two_cycles_have_all_positions_at_every_temperature_in_changing_order(dwells):

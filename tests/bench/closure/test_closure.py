@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 
 from bench.closure.campaign import campaign_of
-from bench.closure.closure import LEFT_OVER_P, close_loop
-from bench.closure.effects import all_effects, g_sensitivity, temperature_rate, time_drift
-from bench.closure.problem import declared_columns
+from bench.closure.closure import LEFT_OVER_P, PROVEN_SHARE, close_loop
+from bench.closure.effects import (
+    all_effects,
+    bias_jump,
+    chamber_state,
+    g_sensitivity,
+    temperature_rate,
+    thermal_lag,
+    time_drift,
+    warm_up,
+)
+from bench.closure.problem import declared_columns, declared_problem
+from bench.closure.search import Search
 from bench.errors import MeasurementError
 from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
 
@@ -89,6 +99,55 @@ def test_an_effect_without_its_candidate_is_unexplained():
     others = [each for each in all_effects() if each.name not in {"g_sensitivity", "attitude_thermal"}]
     closure = close_loop(campaign_of(measure({"g_sensitivity": 2.0}, cycles=2).rows), effects=others)
     assert closure.verdict == "unexplained"
+
+
+def test_beside_something_unexplained_an_effect_that_shows_in_cycles_left_out_stays(closed):
+    closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=3, seed=1)
+    [found] = closure.effects
+    assert closure.verdict == "unexplained"
+    assert found.candidate.effect.name == "g_sensitivity"
+    assert min(found.gains.values()) > PROVEN_SHARE
+    assert closure.error_after_dph < 0.5 * closure.error_before_dph
+
+
+def test_what_stands_in_for_something_unexplained_makes_way_for_the_effect_that_is_proven():
+    """The best set does without the drift; one effect at a time it comes first."""
+    candidates = [each.EFFECT for each in (bias_jump, chamber_state, thermal_lag, time_drift)]
+    rows = measure({"time_drift": 8.0, "square_wave": 2.0}, seed=1).rows
+    closure = close_loop(campaign_of(rows), effects=candidates)
+    best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
+    assert "time_drift" not in best.names
+    assert [each.candidate.effect.name for each in closure.effects] == ["time_drift"]
+    assert closure.verdict == "unexplained"
+
+
+def test_beside_something_unexplained_what_is_not_proven_goes():
+    candidates = [each.EFFECT for each in (bias_jump, chamber_state, warm_up)]
+    closure = close_loop(campaign_of(measure({"sinusoid": 3.0}, seed=1).rows), effects=candidates)
+    best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
+    assert best.candidates
+    assert closure.effects == ()
+    assert closure.verdict == "unexplained"
+
+
+def test_with_one_cycle_searched_nothing_is_proven_beside_something_unexplained(closed):
+    closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=2, seed=1)
+    assert closure.verdict == "unexplained"
+    assert closure.effects == ()
+
+
+def test_where_nothing_is_beyond_the_noise_there_is_no_share_of_it():
+    quiet = close_loop(campaign_of(measure({"time_drift": 1.2}, noise=0.5).rows), effects=[time_drift.EFFECT])
+    [evidence] = quiet.evidence
+    assert quiet.before.noise_ratio < 1.0
+    assert np.isnan(evidence.share)
+    assert evidence.p_value < 1e-3
+
+
+def test_an_effect_that_all_gyros_show_together_has_the_one_that_shows_it_most():
+    rows = measure({"temperature_rate": 0.3}, seed=2).rows
+    [found] = close_loop(campaign_of(rows), effects=[temperature_rate.EFFECT]).effects
+    assert found.axes
 
 
 def test_the_error_falls_to_the_noise_where_an_effect_is_explained(closed):

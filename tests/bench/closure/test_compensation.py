@@ -8,7 +8,7 @@ import pytest
 from bench.closure.campaign import campaign_of
 from bench.closure.closure import close_loop
 from bench.closure.compensation import declared_model, model_with_effects
-from bench.closure.effects import all_effects
+from bench.closure.effects import all_effects, attitude_thermal
 from drivers.ins.compensation import Conditions
 from tests.bench.closure.thermal_bench import STEP_S, measure
 
@@ -130,3 +130,13 @@ def test_an_effect_that_could_as_well_be_another_one_is_loaded_and_told():
     loadable = model_with_effects(replace(closure, effects=(tied,)))
     assert loadable.effects == ("g_sensitivity",)
     assert "g_sensitivity could as well be warm_up or time_drift" in loadable.notes[1]
+
+
+def test_a_heat_flow_that_some_flagged_dwells_lack_is_left_out():
+    rows = [
+        replace(row, flags="vibration", board_c=(np.nan,) * 3) if row.dwell % 7 == 0 else row
+        for row in measure({"attitude_thermal": 5.0}).rows
+    ]
+    closure = close_loop(campaign_of(rows), effects=[attitude_thermal.EFFECT])
+    assert [each.candidate.form.name for each in closure.effects] == ["saturating, flow unknown"]
+    assert model_with_effects(closure).effects == ()

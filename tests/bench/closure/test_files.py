@@ -10,7 +10,7 @@ import yaml
 
 from bench.closure.campaign import campaign_of
 from bench.closure.closure import close_loop
-from bench.closure.effects import all_effects, bias_jump, g_sensitivity
+from bench.closure.effects import all_effects, bias_jump, g_sensitivity, time_drift
 from bench.closure.files import (
     closure_document,
     format_predictions,
@@ -20,7 +20,7 @@ from bench.closure.files import (
     write_closure,
 )
 from bench.errors import RunFolderError
-from tests.bench.closure.thermal_bench import measure
+from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
 FORMATS = Path("/work/shared/formats.md")
 
@@ -70,6 +70,16 @@ def test_the_document_is_json_without_nan(closed, effects):
     assert json.loads(text)["verdict"] in {"clean", "explained", "unexplained"}
 
 
+def test_shares_are_null_where_nothing_is_beyond_the_noise():
+    quiet = campaign_of(measure({"time_drift": 1.2}, noise=0.5).rows)
+    closure = close_loop(quiet, effects=[time_drift.EFFECT])
+    [tried] = closure_document(closure)["tried"]
+    assert closure.effects
+    assert tried["share_explained_alone"] is None
+    assert tried["p_value_alone"] < 1e-3
+    json.dumps(closure_document(closure), allow_nan=False)
+
+
 def test_effects_are_listed_strongest_first():
     rows = measure({"g_sensitivity": 3.0, "bias_jump": 8.0}, cycles=2).rows
     closure = close_loop(campaign_of(rows), effects=[bias_jump.EFFECT, g_sensitivity.EFFECT])
@@ -83,6 +93,24 @@ def test_every_dwell_has_its_predictions_held_out_ones_too(explained):
     assert [int(row["dwell"]) for row in rows] == explained.campaign.dwell.tolist()
     assert {int(row["dwell"]) for row in rows} > set(explained.campaign.dwell[~explained.searched])
     assert all(np.isfinite(float(value)) for row in rows for value in row.values())
+
+
+def test_dwells_without_a_result_are_predicted_too_and_those_without_temperatures_have_empty_cells():
+    rows = measure({"g_sensitivity": 4.0}, cycles=2).rows
+    rows[4] = replace(rows[4], flags="vibration", bias_dph=(np.nan,) * 3)
+    rows[8] = replace(rows[8], gyro_c=(np.nan,) * 3)
+    closure = close_loop(campaign_of(rows), effects=[g_sensitivity.EFFECT])
+    told = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}
+    assert [*told] == [row.dwell for row in rows]
+    assert told[9] == [""] * 6
+    after_dph = np.array([float(value) for value in told[5][3:]])
+    undisturbed = measure({"g_sensitivity": 4.0}, cycles=2)
+    np.testing.assert_allclose(after_dph, undisturbed.bias_dph[4], atol=4.0 * SIGMA_DPH)
+    before_dph = np.array([float(value) for value in told[5][:3]])
+    assert (
+        np.abs(before_dph - undisturbed.bias_dph[4]).max()
+        > 2.0 * np.abs(after_dph - undisturbed.bias_dph[4]).max()
+    )
 
 
 def test_predictions_give_the_errors_told(explained):

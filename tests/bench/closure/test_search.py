@@ -1,7 +1,14 @@
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from bench.closure.effects import all_effects
-from bench.closure.search import SIGNIFICANCE, Search
+from bench.closure.effect_set import evaluate
+from bench.closure.effects import all_effects, bias_jump, time_drift
+from bench.closure.effects.effect import Effect, Form
+from bench.closure.problem import declared_problem
+from bench.closure.search import SIGNIFICANCE, TIE_MARGIN, Search
+from tests.bench.closure.thermal_bench import SIGMA_DPH
 
 CLEAN_SEEDS = range(20)
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
@@ -20,6 +27,15 @@ def search(problem):
         return done[key]
 
     return of
+
+
+def following_dwell(*numbers):
+    """An effect that is there in a few dwells only."""
+
+    def columns(campaign, _):
+        return np.isin(np.arange(len(campaign)), numbers)[:, None, None] * np.ones((1, 3, 1))
+
+    return Effect("dwells", "", "", (Form(("in the dwell",), columns),))
 
 
 @pytest.mark.parametrize(
@@ -73,6 +89,72 @@ def test_power_on_and_drift_are_told_apart_over_several_cycles(search):
 def test_three_effects_are_found_together(search):
     _, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
     assert best.names == {"g_sensitivity", "bias_jump", "thermal_hysteresis"}
+
+
+def test_no_effect_of_the_best_set_has_a_better_one_in_its_place(search):
+    one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
+    for left_out in best.candidates:
+        others = evaluate(one.problem, [each for each in best.candidates if each is not left_out])
+        for effect in one.effects:
+            instead = None if effect.name in best.names else one.add(others, effect)
+            assert instead is None or instead.score > best.score
+
+
+def test_the_first_of_several_effects_may_be_one_that_is_none_of_them(search):
+    """Of one effect at a time a stand-in for several does best; it is exchanged for them later."""
+    one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
+    first = min(one.alone.values(), key=lambda each: each.score)
+    assert first.names.isdisjoint(best.names)
+
+
+def test_what_rests_on_one_dwell_is_not_found(problem):
+    one = problem()
+    bias_dph = one.campaign.bias_dph.copy()
+    bias_dph[20] += 10.0 * SIGMA_DPH
+    searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
+    searching = Search(searched, [bias_jump.EFFECT, following_dwell(20)])
+    assert searching.p_value(searching.alone["dwells"], 0) < SIGNIFICANCE
+    assert "dwells" not in searching.best().names
+
+
+def test_what_rests_on_several_dwells_alike_is_found(problem):
+    one = problem()
+    bias_dph = one.campaign.bias_dph.copy()
+    bias_dph[[20, 31, 45]] += 10.0 * SIGMA_DPH
+    searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
+    assert Search(searched, [following_dwell(20, 31, 45)]).best().names == {"dwells"}
+
+
+def test_each_gyro_says_by_itself_whether_it_shows_an_effect(problem):
+    one = problem({"time_drift": 5.0})
+    bias_dph = one.campaign.bias_dph.copy()
+    bias_dph[:, [0, 2]] = problem(seed=3).campaign.bias_dph[:, [0, 2]]
+    mixed = Search(
+        declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched), [time_drift.EFFECT]
+    )
+    best = mixed.best()
+    assert best.names == {"time_drift"}
+    assert mixed.shows(best, 0) == [False, True, False]
+
+
+def test_a_special_case_at_the_lower_bound_of_a_parameter_is_no_tie(search):
+    """A lag of a second follows the rate as well as the rate itself."""
+    one, best = search({"temperature_rate": 4.0}, cycles=2, seed=1)
+    assert one.alone["thermal_lag"].score < best.score + TIE_MARGIN
+    assert one.rivals(best, 0) == ()
+
+
+def test_the_probability_of_an_effect_does_not_go_by_its_place_in_the_set(search):
+    one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0}, cycles=2, seed=7)
+    backward = replace(best, candidates=best.candidates[::-1])
+    assert one.p_value(best, 0) == pytest.approx(one.p_value(backward, 1))
+
+
+def test_terms_that_explain_nothing_are_not_added(problem):
+    nothing = Effect(
+        "nothing", "", "", (Form(("zero",), lambda campaign, _: np.zeros((len(campaign), 3, 1))),)
+    )
+    assert Search(problem({"time_drift": 4.0}), [nothing]).alone == {}
 
 
 def test_a_weak_effect_of_one_ramp_rate_is_not_told_from_those_like_it(search):

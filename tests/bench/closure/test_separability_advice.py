@@ -48,7 +48,7 @@ def test_the_least_added_time_comes_first(advice):
 def test_what_a_change_loses_was_told_before(fig7, advice):
     now = fig7[-1]
     lost = {pair for each in advice for pair in each.lost}
-    # On a ramp the electronics run ahead as a lag stays behind; no dwell of the shipped procedure sees one.
+    # On a ramp both go with the rate, and no dwell of the shipped procedure sees a ramp.
     assert ("thermal_gradient", "thermal_lag") in lost
     assert not lost & set(now.not_told(TARGET_DPH))
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,19 @@ def test_pauses_leave_the_sensors_alone_to_say_it():
     told_c, true_c = above_optics(measure(cycles=2, pause_s=600.0, sensors=ALL))
     np.testing.assert_allclose(told_c, true_c, atol=0.03)
     assert campaign_of(measure(cycles=2, pause_s=600.0, sensors=("case",)).rows).above_optics_c is None
+
+
+def test_flagged_dwells_in_between_are_no_pauses():
+    rows = measure(cycles=2, attitude_convection=0.3, sensors=("case",)).rows
+    flagged = [replace(row, flags="vibration") if row.dwell % 7 == 0 else row for row in rows]
+    good = np.array([not row.flags for row in flagged])
+    np.testing.assert_array_equal(campaign_of(flagged).above_optics_c, campaign_of(rows).above_optics_c[good])
+
+
+def test_a_dwell_without_temperatures_in_between_is_a_pause():
+    rows = measure(cycles=2, attitude_convection=0.3, sensors=("case",)).rows
+    rows[9] = replace(rows[9], gyro_c=(np.nan,) * 3)
+    assert campaign_of(rows).above_optics_c is None
 
 
 def test_without_sensors_at_the_electronics_the_difference_is_known_but_for_scale_and_offset():

@@ -86,5 +86,19 @@ def unexplained():
 
 
 @cache
+def quiet():
+    """Less scatter than stated: an effect is found, and yet nothing is beyond the noise."""
+    return close_loop(campaign_of(made_up_rows(0.3 * SENSITIVITY, scatter=0.5)), effects=EFFECTS)
+
+
+@cache
+def quiet_unexplained():
+    """What is left follows something, and yet is no more than the noise."""
+    return close_loop(
+        campaign_of(made_up_rows(np.zeros(3), unknown_dph=0.0015, scatter=0.5)), effects=EFFECTS
+    )
+
+
+@cache
 def without_boards():
     return close_loop(campaign_of(made_up_rows(boards=False)), effects=EFFECTS)

@@ -1,16 +1,30 @@
 """The page of a search for effects: complete, self-contained, figures beside it."""
 
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from bench.closure.campaign import campaign_of
+from bench.closure.closure import close_loop
 from bench.errors import RunFolderError
 from bench.report.closure_page import write_closure_page
 from bench.report.closure_section import closure_sections
-from tests.bench.report.made_up_closure import ambiguous, clean, explained, unexplained, without_boards
+from tests.bench.report.made_up_closure import (
+    ambiguous,
+    clean,
+    explained,
+    made_up_rows,
+    quiet,
+    unexplained,
+    without_boards,
+)
+
+SEARCHES = [clean, explained, ambiguous, unexplained, quiet, without_boards]
 
 
-@pytest.fixture(scope="module", params=[clean, explained, ambiguous, unexplained, without_boards])
+@pytest.fixture(scope="module", params=SEARCHES)
 def written(request, tmp_path_factory):
     """A closure, and the page that was written for it."""
     closure = request.param()
@@ -25,6 +39,20 @@ def test_the_page_holds_every_figure_inside(written):
     assert {f"effect_{each.candidate.effect.name}" for each in closure.effects} <= names
     assert page.count('src="data:image/png;base64,') == len(names)
     assert not re.search(r'(src|href)="(?!data:)', page)
+
+
+def test_no_number_is_missing(written):
+    _, path = written
+    text = re.sub(r'src="[^"]*"', "", path.read_text(encoding="utf-8"))
+    assert not re.search(r"\bnan\b", text)
+
+
+def test_the_dwells_searched_are_told_beside_those_of_the_table(tmp_path):
+    rows = made_up_rows()
+    rows[5] = replace(rows[5], flags="vibration")
+    rows[6] = replace(rows[6], gyro_c=(np.nan,) * 3)
+    page = write_closure_page(tmp_path, close_loop(campaign_of(rows), effects=[]), "dwells.csv")
+    assert "142 of 144" in page.read_text(encoding="utf-8")
 
 
 def test_the_verdict_stands_at_the_top_in_its_colour(written):

@@ -5,7 +5,7 @@ from tests.bench.report.made_up_closure import ambiguous, clean, explained, with
 
 
 def test_an_effect_has_its_gyros_size_and_chance():
-    head, rows = effect_table(ambiguous().effects)
+    head, rows = effect_table(ambiguous())
     [row] = [dict(zip(head, row, strict=True)) for row in rows]
     assert row["effect"] == "temperature rate"
     assert row["gyros"] == "x and y"
@@ -15,7 +15,7 @@ def test_an_effect_has_its_gyros_size_and_chance():
 
 
 def test_an_effect_without_rivals_is_tied_with_nothing():
-    head, [row] = effect_table(explained().effects)
+    head, [row] = effect_table(explained())
     assert row[head.index("tied with")] == "nothing"
 
 

@@ -6,7 +6,15 @@ import pytest
 from rich.console import Console
 
 from bench.report.closure_terminal import closure_summary
-from tests.bench.report.made_up_closure import ambiguous, clean, explained, unexplained, without_boards
+from tests.bench.report.made_up_closure import (
+    ambiguous,
+    clean,
+    explained,
+    quiet,
+    quiet_unexplained,
+    unexplained,
+    without_boards,
+)
 
 
 def printed(closure):
@@ -15,12 +23,15 @@ def printed(closure):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("search", [clean, explained, ambiguous, unexplained, without_boards])
+@pytest.mark.parametrize(
+    "search", [clean, explained, ambiguous, unexplained, quiet, quiet_unexplained, without_boards]
+)
 def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(search):
     text = printed(search())
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text
     assert "\x1b" not in text
+    assert "nan" not in text.split()
 
 
 def test_it_begins_with_the_verdict():

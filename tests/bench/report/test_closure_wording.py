@@ -13,6 +13,8 @@ from tests.bench.report.made_up_closure import (
     clean,
     explained,
     made_up_rows,
+    quiet,
+    quiet_unexplained,
     unexplained,
     without_boards,
 )
@@ -52,6 +54,15 @@ def test_what_comes_next_is_told_with_how_far_it_is_behind():
     assert "do not prefer temperature rate to it" in wording.runner_up_sentence(ambiguous())
     assert "takes away 3 %" in wording.runner_up_sentence(unexplained())
     assert wording.runner_up_sentence(clean()) == ""
+
+
+def test_where_nothing_is_beyond_the_noise_there_are_chances_in_the_place_of_shares():
+    assert quiet().verdict == "explained"
+    assert "%" not in wording.runner_up_sentence(quiet())
+    assert quiet_unexplained().verdict == "unexplained"
+    sentence = wording.runner_up_sentence(quiet_unexplained())
+    assert "chance gives as much" in sentence
+    assert "%" not in sentence
 
 
 def test_a_tie_comes_with_the_measurement_that_splits_it():

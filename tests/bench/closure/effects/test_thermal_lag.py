@@ -1,7 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from bench.closure.campaign import campaign_of
 from bench.closure.effects.thermal_lag import EFFECT
+from bench.closure.temperature_record import TemperatureRecord
 from tests.bench.closure.thermal_bench import measure
 
 [FORM] = EFFECT.forms
@@ -15,6 +19,19 @@ def test_on_a_ramp_it_is_behind_by_the_rate_times_the_time_constant():
     lag_s = -3600.0 * behind_c / campaign.rate_c_per_h
     # A course is known from step to step of its record.
     np.testing.assert_allclose(lag_s[-6:], TAU_S, atol=0.6 * campaign.record.step_s)
+
+
+@pytest.mark.parametrize("tau_s", [FORM.parameters[0].low, 60.0, 5000.0])
+@pytest.mark.parametrize("step_s", [60.0, 3600.0])
+def test_behind_a_straight_line_it_is_exact_however_coarse_the_steps(clean, tau_s, step_s):
+    time_s = np.arange(clean.start_s[0], clean.end_s[-1] + step_s, step_s)
+    rates_c_per_s = np.array([1.0, -2.0, 0.5]) / 3600.0
+    record = TemperatureRecord(time_s, 20.0 + time_s[:, None] * rates_c_per_s)
+    columns = FORM.columns(replace(clean, record=record), (tau_s,))[:, :, 0]
+    settled = clean.start_s > 20.0 * max(tau_s, step_s)
+    np.testing.assert_allclose(
+        columns[settled], np.tile(-rates_c_per_s * tau_s, (settled.sum(), 1)), rtol=1e-6
+    )
 
 
 def test_it_dies_away_in_a_soak():
