@@ -49,6 +49,8 @@ class Campaign:
         The gyros' temperatures at all times, between dwells too.
     unit : str
         Serial number of the INS.
+    held_out : ndarray of bool, shape (n,)
+        Dwells whose temperatures, too, must not influence what the others are explained by.
     without_temperatures : tuple of int
         Dwells of the table that have no place here, because a gyro's temperature lacks.
     part_of : tuple of Campaign and ndarray of bool, or None
@@ -74,6 +76,7 @@ class Campaign:
     sigma_dph: FloatArray
     record: TemperatureRecord
     unit: str
+    held_out: BoolArray
     without_temperatures: tuple[int, ...] = ()
     part_of: tuple[Campaign, BoolArray] | None = None
 
@@ -85,6 +88,16 @@ class Campaign:
     def whole(self) -> Campaign:
         """The campaign with the dwells that gave no result too; their biases may be NaN."""
         return self if self.part_of is None else self.part_of[0]
+
+    def holding_out(self, cycles: Sequence[int]) -> Campaign:
+        """Same campaign with the temperatures of some cycles kept from all fits."""
+        whole = self.whole
+        held_out: BoolArray = np.isin(whole.cycle, cycles)
+        record = whole.record
+        if record.is_of_dwells:
+            record = record_of_dwells(whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
+        whole = replace(whole, held_out=held_out, record=record)
+        return whole if self.part_of is None else whole.part(self.part_of[1])
 
     def part(self, chosen: BoolArray) -> Campaign:
         """Some of the dwells; what is told by the course of temperatures is still told by all."""
@@ -140,8 +153,9 @@ class Campaign:
         if self.part_of is not None:
             whole_c = self.whole.above_optics_c
             return None if whole_c is None else whole_c[self.part_of[1]]
+        readings = np.stack([self.gyro_c, self.rate_c_per_h, self.board_c], axis=2)
         fitted = electronics_above_optics(
-            self.start_s, self.end_s, self.case_c, self.gyro_c, self.rate_c_per_h, self.board_c, self.up_body
+            self.start_s, self.end_s, self.case_c, readings, self.up_body, ~self.held_out
         )
         if fitted is None and np.isfinite(self.board_c).all():
             return self.board_c - self.gyro_c
@@ -200,6 +214,7 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
         sigma_dph=gather("sigma_dph"),
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
         unit=units[0],
+        held_out=np.zeros(len(warm), dtype=bool),
         without_temperatures=tuple(row.dwell for row in ordered if row not in warm),
     )
     return whole if all(good) else whole.part(np.array(good))

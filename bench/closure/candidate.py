@@ -47,6 +47,14 @@ class Candidate:
         return self.form.columns(campaign, self.values)
 
     @property
+    def is_at_open_end(self) -> bool:
+        """Whether a parameter ended at an upper bound beyond which the effect becomes another one."""
+        return any(
+            each.is_open_end and value >= 0.999 * each.high
+            for each, value in zip(self.form.parameters, self.values, strict=True)
+        )
+
+    @property
     def unknowns(self) -> int:
         """Sizes and parameters fitted."""
         return int(self.kept.sum()) + len(self.values)

@@ -160,6 +160,7 @@ def close_loop(
     """
     candidates = all_effects() if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
+    campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     problem = declared_problem(campaign, searched)
     search = Search(problem, candidates)
     found, after = _confirmed(search)
@@ -257,7 +258,7 @@ def _proven(of: Search, noise_ratio: float) -> EffectSet:
     most and of which each effect is proven beside the others.
     """
     scale = of.problem.noise_scale * noise_ratio
-    search = Search(declared_problem(of.problem.campaign, of.problem.searched, scale), of.effects)
+    search = of.paid_with(declared_problem(of.problem.campaign, of.problem.searched, scale))
     best, best_gain, beam = search.nothing, 0.0, [search.nothing]
     for _ in range(MOST_EFFECTS):
         larger = [each for one in beam for effect in search.effects if (each := search.add(one, effect))]
@@ -278,7 +279,8 @@ def _is_proven(problem: Problem, of: EffectSet, one: Candidate) -> bool:
     """Whether one effect takes away most of the squares of cycles left out, and of most of them."""
     cycles = leave_out_cycles(problem, _without(of, one), of.candidates).values()
     better = sum(each.gain > 0.0 for each in cycles)
-    return pooled_gain(cycles) > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles)
+    share = 0.0 if one.is_at_open_end else pooled_gain(cycles)
+    return share > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles)
 
 
 def _without(of: EffectSet, one: Candidate) -> list[Candidate]:

@@ -76,12 +76,12 @@ def lack_of_fit(problem: Problem, unknowns: int) -> LackOfFit:
     freedom = problem.freedom - unknowns
     structure = {}
     for name, columns in _STRUCTURES.items():
-        gain, rank = problem.gain(columns(problem.campaign))
+        gain, rank = problem.gain(_on_searched(problem, columns))
         rest = freedom - rank
         if rank and rest > 0:
             ratio = (gain / rank) / max((problem.chi2 - gain) / rest, 1e-300)
             structure[name] = float(f_distribution.sf(ratio, rank, rest))
-    structure["the dwell before"] = _serial_correlation(problem.residuals)
+    structure["the dwell before"] = _serial_correlation(problem)
     return LackOfFit(
         p_noise=float(chi2_distribution.sf(problem.chi2, freedom)),
         p_structure=structure,
@@ -120,11 +120,24 @@ def _rate(campaign: Campaign) -> FloatArray:
     return np.concatenate([rate, np.abs(rate), rate * campaign.gyro_c[:, :, None] / 50.0], axis=2)
 
 
-def _serial_correlation(residuals: FloatArray) -> float:
-    """Probability that residuals of neighbouring dwells are this alike by chance."""
-    products = residuals[1:] * residuals[:-1]
-    spread = np.sqrt(np.sum(residuals**2, axis=0) ** 2 / max(len(residuals), 1)).sum() / np.sqrt(3.0)
-    return float(norm.sf(products.sum() / max(spread, 1e-300)))
+def _on_searched(problem: Problem, columns: Callable[[Campaign], FloatArray]) -> FloatArray:
+    """Columns (n, 3, k) made from the dwells searched alone; zero in the others."""
+    known = columns(problem.campaign.part(problem.searched))
+    every = np.zeros((len(problem.campaign), *known.shape[1:]))
+    every[problem.searched] = known
+    return every
+
+
+def _serial_correlation(problem: Problem) -> float:
+    """Probability that neighbours are this alike, or this unlike, by chance.
+
+    A fit makes neighbours a little unlike: what it leaves has the covariance ``1 - Q Q'``.
+    """
+    products = np.sum(problem.residuals[1:] * problem.residuals[:-1])
+    expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
+    scale = problem.chi2 / problem.freedom
+    spread = scale * np.sqrt(problem.residuals.size)
+    return float(2.0 * norm.sf(abs(products - scale * expected) / max(spread, 1e-300)))
 
 
 _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {

@@ -118,6 +118,7 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
         sigma_dph=_for_gyros(sigma_dph),
         record=TemperatureRecord(forecast.time_s, _for_gyros(forecast.optics_c)),
         unit="planned",
+        held_out=np.zeros(len(navigations), dtype=bool),
     )
 
 

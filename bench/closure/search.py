@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +40,8 @@ class Search:
         With the declared model alone.
     effects : sequence of Effect
         All candidates.
+    alone : mapping of str to EffectSet, optional
+        Each effect alone, where that is known.
 
     Attributes
     ----------
@@ -49,12 +51,21 @@ class Search:
         Each effect alone; those that the data don't show at all are not in it.
     """
 
-    def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
+    def __init__(
+        self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, EffectSet] | None = None
+    ) -> None:
         self.problem = problem
         self.effects = tuple(effects)
         self.nothing = evaluate(problem, ())
-        alone = {effect.name: self._added(self.nothing, effect) for effect in effects}
-        self.alone = {name: each for name, each in alone.items() if each is not None}
+        if alone is None:
+            each_alone = {effect.name: self._added(self.nothing, effect) for effect in effects}
+            alone = {name: each for name, each in each_alone.items() if each is not None}
+        self.alone = dict(alone)
+
+    def paid_with(self, problem: Problem) -> Search:
+        """Same search with noise of another size: parameters stay, terms are chosen anew."""
+        alone = {name: evaluate(problem, each.candidates) for name, each in self.alone.items()}
+        return Search(problem, self.effects, alone)
 
     def best(self) -> EffectSet:
         """Find the set that explains most for its number of unknowns, each effect of it significant."""
@@ -73,7 +84,7 @@ class Search:
             if not beam or beam[0].score >= best.score:
                 break
             best = beam[0]
-        return self._exchanged(best)
+        return self._simplified(self._exchanged(best))
 
     def add(self, to: EffectSet, effect: Effect) -> EffectSet | None:
         """Add one effect in its best form, all parameters fitted anew; None if it adds nothing."""
@@ -99,7 +110,8 @@ class Search:
     def rivals(self, of: EffectSet, index: int) -> tuple[str, ...]:
         """Names of effects that do about as well in the place of one, best first.
 
-        An effect that has the one as a special case is no rival: the simpler cause is preferred.
+        An effect that has the one as a special case is no rival: the simpler cause is preferred. One
+        that is known to imitate it and can't be tried, for want of an input, may be in its place too.
         """
         others = evaluate(
             self.problem, [each for number, each in enumerate(of.candidates) if number != index]
@@ -113,7 +125,14 @@ class Search:
                 and not self._is_case_of(of, instead)
             ):
                 tied.append((instead.score, effect.name))
-        return tuple(name for _, name in sorted(tied))
+        one = of.candidates[index].effect
+        untried = [
+            effect.name
+            for effect in self.effects
+            if effect.name in one.imitated_by
+            and all(form.lacks(self.problem.campaign) for form in effect.forms)
+        ]
+        return (*(name for _, name in sorted(tied)), *untried)
 
     def _added(self, to: EffectSet, effect: Effect) -> EffectSet | None:
         problem, campaign = self.problem, self.problem.campaign
@@ -152,10 +171,27 @@ class Search:
             best = min(better, key=lambda each: each.score)
         return best
 
+    def _simplified(self, best: EffectSet) -> EffectSet:
+        """Set in which no effect can be had by a special case of it that does about as well."""
+        for one in best.candidates:
+            others = evaluate(self.problem, [each for each in best.candidates if each is not one])
+            for effect in self.effects:
+                simpler = None if effect.name in best.names else self.add(others, effect)
+                if (
+                    simpler is not None
+                    and simpler.score < best.score + TIE_MARGIN
+                    and self._is_case_of(simpler, best)
+                    and self._all_significant(simpler)
+                ):
+                    return self._simplified(simpler)
+        return best
+
     def _all_significant(self, of: EffectSet) -> bool:
         return all(
-            self.p_value(of, index) < SIGNIFICANCE and not self._rests_on_one_dwell(of, index)
-            for index in range(len(of.candidates))
+            self.p_value(of, index) < SIGNIFICANCE
+            and not each.is_at_open_end
+            and not self._rests_on_one_dwell(of, index)
+            for index, each in enumerate(of.candidates)
         )
 
     def _rests_on_one_dwell(self, of: EffectSet, index: int) -> bool:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 _STEPS_A_DWELL = 6
 _MOST_STEPS = 20_000
@@ -27,10 +29,13 @@ class TemperatureRecord:
         Equally spaced, m at least 2, on the clock of the dwells.
     gyro_c : ndarray, shape (m, 3)
         Temperature of each gyro's optics.
+    is_of_dwells : bool
+        Whether it was made from the dwells' means and slopes.
     """
 
     time_s: FloatArray
     gyro_c: FloatArray
+    is_of_dwells: bool = False
 
     @property
     def step_s(self) -> float:
@@ -52,7 +57,11 @@ class TemperatureRecord:
 
 
 def record_of_dwells(
-    start_s: FloatArray, end_s: FloatArray, gyro_c: FloatArray, rate_c_per_h: FloatArray
+    start_s: FloatArray,
+    end_s: FloatArray,
+    gyro_c: FloatArray,
+    rate_c_per_h: FloatArray,
+    held_out: BoolArray | None = None,
 ) -> TemperatureRecord:
     """Record with the dwells' mean temperatures and, in their middles, the dwells' slopes.
 
@@ -62,12 +71,18 @@ def record_of_dwells(
         Times of the dwells, in order.
     gyro_c, rate_c_per_h : ndarray, shape (n, 3)
         Mean temperatures of the dwells and their slopes.
+    held_out : ndarray of bool, shape (n,), optional
+        Dwells that must not influence the record within the others.
     """
+    if held_out is not None and held_out.any() and not held_out.all():
+        return _without_influence(start_s, end_s, gyro_c, rate_c_per_h, held_out)
     middle_s, index = np.unique(0.5 * (start_s + end_s), return_index=True)
     first_s, last_s = float(start_s.min()), float(end_s.max())
     length_s = max(last_s - first_s, 1.0)
     step_s = max(float(np.median(end_s - start_s)) / _STEPS_A_DWELL, length_s / _MOST_STEPS, 1e-3)
-    time_s = np.linspace(first_s, last_s, max(2, round(length_s / step_s) + 1))
+    # Steps are counted from the begin, so that dwells added at the end do not move them.
+    steps = np.arange(max(2, math.ceil(length_s / step_s) + 1), dtype=np.float64)
+    time_s = first_s + step_s * steps
     if len(middle_s) == 1:
         return TemperatureRecord(time_s, np.repeat(gyro_c[index], len(time_s), axis=0))
     rates = rate_c_per_h[index] / _S_PER_H
@@ -79,6 +94,19 @@ def record_of_dwells(
     return record
 
 
+def _without_influence(
+    start_s: FloatArray, end_s: FloatArray, gyro_c: FloatArray, rate_c_per_h: FloatArray, held_out: BoolArray
+) -> TemperatureRecord:
+    """Record of all dwells, but within those not held out the record of these alone."""
+    every = record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h)
+    seen = ~held_out
+    alone = record_of_dwells(start_s[seen], end_s[seen], gyro_c[seen], rate_c_per_h[seen])
+    dwell = np.clip(np.searchsorted(start_s, every.time_s, side="right") - 1, 0, len(start_s) - 1)
+    inside = seen[dwell] & (every.time_s <= end_s[dwell])
+    own_c = np.stack([np.interp(every.time_s, alone.time_s, each) for each in alone.gyro_c.T], axis=1)
+    return replace(every, gyro_c=np.where(inside[:, np.newaxis], own_c, every.gyro_c))
+
+
 def _through(
     time_s: FloatArray, middle_s: FloatArray, nodes_c: FloatArray, rates: FloatArray
 ) -> TemperatureRecord:
@@ -87,4 +115,4 @@ def _through(
     before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * rates[0]
     after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * rates[-1]
     curve_c = CubicHermiteSpline(middle_s, nodes_c, rates)(inside_s)
-    return TemperatureRecord(time_s, curve_c + before + after)
+    return TemperatureRecord(time_s, curve_c + before + after, is_of_dwells=True)

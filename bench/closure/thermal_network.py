@@ -9,10 +9,13 @@ from the electronics depend on the direction of gravity below an onset temperatu
 
 The case's temperature drives it. The network says what the electronics' temperature above the
 optics was with less noise than the sensors have, and also where there is no sensor at the
-electronics. Between dwells nothing is known of the attitude, so they have to follow one another.
+electronics. Between dwells nothing is known of the attitude, so it starts anew after each pause.
 """
 
 from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -21,9 +24,13 @@ from scipy.interpolate import make_interp_spline
 from scipy.optimize import least_squares
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 _STEPS_A_DWELL = 10
+_SPLINE_DEGREE = 5
+#: Longer pauses, as a share of the dwell after them, break a stretch; in the mean one has so many dwells.
 _LONGEST_PAUSE = 0.05
+_SHORTEST_STRETCH = 10
 _S_PER_H = 3600.0
 #: Parameters, each with the lower bound, start, upper bound and scale of its fit; hours and kelvin.
 _PARAMETERS = (
@@ -40,9 +47,9 @@ _PARAMETERS = (
     ("onset_width_c", 1.0, 4.0, 15.0, 2.0),
 )
 _START_ABOVE_OPTICS_C = 8.0
-#: What the sensors are believed to, and how far off a network may be that is used: means and slopes.
-_SENSOR_C, _SLOPE_C_PER_H = 0.02, 0.06
-_MOST_OFF_C, _MOST_OFF_C_PER_H = 0.1, 0.3
+#: What sensors are believed to, and how far off a network may be that is used: optics, slope, electronics.
+_SENSORS = np.array([0.02, 0.06, 0.02])
+_MOST_OFF = np.array([0.1, 0.3, 0.1])
 _MOST_EVALUATIONS = 60
 
 
@@ -50,78 +57,150 @@ def electronics_above_optics(
     start_s: FloatArray,
     end_s: FloatArray,
     case_c: FloatArray,
-    gyro_c: FloatArray,
-    rate_c_per_h: FloatArray,
-    board_c: FloatArray,
+    readings: FloatArray,
     up_body: FloatArray,
+    fitted: BoolArray,
 ) -> FloatArray | None:
     """Mean temperature of each gyro's electronics above its optics in each dwell, (n, 3), by the network.
 
-    None where the network does not describe the temperatures, or where there are pauses between dwells.
+    None where the network does not describe the temperatures, or where there are many pauses: after
+    a pause, and in dwells that the fit must not see, it starts anew.
 
     Parameters
     ----------
     start_s, end_s, case_c : ndarray, shape (n,)
         Times of the dwells, in order, and mean temperature of the case.
-    gyro_c, rate_c_per_h, board_c : ndarray, shape (n, 3)
-        Mean temperature and slope of the optics, mean temperature of the electronics (may be NaN).
+    readings : ndarray, shape (n, 3, 3)
+        For each gyro mean temperature of the optics, its slope in K/h, and mean temperature of the
+        electronics (may be NaN).
     up_body : ndarray, shape (n, 3)
         Unit vector Up in body axes.
+    fitted : ndarray of bool, shape (n,)
+        Dwells whose temperatures the network's parameters are fitted to.
     """
-    lengths_s = end_s - start_s
-    if len(case_c) <= 2 * len(_PARAMETERS) or not np.isfinite(case_c).all():
+    if not np.isfinite(case_c).all() or np.any(end_s <= start_s):
         return None
-    if np.any(np.abs(start_s[1:] - end_s[:-1]) > _LONGEST_PAUSE * lengths_s[1:]) or np.any(lengths_s <= 0.0):
+    stretches = [
+        _Stretch.of(start_s[part], end_s[part], case_c[part], up_body[part], bool(fitted[part][0]), part)
+        for part in _without_pauses(start_s, end_s, fitted)
+    ]
+    seen = [each for each in stretches if each.is_fitted]
+    dwells = sum(len(each.step_h) for each in seen)
+    if dwells <= 2 * len(_PARAMETERS) or dwells < _SHORTEST_STRETCH * len(seen):
         return None
-    edges_h = np.append(start_s, end_s[-1]) / _S_PER_H
-    lengths_h = np.diff(edges_h)
-    sums = np.concatenate([[0.0], np.cumsum(case_c * lengths_h)])
-    steps_h = lengths_h[:, np.newaxis] / _STEPS_A_DWELL
-    times_h = edges_h[:-1, np.newaxis] + (np.arange(_STEPS_A_DWELL) + 0.5) * steps_h
-    driven_c = make_interp_spline(edges_h, sums, k=5).derivative()(times_h)
-    above_c = []
+    above_c = np.empty((len(case_c), 3))
     for gyro in range(3):
-        measured = (gyro_c[:, gyro], rate_c_per_h[:, gyro], board_c[:, gyro])
-        fitted = _fit(measured, up_body, driven_c, steps_h[:, 0])
-        if fitted is None:
+        parameters = _fit(seen, readings[:, gyro])
+        if parameters is None:
             return None
-        above_c.append(fitted)
-    return np.stack(above_c, axis=1)
+        for each in stretches:
+            mine = readings[each.part, gyro]
+            above_c[each.part, gyro] = _above(_with_start(parameters, each, mine), each)
+    return above_c
 
 
-def _fit(
-    measured: tuple[FloatArray, FloatArray, FloatArray],
-    up_body: FloatArray,
-    driven_c: FloatArray,
-    step_h: FloatArray,
-) -> FloatArray | None:
-    gyro_c, rate_c_per_h, board_c = measured
-    has_board = bool(np.isfinite(board_c).all())
-    first_c = gyro_c[0] - 0.5 * _STEPS_A_DWELL * step_h[0] * rate_c_per_h[0]
-    board_first_c = board_c[0] if has_board else first_c + _START_ABOVE_OPTICS_C
+@dataclass(frozen=True)
+class _Stretch:
+    """Dwells that follow one another: their part of the table, and what drives the network in them."""
 
-    def off(values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        optics_c, slopes, electronics_c = _run(values, up_body, driven_c, step_h)
-        return optics_c - gyro_c, slopes - rate_c_per_h, electronics_c - board_c
+    part: slice
+    is_fitted: bool
+    up_body: FloatArray
+    driven_c: FloatArray
+    step_h: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        start_s: FloatArray,
+        end_s: FloatArray,
+        case_c: FloatArray,
+        up_body: FloatArray,
+        is_fitted: bool,
+        part: slice,
+    ) -> _Stretch:
+        """Take the case's temperature between the dwells' means from a spline of its integral."""
+        edges_h = np.append(start_s, end_s[-1]) / _S_PER_H
+        lengths_h = np.diff(edges_h)
+        sums = np.concatenate([[0.0], np.cumsum(case_c * lengths_h)])
+        step_h = lengths_h / _STEPS_A_DWELL
+        times_h = edges_h[:-1, np.newaxis] + (np.arange(_STEPS_A_DWELL) + 0.5) * step_h[:, np.newaxis]
+        degree = max((min(_SPLINE_DEGREE, len(case_c)) - 1) // 2 * 2 + 1, 1)
+        driven_c = make_interp_spline(edges_h, sums, k=degree).derivative()(times_h)
+        return cls(part, is_fitted, up_body, driven_c, step_h)
+
+    def start(self, readings: FloatArray) -> FloatArray:
+        """First temperatures of optics and electronics by the readings of one gyro (m, 3)."""
+        optics_c = readings[0, 0] - 0.5 * _STEPS_A_DWELL * self.step_h[0] * readings[0, 1]
+        board_c = readings[0, 2]
+        return np.array([optics_c, board_c if np.isfinite(board_c) else optics_c + _START_ABOVE_OPTICS_C])
+
+    def off(self, values: FloatArray, readings: FloatArray) -> FloatArray:
+        """Differences from the readings (m, 3): optics, slopes, electronics; NaN where not read."""
+        return np.stack(_run(values, self.up_body, self.driven_c, self.step_h), axis=1) - readings
+
+
+def _without_pauses(start_s: FloatArray, end_s: FloatArray, fitted: BoolArray) -> list[slice]:
+    """Parts of the table without pauses in them, either all fitted or not at all."""
+    pauses = np.abs(start_s[1:] - end_s[:-1]) > _LONGEST_PAUSE * (end_s - start_s)[1:]
+    cuts = np.flatnonzero(pauses | (fitted[1:] != fitted[:-1])) + 1
+    return [slice(*pair) for pair in itertools.pairwise([0, *cuts.tolist(), len(start_s)])]
+
+
+def _fit(stretches: list[_Stretch], readings: FloatArray) -> FloatArray | None:
+    """Parameters of one gyro's network; None where it does not describe the readings (n, 3)."""
+    count = len(_PARAMETERS)
+
+    def off(values: FloatArray) -> FloatArray:
+        parts = [
+            each.off(np.append(values[:count], values[count + 2 * index :][:2]), readings[each.part])
+            for index, each in enumerate(stretches)
+        ]
+        return np.concatenate(parts)
 
     def weighted(values: FloatArray) -> FloatArray:
-        optics_c, slopes, electronics_c = off(values)
-        parts = [optics_c / _SENSOR_C, slopes / _SLOPE_C_PER_H, electronics_c / _SENSOR_C]
-        return np.concatenate(parts if has_board else parts[:2])
+        return _weighted(off(values))
 
     lows, starts, highs, scales = np.array([each[1:] for each in _PARAMETERS]).T
+    begun = [each.start(readings[each.part]) for each in stretches]
     fitted = least_squares(
         weighted,
-        np.concatenate([starts, [first_c, board_first_c]]),
-        bounds=(np.append(lows, [-100.0, -100.0]), np.append(highs, [150.0, 250.0])),
-        x_scale=np.append(scales, [1.0, 3.0]),
+        np.concatenate([starts, *begun]),
+        bounds=(
+            np.append(lows, [-100.0, -100.0] * len(begun)),
+            np.append(highs, [150.0, 250.0] * len(begun)),
+        ),
+        x_scale=np.append(scales, [1.0, 3.0] * len(begun)),
         max_nfev=_MOST_EVALUATIONS,
     ).x
-    optics_c, slopes, electronics_c = (float(np.sqrt(np.mean(each**2))) for each in off(fitted))
-    if optics_c > _MOST_OFF_C or slopes > _MOST_OFF_C_PER_H or (has_board and electronics_c > _MOST_OFF_C):
-        return None
-    warm_c, _, hot_c = _run(fitted, up_body, driven_c, step_h)
-    return hot_c - warm_c
+    read = 3 if np.isfinite(readings[:, 2]).all() else 2
+    rms = np.sqrt(np.mean(off(fitted)[:, :read] ** 2, axis=0))
+    return None if np.any(rms > _MOST_OFF[:read]) else np.asarray(fitted[:count])
+
+
+def _with_start(parameters: FloatArray, stretch: _Stretch, readings: FloatArray) -> FloatArray:
+    """Parameters with the first temperatures that fit one stretch best."""
+
+    def weighted(values: FloatArray) -> FloatArray:
+        return _weighted(stretch.off(np.append(parameters, values), readings))
+
+    start = least_squares(
+        weighted,
+        stretch.start(readings),
+        max_nfev=_MOST_EVALUATIONS,
+    ).x
+    return np.append(parameters, start)
+
+
+def _above(values: FloatArray, stretch: _Stretch) -> FloatArray:
+    optics_c, _, electronics_c = _run(values, stretch.up_body, stretch.driven_c, stretch.step_h)
+    return np.asarray(electronics_c - optics_c)
+
+
+def _weighted(off: FloatArray) -> FloatArray:
+    """Differences in standard deviations of the sensors, in one row; what was not read counts nothing."""
+    weighted: FloatArray = np.nan_to_num(off / _SENSORS, nan=0.0).ravel()
+    return weighted
 
 
 @numba.njit(cache=True)

@@ -15,7 +15,7 @@ def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 
 
 def _starts(campaign: Campaign) -> FloatArray:
-    return campaign.start_s[1:]
+    return campaign.start_s[~campaign.held_out][1:]
 
 
 EFFECT = Effect(

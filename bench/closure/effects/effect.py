@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,16 @@ class Parameter:
         Bounds of the fit.
     starts : callable
         Gives the values that the fit starts from, for a campaign: all of them are tried.
+    is_open_end : bool
+        Whether the upper bound stands for values beyond it, with which the effect becomes another
+        one: a time constant as long as the campaign is a drift.
     """
 
     name: str
     low: float
     high: float
     starts: Callable[[Campaign], FloatArray]
+    is_open_end: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,12 +77,16 @@ class Effect:
         The measurement that shows it alone, for a person: "hold ... and ...".
     forms : tuple of Form
         The forms tried; the one that fits best counts.
+    imitated_by : tuple of str
+        Names of effects that correlate with it so much that, where they can't be tried, they may be
+        the cause in its place.
     """
 
     name: str
     statement: str
     experiment: str
-    forms: tuple[Form, ...] = field(default=())
+    forms: tuple[Form, ...]
+    imitated_by: tuple[str, ...] = ()
 
 
 def fixed(*values: float) -> Callable[[Campaign], FloatArray]:

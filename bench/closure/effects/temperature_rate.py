@@ -18,4 +18,5 @@ EFFECT = Effect(
         "what follows the rate doubles with it, changes sign and is gone after the soak"
     ),
     forms=(Form(("temperature rate, K/h",), _columns),),
+    imitated_by=("thermal_gradient",),
 )

@@ -37,7 +37,8 @@ EFFECT = Effect(
         Form(
             ("lag behind the sensor, K",),
             _columns,
-            (Parameter("tau_s", 1.0, 14_400.0, fixed(300.0, 900.0, 2700.0, 7200.0)),),
+            (Parameter("tau_s", 1.0, 14_400.0, fixed(300.0, 900.0, 2700.0, 7200.0), is_open_end=True),),
         ),
     ),
+    imitated_by=("thermal_gradient",),
 )

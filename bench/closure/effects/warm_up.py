@@ -35,7 +35,15 @@ EFFECT = Effect(
         Form(
             ("decay since power-on",),
             _columns,
-            (Parameter("tau_s", 300.0, 43_200.0, fixed(900.0, 2700.0, 7200.0, 14_400.0, 28_800.0)),),
+            (
+                Parameter(
+                    "tau_s",
+                    300.0,
+                    43_200.0,
+                    fixed(900.0, 2700.0, 7200.0, 14_400.0, 28_800.0),
+                    is_open_end=True,
+                ),
+            ),
         ),
     ),
 )

@@ -304,3 +304,23 @@ def test_one_dwell_far_off_is_no_effect_and_left_unexplained():
     closure = close_loop(campaign_of(rows))
     assert closure.effects == ()
     assert closure.verdict == "unexplained"
+
+
+def test_nothing_of_the_cycle_held_out_not_even_its_length_changes_what_is_found():
+    rows = measure({"thermal_hysteresis": 5.0, "attitude_thermal": 4.0}, cycles=3).rows
+    few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]
+    one, other = (close_loop(campaign_of(each)) for each in (rows, few))
+    assert [each.candidate.values for each in one.effects] == [
+        each.candidate.values for each in other.effects
+    ]
+    assert [each.p_value for each in one.effects] == [each.p_value for each in other.effects]
+    assert one.after == other.after
+
+
+def test_an_effect_that_an_untried_one_imitates_is_ambiguous():
+    rows = measure({"temperature_rate": 5.0}, cycles=3, sensors=("air", "set")).rows
+    closure = close_loop(campaign_of(rows))
+    assert closure.verdict == "ambiguous"
+    [found] = closure.effects
+    assert found.candidate.effect.name == "temperature_rate"
+    assert "thermal_gradient" in found.tied_with

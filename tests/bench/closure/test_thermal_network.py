@@ -45,10 +45,25 @@ def test_flagged_dwells_in_between_are_no_pauses():
     np.testing.assert_array_equal(campaign_of(flagged).above_optics_c, campaign_of(rows).above_optics_c[good])
 
 
-def test_a_dwell_without_temperatures_in_between_is_a_pause():
+def test_after_a_dwell_without_temperatures_the_network_starts_anew():
     rows = measure(cycles=2, attitude_convection=0.3, sensors=("case",)).rows
+    whole_c = campaign_of(rows).above_optics_c
     rows[9] = replace(rows[9], gyro_c=(np.nan,) * 3)
-    assert campaign_of(rows).above_optics_c is None
+    told_c = campaign_of(rows).above_optics_c
+    for told, whole in zip(told_c.T, np.delete(whole_c, 9, axis=0).T, strict=True):
+        assert np.corrcoef(told, whole)[0, 1] > 0.99
+
+
+def test_many_pauses_leave_the_network_nothing_to_go_by():
+    assert campaign_of(measure(cycles=2, pause_s=600.0, sensors=("case",)).rows).above_optics_c is None
+
+
+def test_temperatures_held_out_do_not_change_what_the_others_are_told():
+    rows = measure(cycles=3, attitude_convection=0.3, sensors=("case", "board")).rows
+    few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]
+    seen, short = (campaign_of(each).holding_out([3]).part for each in (rows, few))
+    searched = [np.array([row.cycle < 3 for row in each]) for each in (rows, few)]
+    np.testing.assert_array_equal(seen(searched[0]).above_optics_c, short(searched[1]).above_optics_c)
 
 
 def test_without_sensors_at_the_electronics_the_difference_is_known_but_for_scale_and_offset():
