@@ -16,7 +16,7 @@ run: $(VENV)/.installed
 
 # Three workers on two cores: one of them waits in real time for most of the run.
 test: install
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 3 --dist loadgroup --no-loadscope-reorder
 
 check: install
 	$(BIN)/ruff check .

@@ -84,9 +84,12 @@ def write_world(folder: Path, effects=(), **sections) -> Path:
     return path
 
 
-def write_procedure(folder: Path, power_on_each_cycle=False) -> Path:
+def write_procedure(folder: Path, power_on_each_cycle=False, cycles=3) -> Path:
     """Write the quick campaign, with all cycles in one power-on or with one power-on for each."""
     data = read_document(find_document("procedures", PROCEDURE)).data
+    data["steps"] = [
+        step for step in data["steps"] if "repeat" not in step or step["repeat"]["over"]["cycle"][0] <= cycles
+    ]
     if power_on_each_cycle:
         data["steps"] = [*_powered_on_anew(data["steps"])]
     path = folder / "campaign.yaml"
@@ -104,11 +107,11 @@ def _powered_on_anew(steps):
 
 
 def watched_campaign(
-    folder: Path, effects=(), *, power_on_each_cycle=False, seed=0, **sections
+    folder: Path, effects=(), *, power_on_each_cycle=False, cycles=3, seed=0, **sections
 ) -> tuple[RunFolder, Truth]:
     """Run the quick campaign as the command line does; ``folder`` is an empty folder for its files."""
     world = write_world(folder, effects, **sections)
-    procedure = write_procedure(folder, power_on_each_cycle)
+    procedure = write_procedure(folder, power_on_each_cycle, cycles)
     job = prepare_job(str(procedure), STATION, Emulation(str(world), seed))
     with Truth(job) as truth:
         run, outcome = run_job(job, folder / "run", truth, ConsentingOperator())
