@@ -223,7 +223,7 @@ def _confirmed(search: Search) -> tuple[EffectSet, LackOfFit]:
     """Best set without the effects that make cycles worse which they were not fitted to."""
     problem, found = search.problem, search.best()
     for each in reversed(found.candidates):
-        others = _without(found, each)
+        others = found.without(each)
         cycles = leave_out_cycles(problem, others, found.candidates).values()
         if cycles and pooled_gain(cycles) <= 0.0:
             found = evaluate(problem, others)
@@ -277,14 +277,10 @@ def _proven(of: Search, noise_ratio: float) -> EffectSet:
 
 def _is_proven(problem: Problem, of: EffectSet, one: Candidate) -> bool:
     """Whether one effect takes away most of the squares of cycles left out, and of most of them."""
-    cycles = leave_out_cycles(problem, _without(of, one), of.candidates).values()
+    cycles = leave_out_cycles(problem, of.without(one), of.candidates).values()
     better = sum(each.gain > 0.0 for each in cycles)
     share = 0.0 if one.is_at_open_end else pooled_gain(cycles)
     return share > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles)
-
-
-def _without(of: EffectSet, one: Candidate) -> list[Candidate]:
-    return [each for each in of.candidates if each is not one]
 
 
 def _verdict(found: EffectSet, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
@@ -302,7 +298,7 @@ def _found_effects(
     result = []
     for index, each in enumerate(found.candidates):
         sizes = model.sizes[index]
-        left_out_cycles = leave_out_cycles(problem, _without(found, each), found.candidates)
+        left_out_cycles = leave_out_cycles(problem, found.without(each), found.candidates)
         part = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
         part = part - part.mean(axis=0)
         shows = search.shows(found, index)

@@ -36,6 +36,10 @@ class EffectSet:
         """Names of the effects."""
         return frozenset(each.effect.name for each in self.candidates)
 
+    def without(self, one: Candidate) -> list[Candidate]:
+        """All effects but one."""
+        return [each for each in self.candidates if each is not one]
+
 
 def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> EffectSet:
     """Drop the terms that don't pay for themselves, and score what stays.

@@ -57,6 +57,7 @@ class Search:
         self.problem = problem
         self.effects = tuple(effects)
         self.nothing = evaluate(problem, ())
+        self._known: dict[tuple[object, ...], EffectSet | None] = {}
         if alone is None:
             each_alone = {effect.name: self._added(self.nothing, effect) for effect in effects}
             alone = {name: each for name, each in each_alone.items() if each is not None}
@@ -90,7 +91,12 @@ class Search:
         """Add one effect in its best form, all parameters fitted anew; None if it adds nothing."""
         if not to.candidates:
             return self.alone.get(effect.name)
-        return None if effect.name in to.names else self._added(to, effect)
+        if effect.name in to.names:
+            return None
+        key = (*((each.effect.name, each.form.name, each.values) for each in to.candidates), effect.name)
+        if key not in self._known:
+            self._known[key] = self._added(to, effect)
+        return self._known[key]
 
     def p_value(self, of: EffectSet, index: int) -> float:
         """Probability that chance gives one effect of a set as much, over all effects and starts tried."""
@@ -113,9 +119,7 @@ class Search:
         An effect that has the one as a special case is no rival: the simpler cause is preferred. One
         that is known to imitate it and can't be tried, for want of an input, may be in its place too.
         """
-        others = evaluate(
-            self.problem, [each for number, each in enumerate(of.candidates) if number != index]
-        )
+        others = evaluate(self.problem, of.without(of.candidates[index]))
         tied = []
         for effect in self.effects:
             instead = None if effect.name in of.names else self.add(others, effect)
@@ -155,10 +159,7 @@ class Search:
     def _exchanged(self, best: EffectSet) -> EffectSet:
         """Set in which no effect has a better one in its place: early ones may be stand-ins for several."""
         for _ in range(_MOST_EXCHANGES if len(best.candidates) > 1 else 0):
-            fewer = [
-                evaluate(self.problem, [each for each in best.candidates if each is not one])
-                for one in best.candidates
-            ]
+            fewer = [evaluate(self.problem, best.without(one)) for one in best.candidates]
             others = [effect for effect in self.effects if effect.name not in best.names]
             found = [self.add(each, effect) for each in fewer for effect in others]
             better = [
@@ -174,7 +175,7 @@ class Search:
     def _simplified(self, best: EffectSet) -> EffectSet:
         """Set in which no effect can be had by a special case of it that does about as well."""
         for one in best.candidates:
-            others = evaluate(self.problem, [each for each in best.candidates if each is not one])
+            others = evaluate(self.problem, best.without(one))
             for effect in self.effects:
                 simpler = None if effect.name in best.names else self.add(others, effect)
                 if (
@@ -203,7 +204,7 @@ class Search:
 
     def _beside_others(self, of: EffectSet, index: int) -> Problem:
         """Problem without what the other effects of a set, with all their terms, explain."""
-        others = [each for number, each in enumerate(of.candidates) if number != index]
+        others = of.without(of.candidates[index])
         return self.problem.with_columns(stack(others, self.problem.campaign)[0]) if others else self.problem
 
     def _is_case_of(self, special: EffectSet, general: EffectSet) -> bool:

@@ -175,10 +175,13 @@ def write_comparison(path: Path, leftovers: Iterable[Leftover]) -> None:
 
 
 def _varying(rows: Sequence[DwellRow]) -> FloatArray:
-    """Biases (n, 3) less each gyro's mean, weighted by the uncertainties."""
-    bias = np.array([row.bias_dph for row in rows]).reshape(-1, 3)
+    """Biases (n, 3) less each gyro's mean in its power-on, weighted by the uncertainties."""
+    varying = np.array([row.bias_dph for row in rows]).reshape(-1, 3)
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
-    return np.asarray(bias - (weights * bias).sum(axis=0) / weights.sum(axis=0)) if rows else bias
+    for run in {row.run for row in rows}:
+        mine = [row.run == run for row in rows]
+        varying[mine] -= (weights[mine] * varying[mine]).sum(axis=0) / weights[mine].sum(axis=0)
+    return varying
 
 
 def _row(
@@ -209,7 +212,7 @@ def _total(
     compensation: str, rows: Sequence[ComparisonRow], good: Sequence[DwellRow], varying: FloatArray
 ) -> ComparisonRow:
     sigma = np.array([row.sigma_dph for row in good]).reshape(-1, 3)
-    freedom = varying.size - varying.shape[1]
+    freedom = varying.size - varying.shape[1] * len({row.run for row in good})
     spread, spread_noise = _largest(rows, lambda row: (row.spread_dph, row.spread_noise_dph))
     velocity, velocity_noise = _largest(rows, lambda row: (row.velocity_east_mps, row.velocity_noise_mps))
     position, position_noise = _largest(rows, lambda row: (row.position_nmi, row.position_noise_nmi))

@@ -27,6 +27,16 @@ def test_a_bias_that_varies_is_told_from_the_constant_of_the_power_on():
     assert small.spread_dph == pytest.approx(0.04, rel=0.1)
 
 
+def test_two_power_ons_with_other_constants_at_one_stop_vary_by_chance_alone():
+    first, second = (
+        [replace(row, run=run, dwell=row.dwell + 100 * place) for row in rows_of(0.0, constant_dph=constant)]
+        for place, (run, constant) in enumerate([("one", 0.0), ("two", 0.1)])
+    )
+    both = leftover("none", [*first, *second], [], SITE, FITTED_C)
+    assert both.total.varying_p_value > 0.01
+    assert sum(row.dwells for row in both.rows) == both.total.dwells
+
+
 def test_noise_alone_varies_by_chance_and_a_bias_along_up_does_not():
     assert left(0.0).total.varying_p_value > 0.01
     assert left(0.02).total.varying_p_value < 1e-9
