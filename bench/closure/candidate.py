@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from bench.closure.campaign import Campaign
 from bench.closure.effects.effect import Effect, Form
-from bench.closure.problem import Problem
+from bench.closure.problem import Problem, Solution, solve
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -66,11 +66,16 @@ def starts(form: Form, campaign: Campaign) -> list[tuple[float, ...]]:
     return list(itertools.product(*grids))
 
 
+def tried(effect: Effect, campaign: Campaign) -> int:
+    """How many starts a search makes of an effect, over all its forms."""
+    return sum(len(starts(form, campaign)) for form in effect.forms)
+
+
 def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
     """Form with the parameters, of those that it starts from, that explain most of what is left."""
-    tried = starts(form, problem.campaign)
-    gains = [problem.gain(form.columns(problem.campaign, values))[0] for values in tried]
-    return Candidate(effect, form, tried[int(np.argmax(gains))], np.ones((3, len(form.terms)), dtype=bool))
+    begun = starts(form, problem.campaign)
+    gains = [problem.gain(form.columns(problem.campaign, values))[0] for values in begun]
+    return Candidate(effect, form, begun[int(np.argmax(gains))], np.ones((3, len(form.terms)), dtype=bool))
 
 
 def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -123,6 +128,11 @@ def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArr
     """Terms of several candidates side by side, and which of them each gyro keeps."""
     columns = np.concatenate([each.columns(campaign) for each in candidates], axis=2)
     return columns, np.concatenate([each.kept for each in candidates], axis=1)
+
+
+def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
+    """Fit the declared model with the terms that candidates keep."""
+    return solve(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])
 
 
 def _width(value: float, low: float, high: float, problem: Problem) -> float:

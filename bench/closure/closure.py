@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.closure.campaign import Campaign
-from bench.closure.candidate import Candidate, stack
-from bench.closure.confirmation import leave_out_cycles, pooled_gain, without_unseen_constants
+from bench.closure.candidate import Candidate, solve_with, stack
+from bench.closure.confirmation import leave_out_cycles, measured_minus, pooled_gain
 from bench.closure.effect_set import EffectSet, evaluate, scored
 from bench.closure.effects import all_effects
 from bench.closure.effects.effect import Effect
 from bench.closure.lack_of_fit import LackOfFit, lack_of_fit
-from bench.closure.problem import Problem, Solution, declared_problem, solve
+from bench.closure.problem import Problem, Solution, declared_problem
 from bench.closure.search import MOST_EFFECTS, Search
 from bench.errors import MeasurementError
 from bench.navigation.positions import AXES
+from bench.phrases import listed
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -173,11 +174,9 @@ def close_loop(
         after = _test(problem, found)
     ties = [search.rivals(found, index) for index in range(len(found.candidates))]
     before = lack_of_fit(problem, 0)
-    declared, model = (_solve(problem, each) for each in ((), found.candidates))
-    held_out = ~searched
+    declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     error_before, error_after = (
-        _rms(without_unseen_constants(campaign, searched, campaign.bias_dph - each.bias_dph)[held_out])
-        for each in (declared, model)
+        _rms(measured_minus(campaign, searched, each)[~searched]) for each in (declared, model)
     )
     return Closure(
         campaign=campaign,
@@ -202,18 +201,18 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     unknown = sorted(set(held_out) - set(cycles.tolist()))
     if unknown:
         raise MeasurementError(
-            f"there is no cycle {listed(unknown)} to hold out; the table has {listed(cycles.tolist())}"
+            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles.tolist())}"
         )
     if len(cycles) == len(set(held_out)):
         raise MeasurementError(
-            f"with cycle {listed(held_out)} held out nothing is left to search; measure the profile at least "
-            "twice, better three times"
+            f"with cycle {_numbers(held_out)} held out nothing is left to search; measure the profile at "
+            "least twice, better three times"
         )
     searched: BoolArray = ~np.isin(campaign.cycle, held_out)
     freedom = declared_problem(campaign, searched).freedom
     if freedom < 3 * 6:
         raise MeasurementError(
-            f"{searched.sum()} dwells without cycle {listed(held_out)} leave {freedom} values beside the "
+            f"{searched.sum()} dwells without cycle {_numbers(held_out)} leave {freedom} values beside the "
             "declared model; measure more dwells a cycle or more cycles"
         )
     return searched
@@ -334,14 +333,8 @@ def _evidence(search: Search, found: EffectSet) -> tuple[Evidence, ...]:
     return tuple(sorted(result, key=lambda each: (each.lacks is not None, each.score_behind)))
 
 
-def _solve(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
-    return solve(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])
-
-
-def listed(names: Sequence[object]) -> str:
-    """Names in a sentence: "x, y and z"."""
-    *first, last = map(str, names)
-    return f"{', '.join(first)} and {last}" if first else last
+def _numbers(cycles: Sequence[int]) -> str:
+    return listed(list(map(str, cycles)))
 
 
 def _rms(values: FloatArray) -> float:

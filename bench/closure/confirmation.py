@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.closure.campaign import Campaign
-from bench.closure.candidate import Candidate
-from bench.closure.problem import Problem, declared_problem, solve
+from bench.closure.candidate import Candidate, solve_with
+from bench.closure.problem import Problem, Solution, declared_problem
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -60,22 +60,20 @@ def leave_out_cycles(
         left_out = problem.searched & (campaign.cycle == cycle)
         rest = declared_problem(campaign, problem.searched & ~left_out, problem.noise_scale)
         if all(_can_tell(rest, each, left_out) for each in more):
-            squares = (
-                np.sum((measured_minus(rest, each)[left_out] / campaign.sigma_dph[left_out]) ** 2)
-                for each in (fewer, more)
+            errors = (
+                measured_minus(campaign, rest.searched, solve_with(rest, each)) for each in (fewer, more)
             )
+            squares = (np.sum((each[left_out] / campaign.sigma_dph[left_out]) ** 2) for each in errors)
             answer[int(cycle)] = LeftOut(*map(float, squares))
     return answer
 
 
-def measured_minus(problem: Problem, candidates: Sequence[Candidate]) -> FloatArray:
-    """Measured bias minus the model fitted to the dwells searched (n, 3), deg/h.
+def measured_minus(campaign: Campaign, searched: BoolArray, model: Solution) -> FloatArray:
+    """Measured bias minus a model in all dwells (n, 3), deg/h.
 
     A run that was not searched has its own mean removed.
     """
-    campaign = problem.campaign
-    model = solve(problem, [(each.columns(campaign), each.kept) for each in candidates])
-    return without_unseen_constants(campaign, problem.searched, campaign.bias_dph - model.bias_dph)
+    return without_unseen_constants(campaign, searched, campaign.bias_dph - model.bias_dph)
 
 
 def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph: FloatArray) -> FloatArray:

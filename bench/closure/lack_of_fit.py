@@ -19,7 +19,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
 from bench.closure.campaign import Campaign
-from bench.closure.problem import Problem
+from bench.closure.problem import SCALE_C, Problem
 
 FloatArray = NDArray[np.float64]
 
@@ -74,9 +74,11 @@ def lack_of_fit(problem: Problem, unknowns: int) -> LackOfFit:
         Parameters of effects that were fitted beside the sizes of their terms.
     """
     freedom = problem.freedom - unknowns
+    # Knots and levels come from the dwells searched alone.
+    seen = problem.campaign.part(problem.searched)
     structure = {}
     for name, columns in _STRUCTURES.items():
-        gain, rank = problem.gain(_on_searched(problem, columns))
+        gain, rank = problem.gain(_in_all_dwells(columns(seen), problem))
         rest = freedom - rank
         if rank and rest > 0:
             ratio = (gain / rank) / max((problem.chi2 - gain) / rest, 1e-300)
@@ -111,18 +113,17 @@ def _temperature(campaign: Campaign) -> FloatArray:
 def _positions(campaign: Campaign) -> FloatArray:
     names = sorted(set(campaign.position))
     flags = np.array([[name == each for name in names] for each in campaign.position], dtype=np.float64)
-    scaled = campaign.gyro_c[:, :, None] / 50.0
+    scaled = campaign.gyro_c[:, :, None] / SCALE_C
     return np.concatenate([np.repeat(flags[:, None, :], 3, axis=1), flags[:, None, :] * scaled], axis=2)
 
 
 def _rate(campaign: Campaign) -> FloatArray:
     rate = campaign.rate_c_per_h[:, :, None] / 10.0
-    return np.concatenate([rate, np.abs(rate), rate * campaign.gyro_c[:, :, None] / 50.0], axis=2)
+    return np.concatenate([rate, np.abs(rate), rate * campaign.gyro_c[:, :, None] / SCALE_C], axis=2)
 
 
-def _on_searched(problem: Problem, columns: Callable[[Campaign], FloatArray]) -> FloatArray:
-    """Columns (n, 3, k) made from the dwells searched alone; zero in the others."""
-    known = columns(problem.campaign.part(problem.searched))
+def _in_all_dwells(known: FloatArray, problem: Problem) -> FloatArray:
+    """Columns of the dwells searched (m, 3, k) as columns of all (n, 3, k); zero in the others."""
     every = np.zeros((len(problem.campaign), *known.shape[1:]))
     every[problem.searched] = known
     return every

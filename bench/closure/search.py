@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from bench.closure.candidate import Candidate, best_start, refine, stack, starts
+from bench.closure.candidate import Candidate, best_start, refine, stack, tried
 from bench.closure.effect_set import EffectSet, evaluate
 from bench.closure.effects.effect import Effect
 from bench.closure.problem import Problem
@@ -102,8 +102,8 @@ class Search:
         """Probability that chance gives one effect of a set as much, over all effects and starts tried."""
         one = of.candidates[index]
         gain, rank = self._beside_others(of, index).gain(one.columns(self.problem.campaign))
-        tried = sum(len(starts(form, self.problem.campaign)) for form in one.effect.forms)
-        return min(1.0, _chance(gain, rank + len(one.values)) * tried * len(self.effects))
+        trials = tried(one.effect, self.problem.campaign) * len(self.effects)
+        return min(1.0, _chance(gain, rank + len(one.values)) * trials)
 
     def shows(self, of: EffectSet, index: int) -> list[bool]:
         """Which gyros by themselves show one effect of a set; at least the one that shows it most."""

@@ -23,7 +23,7 @@ from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import ncx2
 
 from bench.closure.campaign import Campaign
-from bench.closure.candidate import starts
+from bench.closure.candidate import tried
 from bench.closure.effect_set import price
 from bench.closure.effect_shapes import NOTHING, Fit, Truth, basis_of, rivals, truths
 from bench.closure.effects.effect import Effect
@@ -166,20 +166,20 @@ def _detection(
     if not may_be:
         lacks = [form.lacks(campaign) for form in effect.forms]
         return Detection(effect, next((each for each in lacks if each), _DIFFERENT_DWELLS))
-    tried = len(effects) * sum(len(starts(form, campaign)) for form in effect.forms)
-    sizes = [_found_dph(each, tried) for each in may_be]
+    trials = len(effects) * tried(effect, campaign)
+    sizes = [_found_dph(each, trials) for each in may_be]
     return Detection(effect, None, sizes[0], max(sizes))
 
 
-def _found_dph(true: Truth, tried: int) -> float:
+def _found_dph(true: Truth, trials: int) -> float:
     """Smallest size that is beyond chance with probability :data:`POWER`."""
-    return float(np.sqrt(_noncentrality(true.unknowns, tried) / true.information))
+    return float(np.sqrt(_noncentrality(true.unknowns, trials) / true.information))
 
 
 @cache
-def _noncentrality(unknowns: int, tried: int) -> float:
+def _noncentrality(unknowns: int, trials: int) -> float:
     """Of a sum of squares that the search takes for an effect; see its p_value."""
-    limit = float(chi2_distribution.isf(SIGNIFICANCE / tried, unknowns))
+    limit = float(chi2_distribution.isf(SIGNIFICANCE / trials, unknowns))
     highest = 4.0 * limit + 100.0
     return float(brentq(lambda value: float(ncx2.sf(limit, unknowns, value)) - POWER, 1e-3, highest))
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.closure.closure import Closure, FoundEffect, listed
+from bench.closure.closure import Closure, FoundEffect
+from bench.phrases import listed, spoken
 
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
@@ -38,8 +39,8 @@ def separating_measurement(closure: Closure) -> str | None:
             other = found.tied_with[0]
             one = found.candidate.effect
             return (
-                f"To tell {_shown(one.name)} from {_shown(other)}: {one.experiment}; "
-                f"for {_shown(other)}: {experiments[other]}."
+                f"To tell {spoken(one.name)} from {spoken(other)}: {one.experiment}; "
+                f"for {spoken(other)}: {experiments[other]}."
             )
     return None
 
@@ -58,14 +59,9 @@ def whereabouts(closure: Closure) -> str | None:
     low_h, high_h = _worst_span(campaign.middle_s[searched] / 3600.0, squares)
     return (
         f"{size:.2g} deg/h rms is left, {closure.after.noise_ratio:.1f} times the noise; it follows "
-        f"{closure.after.follows} most clearly, and is largest in position {_shown(position)}, "
+        f"{closure.after.follows} most clearly, and is largest in position {spoken(position)}, "
         f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
     )
-
-
-def _shown(name: str) -> str:
-    """Name of a position or an effect for a person."""
-    return name.replace("_", " ")
 
 
 def _worst_span(

@@ -18,9 +18,8 @@ from bench.measurement.calibration import read_calibration
 from bench.measurement.replay import replay
 from bench.measurement.results import evaluate, write_results
 from bench.measurement.setup import measurement_setup
-from bench.procedure.checks import check
 from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan, expand
+from bench.procedure.plan import Plan
 from bench.run_store.can_log import CanLog
 from bench.run_store.compensation_file import write_compensation
 from bench.run_store.folder import RunFolder, create_run_folder, open_run_folder
@@ -79,8 +78,7 @@ def prepare_job(
     bench = Station(find_document("stations", station))
     bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
-    plan = expand(document, model, bench.bench_at_rest())
-    check(document, plan, bench.limits())
+    plan = bench.plan(document, model)
     if calibration and not any(planned.is_verification for planned in plan.steps):
         raise DocumentError(
             f"{document.path}: verifies nothing, so there is nothing to compare with {calibration}. "

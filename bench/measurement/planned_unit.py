@@ -6,9 +6,8 @@ from dataclasses import replace
 
 from bench.closure.planned_campaign import PlannedUnit
 from bench.documents import Document
-from bench.procedure.checks import check
 from bench.procedure.document import checked_procedure
-from bench.procedure.plan import Plan, expand
+from bench.procedure.plan import Plan
 from bench.station.station import Station
 
 
@@ -33,6 +32,4 @@ def plan_on(station: Station, document: Document) -> Plan:
     DocumentError
         It is no procedure any more, or the station can't run it.
     """
-    plan = expand(document, checked_procedure(document), station.bench_at_rest())
-    check(document, plan, station.limits())
-    return plan
+    return station.plan(document, checked_procedure(document))

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from bench.closure.closure import Closure, FoundEffect
 from bench.navigation.positions import AXES
+from bench.phrases import spoken
 from bench.report.closure_residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from bench.report.closure_style import BAND_COLOUR, draw_dwells
-from bench.report.closure_wording import effect_label
 from bench.report.style import house_style, new_figure, say_empty
 from bench.report.wording import BiasScale, gyro_label
 
@@ -52,7 +52,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
         _draw(axes, parts[axis], left_dph[:, axis], noise, scale, closure.searched, gyro)
     all_axes[0].set_ylabel(f"bias less all else / ({scale.unit})")
     first = all_axes[min(parts)]
-    figure.suptitle(effect_label(found.candidate.effect.name).capitalize(), fontsize=9)
+    figure.suptitle(spoken(found.candidate.effect.name).capitalize(), fontsize=9)
     figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 

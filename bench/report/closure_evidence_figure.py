@@ -10,9 +10,10 @@ from matplotlib.patches import Patch
 
 from bench.closure.closure import Closure, Evidence
 from bench.closure.search import SIGNIFICANCE
+from bench.phrases import spoken
 from bench.report.closure_residuals import rests_on_noise
 from bench.report.closure_style import FOUND_COLOUR, NOTE_COLOUR, OTHER_COLOUR, TIED_COLOUR
-from bench.report.closure_wording import effect_label, p_phrase, share_text
+from bench.report.closure_wording import p_phrase, share_text
 from bench.report.style import house_style, new_figure
 
 _HEIGHT_OF_BAR_IN = 0.27
@@ -41,9 +42,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
             _note(axes, length, place, p_phrase(each.p_value) if by_chance else _told(each))
         else:
             _note(axes, 0.0, place, f"not tried: lacks {each.lacks}")
-    axes.set_yticks(
-        range(len(closure.evidence)), [effect_label(each.effect.name) for each in closure.evidence]
-    )
+    axes.set_yticks(range(len(closure.evidence)), [spoken(each.effect.name) for each in closure.evidence])
     for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
         label.set_color(NOTE_COLOUR if each.lacks else "black")
     axes.set_ylim(len(closure.evidence) - 0.4, -0.6)

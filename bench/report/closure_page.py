@@ -7,15 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.closure.closure import Closure
-from bench.files import write_whole
 from bench.report.closure_residuals import held_out_cycles
 from bench.report.closure_section import closure_sections
 from bench.report.closure_wording import verdict_sentence
-from bench.report.pages import render_page
-from bench.report.section_figures import save_section_figures
+from bench.report.findings_page import Findings, write_findings
 from bench.report.wording import counted
 
-_TEMPLATE = "closure.html.j2"
 #: Colours of the template's box, by verdict.
 _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped", "unexplained": "failed"}
 
@@ -42,20 +39,16 @@ def write_closure_page(folder: Path, closure: Closure, source: str) -> Path:
     RunFolderError
         A file can't be written.
     """
-    sections = closure_sections(closure)
-    page = render_page(
-        _TEMPLATE,
-        save_section_figures(folder / "figures", sections),
+    findings = Findings(
+        title="Search for effects",
         source=source,
-        verdict=closure.verdict,
+        judgement=closure.verdict,
         colour=_COLOURS[closure.verdict],
         sentence=verdict_sentence(closure),
         facts=_facts(closure),
-        sections=sections,
+        sections=closure_sections(closure),
     )
-    path = folder / "closure.html"
-    write_whole(path, page.encode())
-    return path
+    return write_findings(folder / "closure.html", findings)
 
 
 def _facts(closure: Closure) -> dict[str, str]:

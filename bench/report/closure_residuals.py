@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from bench.closure.candidate import starts
+from bench.closure.candidate import tried
 from bench.closure.closure import LEFT_OVER_P, Closure
-from bench.closure.confirmation import without_unseen_constants
+from bench.closure.confirmation import measured_minus
 from bench.closure.problem import Solution
 from bench.closure.search import SIGNIFICANCE
-from bench.report.wording import BiasScale, listed
+from bench.phrases import listed
+from bench.report.wording import BiasScale
 
 FloatArray = NDArray[np.float64]
 
@@ -21,8 +22,7 @@ def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
 
     A run that was not searched has its own mean removed, as in the errors of the closure.
     """
-    campaign = closure.campaign
-    return without_unseen_constants(campaign, closure.searched, campaign.bias_dph - model.bias_dph)
+    return measured_minus(closure.campaign, closure.searched, model)
 
 
 def noise_dph(closure: Closure) -> FloatArray:
@@ -53,11 +53,8 @@ def smallest_visible_dph(closure: Closure) -> float:
     constants imitate. Its gain in the sum of squares would be the number of dwells searched times
     the square of its size over the noise.
     """
-    efforts = [
-        sum(len(starts(form, closure.campaign)) for form in each.effect.forms) for each in closure.evidence
-    ]
-    tried = min(efforts) * len(efforts)
-    gain = float(chi2_distribution.isf(SIGNIFICANCE / tried, 1))
+    efforts = [tried(each.effect, closure.campaign) for each in closure.evidence]
+    gain = float(chi2_distribution.isf(SIGNIFICANCE / (min(efforts) * len(efforts)), 1))
     return closure.noise_dph * float(np.sqrt(gain / closure.searched.sum()))
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bench.closure.closure import Closure
+from bench.phrases import listed, spoken
 from bench.report.closure_residuals import rests_on_noise, scale_of_errors
-from bench.report.closure_wording import effect_label, gains_text, odds_text, share_text
-from bench.report.wording import listed, p_text
+from bench.report.closure_wording import gains_text, odds_text, share_text
+from bench.report.wording import p_text
 
 
 def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
@@ -14,9 +15,9 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
     head = ["effect", "gyros", "tied with", "confirmed in cycle", "size", "p"]
     rows = [
         [
-            effect_label(each.candidate.effect.name),
+            spoken(each.candidate.effect.name),
             listed(each.axes),
-            listed([effect_label(name) for name in each.tied_with]) or "nothing",
+            listed([spoken(name) for name in each.tied_with]) or "nothing",
             gains_text(each.gains) or "none",
             scale.text(each.rms_dph),
             p_text(each.p_value),
@@ -42,7 +43,7 @@ def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
         if each.lacks is None:
             name = each.effect.name
             cells = {
-                "effect": effect_label(name),
+                "effect": spoken(name),
                 "": "found" if name in found else "tied" if name in tied else "",
                 "share": share_text(each.share),
                 "p": p_text(each.p_value),

@@ -9,6 +9,7 @@ import numpy as np
 from bench.closure.closure import Closure
 from bench.closure.wording import whereabouts
 from bench.navigation.positions import AXES
+from bench.phrases import spoken
 from bench.report import closure_wording as wording
 from bench.report.closure_effect_figure import closure_effect_figure
 from bench.report.closure_error_figure import closure_error_figure
@@ -72,7 +73,7 @@ def _cause(closure: Closure) -> Section | None:
     figures = []
     for each in closure.effects:
         name = each.candidate.effect.name
-        caption = _EFFECT.format(wording.effect_label(name).capitalize())
+        caption = _EFFECT.format(spoken(name).capitalize())
         figures.append(SectionFigure(f"effect_{name}", caption, closure_effect_figure(closure, each)))
     effects = SectionTable(
         f"Size: rms in the dwells searched, without its mean, in {scale_of_errors(closure).unit}. Confirmed: "
@@ -86,7 +87,7 @@ def _cause(closure: Closure) -> Section | None:
 def _sizes(closure: Closure) -> SectionTable:
     scale = scale_of_errors(closure)
     rows = [
-        [wording.effect_label(each.candidate.effect.name), term, *map(_size, scale.factor * sizes_dph)]
+        [spoken(each.candidate.effect.name), term, *map(_size, scale.factor * sizes_dph)]
         for each in closure.effects
         for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
     ]

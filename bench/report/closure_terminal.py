@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -13,6 +12,7 @@ from bench.closure.closure import Closure
 from bench.report.closure_residuals import held_out_cycles, noise_dph, rms, scale_of_errors
 from bench.report.closure_rows import effect_table, evidence_table, tried_caption
 from bench.report.closure_wording import chain, verdict_sentence
+from bench.report.terminal_parts import plain_table, topics
 
 
 def closure_summary(closure: Closure) -> RenderableType:
@@ -20,7 +20,7 @@ def closure_summary(closure: Closure) -> RenderableType:
     parts: list[RenderableType] = [
         Text(f"{closure.verdict.capitalize()}. {verdict_sentence(closure)}", style="bold"),
         Text(),
-        _chain(closure),
+        topics(chain(closure)),
         Text(),
     ]
     if closure.effects:
@@ -32,15 +32,6 @@ def closure_summary(closure: Closure) -> RenderableType:
     errors = _errors(closure)
     parts += _titled(title, _table(list(errors), [list(errors.values())], words=0))
     return Group(*parts)
-
-
-def _chain(closure: Closure) -> Table:
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(no_wrap=True, style="bold")
-    table.add_column()
-    for topic, text in chain(closure):
-        table.add_row(Text(topic), Text(text))
-    return table
 
 
 def _errors(closure: Closure) -> dict[str, str]:
@@ -56,9 +47,7 @@ def _titled(title: str, table: Table) -> list[RenderableType]:
 
 
 def _table(headers: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for number, header in enumerate(headers):
-        table.add_column(header, justify="left" if number < words else "right")
+    table = plain_table(headers, words)
     for row in rows:
         table.add_row(*map(Text, row))
     return table

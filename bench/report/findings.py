@@ -10,7 +10,8 @@ from bench.bias.bins import BiasBin
 from bench.bias.equality import PositionComparison
 from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.uniformity import uniformity_p_value
-from bench.report.wording import dph_with_sigma, listed, p_text, position_label, temperature_ranges
+from bench.phrases import listed
+from bench.report.wording import dph_with_sigma, p_text, position_label, temperature_ranges
 
 #: What there is to say of a run, or a gyro, whose positions can't be compared.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin holds dwells of two positions."

@@ -14,7 +14,8 @@ from rich.text import Text
 from bench.closure.planned_campaign import PlannedUnit
 from bench.closure.separability import POWER, Detection, Separability
 from bench.closure.separability_advice import Advice
-from bench.report.wording import counted, listed
+from bench.phrases import listed
+from bench.report.wording import counted
 
 _MOST_INFLATION = 1000.0
 _COLUMNS = (

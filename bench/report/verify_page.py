@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.files import write_whole
 from bench.measurement.comparison import Comparison
+from bench.phrases import listed
 from bench.report.closure_wording import verdict_sentence
-from bench.report.pages import render_page
-from bench.report.section_figures import save_section_figures
+from bench.report.findings_page import Findings, write_findings
 from bench.report.verify_section import verify_sections
 from bench.report.verify_wording import (
     BETTER,
@@ -19,9 +18,8 @@ from bench.report.verify_wording import (
     outcome,
     outcome_sentence,
 )
-from bench.report.wording import counted, listed
+from bench.report.wording import counted
 
-_TEMPLATE = "verify.html.j2"
 #: Colours of the template's box, by judgement.
 _COLOURS = {CONFIRMED: "finished", BETTER: "stopped", NOT_CONFIRMED: "failed", NOTHING_TO_TELL: "stopped"}
 
@@ -46,20 +44,17 @@ def write_verify_page(folder: Path, comparison: Comparison) -> Path:
     RunFolderError
         A file can't be written.
     """
-    sections = verify_sections(comparison)
-    page = render_page(
-        _TEMPLATE,
-        save_section_figures(folder / "figures", sections),
+    judgement = outcome(comparison)
+    findings = Findings(
+        title="Proof of a compensation",
         source=comparison.source,
-        outcome=outcome(comparison),
-        colour=_COLOURS[outcome(comparison)],
+        judgement=judgement,
+        colour=_COLOURS[judgement],
         sentence=outcome_sentence(comparison),
         facts=_facts(comparison),
-        sections=sections,
+        sections=verify_sections(comparison),
     )
-    path = folder / "comparison.html"
-    write_whole(path, page.encode())
-    return path
+    return write_findings(folder / "comparison.html", findings)
 
 
 def _facts(comparison: Comparison) -> dict[str, str]:

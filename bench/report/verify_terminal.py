@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -12,8 +11,10 @@ from rich.text import Text
 from bench.closure.closure import Closure
 from bench.closure.compensation import LoadableModel
 from bench.measurement.comparison import Comparison
+from bench.phrases import listed
 from bench.procedure.timeline import hours_minutes
 from bench.report.closure_wording import verdict_sentence
+from bench.report.terminal_parts import plain_table, topics
 from bench.report.verify_rows import SIZES, UNITS, stop_rows, total_rows
 from bench.report.verify_wording import (
     LABELS,
@@ -23,7 +24,7 @@ from bench.report.verify_wording import (
     outcome_sentence,
     reading_sentences,
 )
-from bench.report.wording import counted, listed
+from bench.report.wording import counted
 
 
 def verify_plan(
@@ -45,15 +46,10 @@ def verify_plan(
 
 def verify_summary(comparison: Comparison) -> RenderableType:
     """Judgement, what changed, and the numbers of all stops."""
-    topics = Table.grid(padding=(0, 2, 0, 0))
-    topics.add_column(no_wrap=True, style="bold")
-    topics.add_column()
-    for topic, sentence in chain(comparison):
-        topics.add_row(Text(topic), Text(sentence))
     return Group(
         Text(f"{outcome(comparison).capitalize()}. {outcome_sentence(comparison)}", style="bold"),
         Text(),
-        topics,
+        topics(chain(comparison)),
         Text(),
         Text("All stops: rms over all dwells; of spread, V_E and 24 h the largest", style="bold"),
         _table(["compensation", *SIZES], total_rows(comparison), words=1),
@@ -67,9 +63,7 @@ def verify_summary(comparison: Comparison) -> RenderableType:
 
 
 def _table(headers: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for number, header in enumerate(headers):
-        table.add_column(header, justify="left" if number < words else "right", no_wrap=True)
+    table = plain_table(headers, words, fold=False)
     for row in rows:
         table.add_row(*map(Text, row), end_section=row[words - 1] not in LABELS.values())
     return table

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from bench.closure.closure import LEFT_OVER_P, Closure
 from bench.closure.compensation import LoadableModel
 from bench.measurement.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
-from bench.report.closure_wording import effect_label, found_names, p_phrase, size_text
-from bench.report.wording import listed
+from bench.phrases import listed, spoken
+from bench.report.closure_wording import found_names, p_phrase, size_text
 
 #: The compensations as people read them.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
@@ -47,7 +47,7 @@ def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> li
     lows, highs = declared.low_c.min(), declared.high_c.max()
     limits = f"Temperatures outside the fitted ones, {lows:.0f} to {highs:.0f} °C, are held at these."
     if EFFECT in models:
-        effects = listed([effect_label(name) for name in models[EFFECT].effects])
+        effects = listed([spoken(name) for name in models[EFFECT].effects])
         what = f"Two compensations: the declared model, a polynomial for each gyro, and one with {effects}."
     elif closure.effects:
         what = f"One compensation, the declared model: of {found_names(closure)} there is nothing to load."

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from bench.bias.bins import BiasBin
 from bench.bias.equality import PositionComparison
+from bench.phrases import listed
 
 #: The two estimators as people read them.
 STATE_SPACE, PAPER = "state-space estimator", "paper's method"
@@ -125,11 +126,6 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
 def counted(number: int, noun: str) -> str:
     """Write how many: "1 dwell", "2 dwells"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def listed(texts: Sequence[str]) -> str:
-    """Write some things as one: "a, b and c"."""
-    return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def _decimals(sigma: float, most: int) -> int:

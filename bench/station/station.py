@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from bench.bias.noise.model import NoiseModel
 from bench.bias.prior import PriorKnowledge
-from bench.documents import Problem
+from bench.documents import Document, Problem
 from bench.errors import DocumentError
 from bench.limits import StationLimits
 from bench.navigation.error_model import Site
 from bench.navigation.positions import POSITIONS
 from bench.navigation.table_axes import Angles, TwoAxisTable
+from bench.procedure.checks import check
+from bench.procedure.document import Procedure
 from bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from bench.procedure.plan import Plan, expand
 from bench.station.document import Direction, SafeState, UnitSection, load_station_file
 from drivers import ins
 from drivers.ins.bound_signals import check_signals
@@ -140,6 +143,18 @@ class Station:
             latitude_arcmin=self.file.location.latitude_uncertainty_arcmin,
             **self.file.ins.uncertainty.model_dump(),
         )
+
+    def plan(self, document: Document, procedure: Procedure) -> Plan:
+        """Plan a checked procedure and check that this station can run it.
+
+        Raises
+        ------
+        DocumentError
+            It can't; lists everything, with places.
+        """
+        plan = expand(document, procedure, self.bench_at_rest())
+        check(document, plan, self.limits())
+        return plan
 
     def bench_at_rest(self) -> BenchEstimate:
         """The bench before a run, for estimates of duration."""

@@ -11,7 +11,7 @@ from drivers.ins.bound_signals import bind_signals, check_signals
 from drivers.ins.can_bus import open_bus
 from drivers.ins.can_ins import CanIns, InsHealth
 from drivers.ins.command_map import CommandMap, check_commands
-from drivers.ins.compensation import Compensation, Conditions
+from drivers.ins.compensation import Compensation
 from drivers.ins.dbc_codec import DbcCodec, load_dbc
 from drivers.ins.frames import FrameBlock, concatenate
 from drivers.ins.ins_status import InsStatus
@@ -25,7 +25,6 @@ __all__ = [
     "CanIns",
     "CommandMap",
     "Compensation",
-    "Conditions",
     "DbcCodec",
     "EulerSequence",
     "FrameBlock",

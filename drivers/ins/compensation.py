@@ -18,7 +18,6 @@ B - T between the limits of what was fitted. Up and the exponential are bounded 
 
 from __future__ import annotations
 
-import itertools
 import struct
 import zlib
 from collections.abc import Iterable
@@ -27,7 +26,6 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from bench.errors import MeasurementError
 
@@ -64,29 +62,6 @@ def _zeros() -> Float64:
 
 def _zero_vectors() -> Float64:
     return np.zeros((3, 3))
-
-
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """What a unit goes through from power-on, in the order of time.
-
-    Attributes
-    ----------
-    optics_c, board_c : ndarray, shape (n, 3)
-        Temperatures of each gyro's optics and electronics.
-    rate_c_per_h : ndarray, shape (n, 3)
-        Rate of the optics' temperatures.
-    up_body : ndarray, shape (n, 3)
-        Unit vector Up in body axes.
-    since_power_on_s : ndarray, shape (n,)
-        Time since the unit was switched on.
-    """
-
-    optics_c: Float64
-    board_c: Float64
-    rate_c_per_h: Float64
-    up_body: Float64
-    since_power_on_s: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,30 +135,6 @@ class Compensation:
         """Names of the :data:`TERMS` that are used."""
         return tuple(term for term, name in TERMS.items() if np.any(getattr(self, name)))
 
-    def bias_dph(self, conditions: Conditions) -> Float64:
-        """Bias that is subtracted, shape (n, 3); the play begins with the first row."""
-        T = np.clip(conditions.optics_c, self.low_c, self.high_c)
-        hotter_k = np.clip(
-            conditions.board_c - conditions.optics_c, self.difference_low_k, self.difference_high_k
-        )
-        rate = np.clip(conditions.rate_c_per_h, -self.rate_limit_c_per_h, self.rate_limit_c_per_h)
-        t = conditions.since_power_on_s[:, np.newaxis]
-        polynomial = sum(c * T**degree for degree, c in enumerate(self.polynomial_dph.T))
-        # Where a width or a time constant is zero its term is not used.
-        width_c = np.where(self.onset_width_c > 0.0, self.onset_width_c, 1.0)
-        tau_s = np.where(self.warm_up_s > 0.0, self.warm_up_s, 1.0)
-        cold = (self.onset_c - T) / width_c
-        attitude = expit(cold) * (conditions.up_body @ self.saturating_dph_per_k.T)
-        attitude += np.logaddexp(0.0, cold) * (conditions.up_body @ self.growing_dph_per_k.T)
-        return np.asarray(
-            polynomial
-            + self.rate_dph_per_c_per_h * rate
-            + (self.gradient_dph_per_k + attitude) * hotter_k
-            + conditions.up_body @ self.gravity_dph_per_g.T
-            + self.warm_up_dph * np.exp(-t / tau_s)
-            + self.hysteresis_dph_per_k * (play(T, self.half_width_k) - T)
-        )
-
     def _check_array(self, name: str) -> None:
         value = getattr(self, name)
         shape: tuple[int, ...] = (3, 3) if name in _VECTORS else (3,)
@@ -193,27 +144,6 @@ class Compensation:
             raise MeasurementError(f"compensation: {name} has the shape {value.shape}, not {shape}")
         if not np.isfinite(value).all():
             raise MeasurementError(f"compensation: {name} must hold finite numbers; found {value.tolist()}")
-
-
-def play(values: Float64, half_width: Float64) -> Float64:
-    """Follow a course with slack: what a pointer does that has play on either side.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, 3)
-        In the order of time; the pointer begins at the first one.
-    half_width : ndarray, shape (3,)
-        Slack on either side.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        The pointer, never farther than the half width from the value.
-    """
-    pointer = np.array(values, dtype=np.float64)
-    for before, now in itertools.pairwise(pointer):
-        np.clip(before, now - half_width, now + half_width, out=now)
-    return pointer
 
 
 def checksum(numbers: Iterable[float]) -> int:

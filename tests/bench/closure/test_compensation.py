@@ -9,8 +9,8 @@ from bench.closure.campaign import campaign_of
 from bench.closure.closure import close_loop
 from bench.closure.compensation import declared_model, model_with_effects
 from bench.closure.effects import all_effects, attitude_thermal
-from drivers.ins.compensation import Conditions
 from tests.bench.closure.thermal_bench import STEP_S, measure
+from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 POWER_STEPS = {"power_steps_h": 7.0}
 #: What each effect is best shown by.
@@ -41,7 +41,7 @@ def subtracted_dph(compensation, course, rows):
         up_body=course.up,
         since_power_on_s=course.since_power_on_h * 3600.0,
     )
-    bias_dph = compensation.bias_dph(conditions)
+    bias_dph = compensated_dph(compensation, conditions)
     spans = [(round(row.start_s / STEP_S), round(row.end_s / STEP_S)) for row in rows]
     return np.array([bias_dph[first:end].mean(axis=0) for first, end in spans])
 
@@ -70,7 +70,7 @@ def test_the_declared_model_is_a_polynomial_within_the_fitted_temperatures():
     campaign, compensation = closure.campaign, loadable.compensation
     zeros = np.zeros((len(campaign), 3))
     conditions = Conditions(campaign.gyro_c, zeros, zeros, campaign.up_body, campaign.start_s)
-    off = (compensation.bias_dph(conditions) - closure.declared.bias_dph)[closure.searched]
+    off = (compensated_dph(compensation, conditions) - closure.declared.bias_dph)[closure.searched]
     np.testing.assert_allclose(off, 0.0, atol=1e-9)
     fitted_c = campaign.gyro_c[closure.searched]
     np.testing.assert_array_equal(compensation.low_c, fitted_c.min(axis=0))

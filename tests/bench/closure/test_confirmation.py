@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from bench.closure.candidate import solve_with
 from bench.closure.confirmation import (
     LeftOut,
     leave_out_cycles,
@@ -109,11 +110,12 @@ def test_squares_of_a_cycle_left_out_are_those_of_a_fit_to_the_others(problem):
     first = declared_problem(one.campaign, one.campaign.cycle == 1)
     second = one.campaign.cycle == 2
     for squares, candidates in ((told.fewer, []), (told.more, [drift])):
-        rest = measured_minus(first, candidates)[second] / one.campaign.sigma_dph[second]
+        model = solve_with(first, candidates)
+        rest = measured_minus(one.campaign, first.searched, model)[second] / one.campaign.sigma_dph[second]
         assert squares == pytest.approx(np.sum(rest**2))
 
 
 def test_the_true_effect_leaves_the_noise(problem):
     one = problem({"time_drift": 20.0})
-    rest = measured_minus(one, [whole(time_drift.EFFECT)])
+    rest = measured_minus(one.campaign, one.searched, solve_with(one, [whole(time_drift.EFFECT)]))
     assert np.sqrt(np.mean(rest**2)) == pytest.approx(SIGMA_DPH, rel=0.15)

@@ -22,7 +22,7 @@ from bench.closure.files import (
 from bench.errors import RunFolderError
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
-FORMATS = Path("/work/shared/formats.md")
+FORMATS = Path(__file__).parents[4] / "shared" / "formats.md"
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_a_closure_is_written_with_its_predictions_and_its_model(explained, tmp_
     assert yaml.safe_load(written["model.yaml"]) == model_document(explained)
 
 
-@pytest.mark.skipif(not FORMATS.exists(), reason="the description of the formats is not on this machine")
+@pytest.mark.skipif(not FORMATS.exists(), reason="the description of the formats is not beside the checkout")
 def test_the_document_has_every_key_that_the_formats_name(explained):
     table = FORMATS.read_text().split("`closure.json`")[1].split("`predictions.csv`")[0]
     keys = {name.strip() for row in re.findall(r"^\| ([a-z_, ]+) \|", table, re.M) for name in row.split(",")}

@@ -11,7 +11,8 @@ from bench.station.instruments import Emulation, Instruments
 from bench.station.station import Station
 from drivers.emulators.bench import BenchAddress, emulated_bench
 from drivers.emulators.world.sensor_errors import DPH
-from drivers.ins import Compensation, Conditions
+from drivers.ins import Compensation
+from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 _STEP_S = 10.0
 _DIFFERENCE = {"difference_low_k": np.full(3, 2.0), "difference_high_k": np.full(3, 60.0)}
@@ -97,9 +98,9 @@ class EmulatedIns:
         t, optics_c, board_c = map(np.array, zip(*self._courses, strict=True))
         up_body = np.tile(self.world.attitude()[2], (len(t), 1))
         rate_c_per_h = np.gradient(optics_c, t, axis=0) * 3600.0
-        return compensation.bias_dph(Conditions(optics_c, board_c, rate_c_per_h, up_body, t))[-2:].mean(
-            axis=0
-        )
+        return compensated_dph(compensation, Conditions(optics_c, board_c, rate_c_per_h, up_body, t))[
+            -2:
+        ].mean(axis=0)
 
 
 @pytest.fixture
@@ -117,12 +118,12 @@ def test_the_gyros_measure_less_by_what_each_term_says(emulated, name):
     emulated.ins.load_compensation(loaded)
     np.testing.assert_allclose(emulated.rate_dph(), before_dph, atol=1e-6)
     emulated.ins.apply_compensation()
-    subtracted_dph = before_dph - emulated.rate_dph()
+    compensated_dph = before_dph - emulated.rate_dph()
     expected_dph = emulated.expected_dph(loaded)
     assert np.abs(expected_dph).min() > 0.005
     # The INS knows a rate of temperature minutes late, and single-precision numbers.
     np.testing.assert_allclose(
-        subtracted_dph, expected_dph, rtol=0.15 if name == "temperature_rate" else 0.01
+        compensated_dph, expected_dph, rtol=0.15 if name == "temperature_rate" else 0.01
     )
 
 

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from bench.errors import MeasurementError
-from drivers.ins import Compensation, Conditions
-from drivers.ins.compensation import TERMS, checksum, play
+from drivers.ins import Compensation
+from drivers.ins.compensation import TERMS, checksum
+from tests.drivers.ins.compensation_reference import Conditions, compensated_dph, play
 
 BASE = {
     "polynomial_dph": np.array([[0.01, 1e-4, -2e-6], [0.02, 0.0, 0.0], [-0.01, 2e-4, 1e-6]]),
@@ -58,7 +59,7 @@ def conditions(**changes):
 
 def test_the_polynomial_is_held_beyond_its_temperatures():
     optics_c = np.array([[-40.0, 20.0, 90.0], [-20.0, 20.0, 70.0]])
-    outside, inside = compensation().bias_dph(conditions(optics_c=optics_c, board_c=optics_c))
+    outside, inside = compensated_dph(compensation(), conditions(optics_c=optics_c, board_c=optics_c))
     np.testing.assert_array_equal(outside, inside)
     assert inside[2] == pytest.approx(-0.01 + 2e-4 * 70.0 + 1e-6 * 70.0**2)
 
@@ -66,7 +67,7 @@ def test_the_polynomial_is_held_beyond_its_temperatures():
 def added_dph(term, **changes):
     """What one term adds to the polynomial, for the x gyro, with the conditions changed."""
     there = conditions(**changes)
-    return (compensation(term).bias_dph(there) - compensation().bias_dph(there))[-1, 0]
+    return (compensated_dph(compensation(term), there) - compensated_dph(compensation(), there))[-1, 0]
 
 
 @pytest.mark.parametrize(("rate_c_per_h", "used"), [(10.0, 10.0), (100.0, 30.0), (-100.0, -30.0)])

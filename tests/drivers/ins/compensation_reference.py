@@ -1,0 +1,83 @@
+"""What an INS subtracts by a compensation, straight from the equation of drivers.ins.compensation."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from drivers.ins.compensation import Compensation
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What a unit goes through from power-on, in the order of time.
+
+    Attributes
+    ----------
+    optics_c, board_c : ndarray, shape (n, 3)
+        Temperatures of each gyro's optics and electronics.
+    rate_c_per_h : ndarray, shape (n, 3)
+        Rate of the optics' temperatures.
+    up_body : ndarray, shape (n, 3)
+        Unit vector Up in body axes.
+    since_power_on_s : ndarray, shape (n,)
+        Time since the unit was switched on.
+    """
+
+    optics_c: Float64
+    board_c: Float64
+    rate_c_per_h: Float64
+    up_body: Float64
+    since_power_on_s: Float64
+
+
+def compensated_dph(compensation: Compensation, conditions: Conditions) -> Float64:
+    """Bias that is subtracted, shape (n, 3); the play begins with the first row."""
+    T = np.clip(conditions.optics_c, compensation.low_c, compensation.high_c)
+    hotter_k = np.clip(
+        conditions.board_c - conditions.optics_c,
+        compensation.difference_low_k,
+        compensation.difference_high_k,
+    )
+    rate = np.clip(conditions.rate_c_per_h, -compensation.rate_limit_c_per_h, compensation.rate_limit_c_per_h)
+    t = conditions.since_power_on_s[:, np.newaxis]
+    polynomial = sum(c * T**degree for degree, c in enumerate(compensation.polynomial_dph.T))
+    # Where a width or a time constant is zero its term is not used.
+    width_c = np.where(compensation.onset_width_c > 0.0, compensation.onset_width_c, 1.0)
+    tau_s = np.where(compensation.warm_up_s > 0.0, compensation.warm_up_s, 1.0)
+    cold = (compensation.onset_c - T) / width_c
+    attitude = expit(cold) * (conditions.up_body @ compensation.saturating_dph_per_k.T)
+    attitude += np.logaddexp(0.0, cold) * (conditions.up_body @ compensation.growing_dph_per_k.T)
+    return np.asarray(
+        polynomial
+        + compensation.rate_dph_per_c_per_h * rate
+        + (compensation.gradient_dph_per_k + attitude) * hotter_k
+        + conditions.up_body @ compensation.gravity_dph_per_g.T
+        + compensation.warm_up_dph * np.exp(-t / tau_s)
+        + compensation.hysteresis_dph_per_k * (play(T, compensation.half_width_k) - T)
+    )
+
+
+def play(values: Float64, half_width: Float64) -> Float64:
+    """Follow a course with slack: what a pointer does that has play on either side.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 3)
+        In the order of time; the pointer begins at the first one.
+    half_width : ndarray, shape (3,)
+        Slack on either side.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The pointer, never farther than the half width from the value.
+    """
+    pointer = np.array(values, dtype=np.float64)
+    for before, now in itertools.pairwise(pointer):
+        np.clip(before, now - half_width, now + half_width, out=now)
+    return pointer
