@@ -1,6 +1,8 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
 # make test   install into .venv and run the whole test suite
+# make soak   kill, hurt and keep runs going for an hour; writes docs/soak.md
 # make check  style, types, layers
+# make audit  known vulnerabilities of the dependencies (needs the network)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +10,7 @@ BIN := $(VENV)/bin
 # The matrices are small: threads of the linear algebra only get into each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: run test check benchmark install clean
+.PHONY: run test soak check audit benchmark install clean
 
 run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
@@ -18,11 +20,21 @@ run: $(VENV)/.installed
 test: install
 	$(BIN)/python -m pytest -n 3 --dist loadgroup --no-loadscope-reorder
 
+soak: install
+	$(BIN)/python -m tests.soak all --table docs/soak.md
+
 check: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Known vulnerabilities of the pinned versions; asks the network, and installs pip-audit for itself.
+audit: install
+	$(BIN)/python -m pip check
+	$(PYTHON) -m venv $(VENV)/audit
+	$(VENV)/audit/bin/python -m pip install --quiet pip-audit
+	$(VENV)/audit/bin/python -m pip_audit --requirement constraints.txt --no-deps --disable-pip
 
 benchmark: install
 	$(BIN)/python -m pytest tests/benchmarks -o python_files="bench_*.py" -o timeout=900 -s -q

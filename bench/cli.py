@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from bench.engine.orders import Order
 from bench.errors import (
+    BenchInUseError,
     DocumentError,
     GyrobenchError,
     InstrumentError,
@@ -25,7 +27,9 @@ if TYPE_CHECKING:
     from bench.bias.bins import BiasBin
     from bench.bias.tables.verification_table import VerificationRow
     from bench.closure.closure import Closure
+    from bench.engine.outcome import RunOutcome
     from bench.engine.session import Job
+    from bench.run_store.folder import RunFolder
 
 # The matrices of this project are small: threads of the linear algebra only get into each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -61,6 +65,9 @@ def run(
     compensation: Annotated[
         Path | None, typer.Option(help="Compensation file that is loaded into the INS after each power-on.")
     ] = None,
+    faults: Annotated[
+        str | None, typer.Option(help="Faults that emulated instruments have: file or shipped name.")
+    ] = None,
 ) -> None:
     """Run a procedure and report each gyro's bias.
 
@@ -69,33 +76,73 @@ def run(
     from bench.engine.operator import ConsentingOperator
     from bench.engine.session import prepare_job, run_job
     from bench.progress_view import PatientConsole, ProgressView
-    from bench.report.html import write_report
-    from bench.report.terminal import durations_table
     from bench.run_store.compensation_file import read_compensation
     from bench.station.instruments import Emulation
     from bench.terminal_operator import TerminalOperator
 
     console = PatientConsole(markup=False)
     loaded = read_compensation(compensation) if compensation else None
-    job = prepare_job(procedure, station, Emulation(world, seed), calibration, loaded)
+    job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
     with ProgressView(console, job.plan) as progress:
         folder, outcome = run_job(job, out, progress, operator)
-    safe_state = [
-        f"{'FAILED: ' if each.problem else ''}{each.what}{_because(each.problem)}"
-        for each in outcome.safe_state
-    ]
-    if outcome.ended != "finished":
-        console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
-        console.print("\n".join(safe_state), soft_wrap=True)
-    report = write_report(folder)
-    _print_biases(console, outcome.results.bins, outcome.results.verification)
-    console.print(durations_table(outcome.took_s))
-    if outcome.ended == "finished":
-        console.print("\n".join(safe_state), soft_wrap=True)
-    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
-    if outcome.ended != "finished":
-        raise typer.Exit(EXIT_NOT_FINISHED)
+    _print_end(console, folder, outcome)
+
+
+@app.command()
+def resume(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Also if it was resumed again and again without getting on.")
+    ] = False,
+    look: Annotated[
+        bool, typer.Option("--look", help="Only say what was found and what would be done.")
+    ] = False,
+) -> None:
+    """Go on with a run that was cut short: by a power cut, a kill, an order, or a fault.
+
+    What was finished stays. The dwell that was under way is repeated, with the temperature and the soak that
+    it needs.
+
+    Example: gyrobench resume runs/six_position_fig7-001
+    """
+    from bench.engine.operator import ConsentingOperator
+    from bench.engine.session import describe_resumption, prepare_resumption, resume_run
+    from bench.progress_view import PatientConsole, ProgressView
+    from bench.terminal_operator import TerminalOperator
+
+    console = PatientConsole(markup=False, highlight=False)
+    resumption = prepare_resumption(run_folder, anyway)
+    console.print(describe_resumption(resumption), soft_wrap=True)
+    if look:
+        return
+    job = resumption.job
+    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
+    with ProgressView(console, job.plan) as progress:
+        folder, outcome = resume_run(resumption, progress, operator)
+    _print_end(console, folder, outcome)
+
+
+@app.command()
+def tell(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    order: Annotated[Order, typer.Argument(help="What it is to do.")],
+) -> None:
+    """Tell a run under way to pause, continue, hold at this temperature, skip the dwell, or abort.
+
+    The same words can be typed where the run was started.
+
+    Example: gyrobench tell runs/six_position_fig7-001 hold
+    """
+    from bench.engine.orders import MEANINGS, SIGNALS
+    from bench.station.bench_lock import holder_of
+
+    holder = holder_of(run_folder)
+    if holder is None:
+        raise RunFolderError(f"{run_folder}: no run is under way there on this machine")
+    number = next(number for number, each in SIGNALS.items() if each is order)
+    os.kill(holder.pid, number)
+    typer.echo(f"Told process {holder.pid} to {order}: {MEANINGS[order]}.")
 
 
 @app.command()
@@ -133,6 +180,47 @@ def plan(
     typer.echo(f"Figure   {path}")
     if separability:
         _print_separability(job, target_dph)
+
+
+@app.command()
+def check(
+    station: Annotated[str, typer.Argument(help=_STATION_HELP)] = _STATION,
+    procedure: Annotated[
+        str | None, typer.Option(help="Procedure that is to be run: file or shipped name.")
+    ] = None,
+    world: Annotated[
+        str, typer.Option(help="World behind emulated instruments: file or shipped name.")
+    ] = "gyro_a",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random in the emulated world.")] = 0,
+    faults: Annotated[
+        str | None, typer.Option(help="Faults that emulated instruments have: file or shipped name.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder in which the run folder is to be.")] = Path("runs"),
+) -> None:
+    """Look whether a bench is fit for a run, without moving anything; a unit that is off is on meanwhile.
+
+    Exit codes: 0 nothing speaks against a run, 1 something does, 3 no instrument answers or a run
+    holds the bench.
+
+    Example: gyrobench check my_bench.yaml --procedure six_position_fig7
+    """
+    from rich.console import Console
+
+    from bench.engine.preflight.answer import nobody_answers
+    from bench.engine.preflight.session import check_bench
+    from bench.report.preflight_terminal import preflight_report
+    from bench.station.check import Verdict
+    from bench.station.instruments import Emulation
+
+    try:
+        checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
+    except BenchInUseError as error:
+        _fail(error, EXIT_INSTRUMENT)
+    Console(markup=False, highlight=False).print(preflight_report(checks))
+    if nobody_answers(checks):
+        raise typer.Exit(EXIT_INSTRUMENT)
+    if any(each.verdict is Verdict.FAIL for each in checks):
+        raise typer.Exit(EXIT_NOT_FINISHED)
 
 
 @app.command()
@@ -286,6 +374,30 @@ def import_log(
     imported = import_logs(logs, mapping)
     record = write_import(out, imported)
     typer.echo(f"{imported.summary()}\nTable    {out}\nRecord   {record}")
+
+
+def _print_end(console: Console, folder: RunFolder, outcome: RunOutcome) -> None:
+    """Report how a run ended; exits with an error where it did not finish."""
+    from bench.report.html import write_report
+    from bench.report.terminal import durations_table
+
+    safe_state = [
+        f"{'FAILED: ' if each.problem else ''}{each.what}{_because(each.problem)}"
+        for each in outcome.safe_state
+    ]
+    is_finished = outcome.ended == "finished"
+    if not is_finished:
+        console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        console.print("\n".join(safe_state), soft_wrap=True)
+    report = write_report(folder)
+    _print_biases(console, outcome.results.bins, outcome.results.verification)
+    console.print(durations_table(outcome.took_s))
+    if is_finished:
+        console.print("\n".join(safe_state), soft_wrap=True)
+    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    if not is_finished:
+        console.print(f"Go on    gyrobench resume {folder.path}", soft_wrap=True)
+        raise typer.Exit(EXIT_NOT_FINISHED)
 
 
 def _print_separability(job: Job, target_dph: float) -> None:

@@ -3,6 +3,9 @@
 Engine, drivers and emulators all read and wait on the same clock object. On the virtual clock a
 wait takes no time at all: it moves ``now()`` on, and an emulator works out what happened in
 between when it is next spoken to. No other module reads the time or sleeps.
+
+The clock of a run goes on when the run is resumed: its epoch stays, and ``now()`` starts beyond
+everything that the run has recorded.
 """
 
 from __future__ import annotations
@@ -10,11 +13,18 @@ from __future__ import annotations
 import itertools
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Hashable
 from datetime import UTC, datetime, timedelta
 from weakref import WeakValueDictionary
 
 #: Calendar time at which every virtual run starts, so that equal runs leave equal files.
 VIRTUAL_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+#: A resumed run goes on at least this long after its last record.
+RESUME_STEP_S = 1.0
+
+#: Linux: goes on while the host is suspended. The chamber goes on then too, soaks last, and values
+#: grow old; on a clock that stops nobody would notice that hours are missing between two readings.
+_STEADY = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 _numbers = itertools.count(1)
 _clocks: WeakValueDictionary[str, Clock] = WeakValueDictionary()
@@ -30,17 +40,20 @@ class Clock(ABC):
         ``emulator://table?clock=NAME`` can say which clock an emulator lives on.
     is_virtual : bool
         Whether waiting takes no real time.
+    companions : dict
+        What lives on this clock and no longer than it, by keys of its own.
     """
 
     is_virtual: bool
 
     def __init__(self) -> None:
         self.name = f"clock-{next(_numbers)}"
+        self.companions: dict[Hashable, object] = {}
         _clocks[self.name] = self
 
     @abstractmethod
     def now(self) -> float:
-        """Seconds since this clock was made; never goes back."""
+        """Seconds since the run began; never goes back."""
 
     @abstractmethod
     def sleep(self, duration_s: float) -> None:
@@ -50,6 +63,10 @@ class Clock(ABC):
     @abstractmethod
     def epoch(self) -> datetime:
         """Calendar time (UTC) at ``now() == 0``."""
+
+    @abstractmethod
+    def calendar_offset_s(self) -> float:
+        """How far the host's calendar is ahead of :meth:`utc`."""
 
     def sleep_until(self, time_s: float) -> None:
         """Wait until ``now()`` is at least ``time_s``."""
@@ -61,18 +78,42 @@ class Clock(ABC):
 
 
 class WallClock(Clock):
-    """Real time: monotonic, so that a clock set forward or back changes no wait."""
+    """Real time: steady, so that a calendar set forward or back changes no wait.
+
+    Parameters
+    ----------
+    epoch : datetime, optional
+        Calendar time (UTC) at ``now() == 0``; without it, ``utc()`` begins at the calendar's time.
+    start_s : float
+        What ``now()`` is at first.
+    """
 
     is_virtual = False
 
-    def __init__(self) -> None:
+    def __init__(self, epoch: datetime | None = None, start_s: float = 0.0) -> None:
         super().__init__()
-        self._start = time.monotonic()
-        self._epoch = datetime.now(UTC)
+        self._zero_s = time.clock_gettime(_STEADY) - start_s
+        self._epoch = epoch or _calendar() - timedelta(seconds=start_s)
+
+    @classmethod
+    def resumed(cls, epoch: datetime, last_s: float) -> WallClock:
+        """Make the clock of a resumed run.
+
+        It begins at the calendar's time, but after the last record in any case: the calendar may
+        have been set back meanwhile.
+
+        Parameters
+        ----------
+        epoch : datetime
+            The run's own.
+        last_s : float
+            Time of its last record.
+        """
+        return cls(epoch, max(last_s + RESUME_STEP_S, (_calendar() - epoch).total_seconds()))
 
     def now(self) -> float:
-        """Seconds since this clock was made."""
-        return time.monotonic() - self._start
+        """Seconds since the run began."""
+        return time.clock_gettime(_STEADY) - self._zero_s
 
     def sleep(self, duration_s: float) -> None:
         """Wait in real time."""
@@ -81,21 +122,31 @@ class WallClock(Clock):
 
     @property
     def epoch(self) -> datetime:
-        """Calendar time at which this clock was made."""
+        """Calendar time at which the run began."""
         return self._epoch
+
+    def calendar_offset_s(self) -> float:
+        """How far the host's calendar is ahead of :meth:`utc`, which setting it does not change."""
+        return (_calendar() - self.utc()).total_seconds()
 
 
 class VirtualClock(Clock):
-    """Time that passes only when somebody waits."""
+    """Time that passes only when somebody waits.
+
+    Parameters
+    ----------
+    start_s : float
+        What ``now()`` is at first.
+    """
 
     is_virtual = True
 
-    def __init__(self) -> None:
+    def __init__(self, start_s: float = 0.0) -> None:
         super().__init__()
-        self._now_s = 0.0
+        self._now_s = start_s
 
     def now(self) -> float:
-        """Seconds waited on this clock so far."""
+        """Where the run began, and the seconds waited on this clock since."""
         return self._now_s
 
     def sleep(self, duration_s: float) -> None:
@@ -111,6 +162,10 @@ class VirtualClock(Clock):
     def epoch(self) -> datetime:
         """The same calendar time for every virtual run."""
         return VIRTUAL_EPOCH
+
+    def calendar_offset_s(self) -> float:
+        """Zero: a virtual run has a calendar of its own."""
+        return 0.0
 
 
 class Deadline:
@@ -139,3 +194,7 @@ def clock_named(name: str) -> Clock:
         No clock of that name is in use.
     """
     return _clocks[name]
+
+
+def _calendar() -> datetime:
+    return datetime.now(UTC)

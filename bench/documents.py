@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from bench.errors import DocumentError
+from bench.reading import read_limited
 
 #: Keys and indices that lead from the top of a document to one of its values.
 Location = tuple[str | int, ...]
@@ -27,6 +28,7 @@ Location = tuple[str | int, ...]
 MAX_DOCUMENT_BYTES = 1_000_000
 _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
+_TOO_MUCH = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _SHOWN_CHARACTERS = 60
 #: How pydantic calls a value.
 _INPUT = "Input"
@@ -92,12 +94,7 @@ def read_document(path: Path) -> Document:
         The file can't be read, is too large, or is no valid YAML.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_DOCUMENT_BYTES:
-            raise DocumentError(f"{path}: {size} bytes; at most {MAX_DOCUMENT_BYTES} are allowed")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+        text = read_limited(path, MAX_DOCUMENT_BYTES, DocumentError).decode("utf-8")
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
     return parse_document(text, path)
@@ -117,7 +114,10 @@ def parse_document(text: str, path: Path) -> Document:
     if node is None:
         raise DocumentError(f"{path}:1:1: the file is empty")
     reader = _NodeReader()
-    data = reader.plain(node, ())
+    try:
+        data = reader.plain(node, ())
+    except _TooMuchError:
+        raise DocumentError(f"{path}:1:1: {_TOO_MUCH}") from None
     document = Document(path, text, data, reader.places)
     if reader.problems:
         raise document.error(reader.problems)
@@ -159,7 +159,7 @@ def find_document(kind: str, name: str) -> Path:
 
     Parameters
     ----------
-    kind : {"procedures", "stations", "worlds", "imports"}
+    kind : {"procedures", "stations", "worlds", "faults", "imports"}
         Which folder of shipped files to look in.
     name : str
         A path, or the name of a shipped file without its ending.
@@ -199,7 +199,24 @@ def _shipped_names(kind: str) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe loader with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text."""
+    """Safe loader with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text.
+
+    It gives up at once where a text holds too many values: parsing on would take minutes.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._values = self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        self._values += 1
+        self._depth += 1
+        if self._values > 2 * _MAX_VALUES or self._depth > 2 * _MAX_DEPTH:  # keys count here, not below
+            here = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(None, None, _TOO_MUCH, here)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
 
 _SCALARS = {
@@ -221,6 +238,13 @@ for _tag, _first in (
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
 
 
+_COLLECTION_TAGS = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
+
+
+class _TooMuchError(Exception):
+    """A document holds more than any good one; aliases make few bytes many values."""
+
+
 class _NodeReader:
     """Turns YAML nodes into plain data and remembers where each stood."""
 
@@ -231,21 +255,23 @@ class _NodeReader:
     def plain(self, node: yaml.Node, location: Location) -> Any:
         self.places.setdefault(location, (node.start_mark.line + 1, node.start_mark.column + 1))
         if len(self.places) > _MAX_VALUES or len(location) > _MAX_DEPTH:
-            if not self.problems:
-                self.problems.append(
-                    Problem((), f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels")
-                )
+            raise _TooMuchError
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node, location)
+        if node.tag not in _COLLECTION_TAGS:
+            self.problems.append(Problem(location, f"a value can't have the tag {_quoted(node.tag)}"))
             return None
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, location)
-        if isinstance(node, yaml.SequenceNode):
-            return [self.plain(item, (*location, index)) for index, item in enumerate(node.value)]
-        return self._scalar(node, location)
+        return [self.plain(item, (*location, index)) for index, item in enumerate(node.value)]
 
     def _mapping(self, node: yaml.MappingNode, location: Location) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
-            key = str(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "(not a plain key)"
+            if not isinstance(key_node, yaml.ScalarNode):
+                self.problems.append(Problem(location, "a key has to be plain text; found a list or keys"))
+                continue
+            key = str(key_node.value)
             here = (*location, key)
             self.places[here] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if key in result:

@@ -10,7 +10,10 @@
     │   ├── ReplyError                    it answered something that can't be understood
     │   ├── RefusedError                  it answered that it won't
     │   └── FaultError                    it reports a fault: trip, interlock, broken sensor
+    ├── InterlockError                    a limit of the station is broken, or a value too old to tell
+    ├── BenchInUseError                   another run holds the bench
     ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
+    ├── SpoiltDwellError                  a dwell under way can't give a result any more
     ├── RunStoppedError                   somebody asked the run to stop
     ├── MeasurementError (ValueError)     measured data that can't give a result
     └── RunFolderError (OSError)          a run folder that can't be written or read
@@ -67,8 +70,20 @@ class FaultError(InstrumentError):
     """The instrument reports a fault of its own: rate trip, open interlock, broken sensor."""
 
 
+class InterlockError(GyrobenchError):
+    """A limit of the station is broken, or the value that would tell is missing or too old."""
+
+
+class BenchInUseError(GyrobenchError):
+    """Another run holds the bench; the message says which, by whom and since when."""
+
+
 class StepTimeoutError(GyrobenchError, TimeoutError):
     """A step of the procedure did not reach its end in its time."""
+
+
+class SpoiltDwellError(GyrobenchError):
+    """A dwell under way can't give a result any more, as when the INS did not align; it is repeated."""
 
 
 class RunStoppedError(GyrobenchError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ class StationLimits:
     reachable : callable
         ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't stand
         there and then do these turns, None where it can.
+    gyro_low_c, gyro_high_c : float
+        Temperatures of the gyros at which an interlock trips.
     """
 
     chamber_low_c: float
@@ -28,3 +31,5 @@ class StationLimits:
     ramp_max_c_per_min: float
     table_rate_max_dps: float
     reachable: Callable[[str, float, tuple[float, ...]], str | None]
+    gyro_low_c: float = -math.inf
+    gyro_high_c: float = math.inf

@@ -82,7 +82,7 @@ class ProgressView:
         self._ticks = 0
         if isinstance(planned.step, Chamber):
             time = hours_minutes(bench.clock.now())
-            now = f"chamber {bench.readings.chamber_c:.1f} degC now"
+            now = f"chamber {bench.readings.chamber.temperature_c:.1f} degC now"
             self._console.print(f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False)
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:
@@ -92,7 +92,7 @@ class ProgressView:
         if self._status and self._ticks % _UPDATE_EVERY_TICKS == 1:
             optics = bench.readings.ins.optics_c
             gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
-            chamber = f"chamber {bench.readings.chamber_c:.1f} degC"
+            chamber = f"chamber {bench.readings.chamber.temperature_c:.1f} degC"
             where = f"{self._so_far} | " if self._so_far else f"{chamber}, {gyro}"
             text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
+from bench.engine.orders import Order
+
 
 class TerminalOperator:
-    """Reads answers from standard input without waiting for them."""
+    """Reads answers and orders from standard input without waiting for them."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -23,11 +25,33 @@ class TerminalOperator:
 
     def answer(self) -> str | None:
         """The answer, once one of those asked for has been typed."""
-        if sys.stdin is None or not select.select([sys.stdin], [], [], 0.0)[0]:
-            return None
-        typed = sys.stdin.readline().strip()
+        typed = _typed()
         if typed in self._answers:
+            self._answers = ()
             return typed
         if typed:
             self._console.print(f"Answer with one of: {', '.join(self._answers)}", soft_wrap=True)
         return None
+
+    def withdraw(self) -> None:
+        """Expect no answer any more."""
+        self._answers = ()
+
+    def order(self) -> Order | None:
+        """An order that has been typed; other words are answered with what can be typed."""
+        typed = "" if self._answers else _typed()
+        if typed in list(Order):
+            return Order(typed)
+        if typed:
+            self._console.print(f"Type one of: {', '.join(Order)}", soft_wrap=True)
+        return None
+
+
+def _typed() -> str:
+    """A line that has been typed; empty if there is none."""
+    try:
+        if sys.stdin is None or sys.stdin.closed or not select.select([sys.stdin], [], [], 0.0)[0]:
+            return ""
+        return sys.stdin.readline().strip()
+    except (OSError, ValueError):  # the terminal has gone
+        return ""

@@ -2,6 +2,11 @@
 
 Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
 over Serial Line V1.02.
+
+The reply to a read does not say which register was asked for: a reply that comes late could pass
+for that to the next question. So after any failed exchange nothing is asked until the line has been
+silent for the reply time-out. A reply that is later than twice the reply time-out, or a second copy
+of a good reply that comes after the next question, can't be told from a right one by this protocol.
 """
 
 from __future__ import annotations
@@ -17,8 +22,8 @@ from drivers.serial_line import SerialLine
 PAUSE_AFTER_READ_S = 0.005
 #: Controllers store a written value before they listen again.
 PAUSE_AFTER_WRITE_S = 0.03
-#: A late or damaged reply passes by, and is not taken for the answer to the next request.
-PAUSE_AFTER_FAILURE_S = 0.1
+#: A line that is not silent within this many reply time-outs never will be.
+_MOST_TIMEOUTS_TO_SILENCE = 5
 
 _READ, _WRITE = 3, 6
 _EXCEPTION_BIT = 0x80
@@ -66,6 +71,7 @@ class ModbusRtu:
         self._address = address
         self._reply_timeout_s = reply_timeout_s
         self._next_request_s = line.clock.now()
+        self._out_of_step = False
 
     def read(self, register: int, count: int = 1) -> tuple[int, ...]:
         """Read successive registers as signed 16-bit numbers.
@@ -93,19 +99,21 @@ class ModbusRtu:
         """Send a request; return its reply, ``size`` bytes beginning with ``start``, or an exception."""
         clock = self._line.clock
         clock.sleep_until(self._next_request_s)
+        if self._out_of_step:
+            timeout_s = self._reply_timeout_s
+            self._line.await_silence(timeout_s, _MOST_TIMEOUTS_TO_SILENCE * timeout_s)
+        self._out_of_step = True
+        self._next_request_s = clock.now() + self._reply_timeout_s
         self._line.discard_input()
-        settled_pause_s = PAUSE_AFTER_FAILURE_S
-        try:
-            self._line.write(framed(request))
-            reply = self._receive(size)
-            refusal = bytes((self._address, request[1] | _EXCEPTION_BIT))
-            if crc16(reply) != 0:
-                raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
-            if not reply.startswith((start, refusal)):
-                raise self._unexpected(request, reply, "it answers something else; check the address")
-            settled_pause_s = pause_s
-        finally:
-            self._next_request_s = clock.now() + settled_pause_s
+        self._line.write(framed(request))
+        reply = self._receive(size)
+        refusal = bytes((self._address, request[1] | _EXCEPTION_BIT))
+        if crc16(reply) != 0:
+            raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
+        if not reply.startswith((start, refusal)):
+            raise self._unexpected(request, reply, "it answers something else; check the address")
+        self._out_of_step = False
+        self._next_request_s = clock.now() + pause_s
         return reply
 
     def _receive(self, size: int) -> bytes:

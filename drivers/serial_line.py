@@ -14,10 +14,12 @@ from types import TracebackType
 import serial
 
 from bench.clock import Clock, Deadline
-from bench.errors import ConnectionFailedError, NoReplyError
+from bench.errors import ConnectionFailedError, NoReplyError, ReplyError
 
 #: What pyserial raises when a port goes away, depending on the call.
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+
+_WRITE_TIMEOUT_S = 5.0
 
 _EMULATOR_HANDLERS = "drivers.emulators.serial_urls"
 if _EMULATOR_HANDLERS not in serial.protocol_handler_packages:
@@ -54,15 +56,9 @@ class SerialLine:
         self.instrument = instrument
         self.url = url
         self.clock = clock
-        try:
-            self._port = serial.serial_for_url(
-                url, baudrate=baudrate, parity=parity, timeout=0, write_timeout=5, exclusive=True
-            )
-        except (*_PORT_ERRORS, ValueError) as error:
-            raise ConnectionFailedError(
-                instrument, f"can't open {url}: {error}. Check the station file's port and the cable."
-            ) from error
-        self._open = True
+        self._baudrate = baudrate
+        self._parity = parity
+        self.reopen()
 
     def __enter__(self) -> SerialLine:
         return self
@@ -71,6 +67,31 @@ class SerialLine:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def reopen(self) -> None:
+        """Open the port anew as it was opened first, after whatever failed; what had arrived is lost.
+
+        Raises
+        ------
+        ConnectionFailedError
+            The port can't be opened; it stays closed, and may be opened later.
+        """
+        self.close()
+        try:
+            self._port = serial.serial_for_url(
+                self.url,
+                baudrate=self._baudrate,
+                parity=self._parity,
+                timeout=0,
+                write_timeout=_WRITE_TIMEOUT_S,
+                exclusive=True,
+            )
+        except (*_PORT_ERRORS, ValueError) as error:
+            raise ConnectionFailedError(
+                self.instrument,
+                f"can't open {self.url}: {error}. Check the station file's port and the cable.",
+            ) from error
+        self._open = True
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
@@ -139,6 +160,29 @@ class SerialLine:
             self._port.reset_input_buffer()
         except _PORT_ERRORS as error:
             raise self._gone(error) from error
+
+    def await_silence(self, silence_s: float, longest_s: float) -> None:
+        """Throw away what arrives until nothing has come for ``silence_s``.
+
+        Raises
+        ------
+        ReplyError
+            The line was not silent for so long within ``longest_s``.
+        ConnectionFailedError
+            The port went away.
+        """
+        deadline = Deadline(self.clock, longest_s)
+        while not deadline.expired():
+            try:
+                self.read(1, Deadline(self.clock, silence_s))
+            except NoReplyError:
+                return
+            self.discard_input()
+        raise ReplyError(
+            self.instrument,
+            f"something arrives on {self.url} all the time without being asked for. Is another program or "
+            "master on this line?",
+        )
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
         return ConnectionFailedError(

@@ -17,8 +17,9 @@ from bench.navigation.positions import POSITIONS, Position
 MIN_EPOCHS = 30
 #: Shortest window, s: a minute of navigation less the epochs that its commands cost.
 MIN_DURATION = 55.0
-#: Longest time between two epochs, as a multiple of the usual one.
-MAX_GAP_EPOCHS = 5.5
+#: Longest time between two epochs, as a multiple of the usual one, and in s if that is more: velocity and
+#: heading are integrals, which lose nothing in a gap.
+MAX_GAP_EPOCHS, MAX_GAP_S = 5.5, 2.0
 _SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
@@ -238,7 +239,7 @@ def _check_times(time_s: NDArray[np.float64]) -> None:
             "Lengthen the dwell"
         )
     widest = int(np.argmax(interval))
-    if interval[widest] > MAX_GAP_EPOCHS * np.median(interval):
+    if interval[widest] > max(MAX_GAP_EPOCHS * np.median(interval), MAX_GAP_S):
         raise MeasurementError(
             f"nothing from the INS for {interval[widest]:.3f} s after {time_s[widest]:.3f} s, where an epoch "
             f"is expected every {np.median(interval):.3f} s. {_CHECK_INS}"

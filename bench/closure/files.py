@@ -15,9 +15,13 @@ from bench.closure.closure import Closure, FoundEffect
 from bench.closure.problem import DEGREE, SCALE_C, predict
 from bench.closure.wording import separating_measurement, statement, whereabouts
 from bench.errors import RunFolderError
+from bench.files import make_folder
 from bench.navigation.positions import AXES
+from bench.reading import parse_json, read_limited
 
 _DOCUMENT = "closure.json"
+_MAX_BYTES = 100_000_000
+_WHAT_TO_DO = "Remove it, or close the run again"
 PREDICTION_COLUMNS = (
     "dwell",
     *(f"bias_{axis}_before_dph" for axis in AXES),
@@ -33,7 +37,7 @@ def write_closure(folder: Path, closure: Closure) -> None:
     RunFolderError
         A file can't be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_text(folder / _DOCUMENT, _document_text(closure))
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
@@ -57,9 +61,13 @@ def read_held_out_cycles(folder: Path) -> list[int]:
     if not path.exists():
         return []
     try:
-        return [int(cycle) for cycle in json.loads(path.read_text(encoding="utf-8"))["held_out_cycles"]]
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise RunFolderError(f"{path}: can't be read: {error}. Remove it, or close the run again") from error
+        content = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
+    except ValueError as error:
+        raise RunFolderError(f"{path}: is damaged: {error}. {_WHAT_TO_DO}") from error
+    cycles = content.get("held_out_cycles") if isinstance(content, dict) else None
+    if not isinstance(cycles, list) or not all(type(cycle) is int for cycle in cycles):
+        raise RunFolderError(f"{path}: is damaged: it does not list held_out_cycles. {_WHAT_TO_DO}")
+    return cycles
 
 
 def _document_text(closure: Closure) -> str:

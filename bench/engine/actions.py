@@ -7,8 +7,10 @@ bench in between and minds the step's time limit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import replace
 from functools import singledispatch
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,7 +18,13 @@ from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator, asked
-from bench.errors import FaultError, InstrumentError, RunStoppedError
+from bench.errors import (
+    ConnectionFailedError,
+    FaultError,
+    InstrumentError,
+    RunStoppedError,
+    SpoiltDwellError,
+)
 from bench.measurement.temperatures import slopes_c_per_h
 from bench.navigation.positions import POSITIONS
 from bench.navigation.table_axes import Angles
@@ -38,6 +46,7 @@ from drivers.ins.attitude import EulerSequence
 from drivers.ins.readout import Alignment, InsMode
 
 Ticks = Iterator[None]
+T = TypeVar("T")
 
 #: Span over which the gyros' rate of temperature is fitted in a soak.
 _SOAK_FIT_S = 600.0
@@ -48,6 +57,8 @@ _BOOT_FRAMES_AGE_S = 2.0
 _POWER_CYCLE_S = 5.0
 #: How often the biases of the dwell under way are estimated.
 _ESTIMATE_EVERY_S = 30.0
+#: Between a failed exchange with an instrument and the next try.
+_RETRY_PAUSE_S = 2.0
 
 
 class Context:
@@ -59,10 +70,14 @@ class Context:
         Takes the estimate of the dwell under way.
     note : callable
         Takes what a person should know, for journal and screen.
+    tell_retry : callable
+        Takes the error of an exchange that is tried again.
     angles : tuple of float or None
         Outer and inner angle last commanded, deg.
     turns_to_come_deg : sequence of float
         The turns until the next position: a position is taken so that they have room.
+    retries : int
+        How often a failed exchange is tried again in the step under way.
     """
 
     def __init__(
@@ -72,12 +87,15 @@ class Context:
         recorder: DwellRecorder,
         tell_estimate: Callable[[StateSpaceEstimate], None],
         note: Callable[[str], None],
+        tell_retry: Callable[[InstrumentError], None],
     ) -> None:
         self.bench = bench
         self.operator = operator
         self.recorder = recorder
         self.tell_estimate = tell_estimate
         self.note = note
+        self.tell_retry = tell_retry
+        self.retries = 0
         self.angles: Angles | None = None
         self.turns_to_come_deg: Sequence[float] = ()
 
@@ -95,42 +113,55 @@ def _power_on(step: PowerOn, context: Context) -> Ticks:
         yield from _answered(context, "Switch the INS off and on, then answer.", ["on", "stop"])
     if bench.station.unit.power == "chamber_event":
         # An INS that is on already is switched off first: the time since power-on has to be known.
-        bench.instruments.power_unit(False)
+        bench.expected = replace(bench.expected, ins_on=False)
+        yield from tried(context, lambda: bench.instruments.power_unit(False))
         yield from _lasting(bench, _POWER_CYCLE_S)
-    bench.instruments.power_unit(True)
+    yield from tried(context, lambda: bench.instruments.power_unit(True))
     switched_s = bench.clock.now()
     yield
     while not _talks(bench):
         yield
-    bench.ins_expected = True
+    bench.read_instruments()  # what was read before it spoke tells nothing of it
+    bench.expected = replace(bench.expected, ins_on=True)
+    bench.has_unit_restarted = False
     context.recorder.powered_on(switched_s)
     yield from _lasting(bench, step.settle_s)
 
 
 @perform.register
 def _power_off(step: PowerOff, context: Context) -> Ticks:  # noqa: ARG001
-    if context.bench.station.unit.power == "operator":
+    bench = context.bench
+    if bench.station.unit.power == "operator":
         yield from _answered(context, "Switch the INS off, then answer.", ["off", "stop"])
-    context.bench.ins_expected = context.bench.station.unit.power == "always_on"
-    context.bench.instruments.power_unit(False)
+    bench.expected = replace(bench.expected, ins_on=bench.station.unit.power == "always_on")
+    yield from tried(context, lambda: bench.instruments.power_unit(False))
     yield
 
 
 @perform.register
 def _chamber(step: Chamber, context: Context) -> Ticks:
     bench = context.bench
-    bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
-    bench.instruments.chamber.switch(True)
-    bench.chamber_set_c = step.temperature_c
+    # Each driver is looked up when it is used: a port that went away gives a new one.
+    yield from tried(
+        context,
+        lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min),
+    )
+    yield from tried(context, lambda: bench.instruments.chamber.switch(True))
+    bench.expected = replace(bench.expected, chamber_set_c=step.temperature_c, chamber_on=True)
+    commanded_s = bench.clock.now()
     yield
-    while abs(bench.readings.chamber_c - step.temperature_c) > step.within_c:
+    while (
+        bench.readings.chamber_s < commanded_s
+        or abs(bench.readings.chamber.temperature_c - step.temperature_c) > step.within_c
+    ):
         yield
 
 
 @perform.register
 def _chamber_off(step: ChamberOff, context: Context) -> Ticks:  # noqa: ARG001
-    context.bench.instruments.chamber.switch(False)
-    context.bench.chamber_set_c = None
+    bench = context.bench
+    yield from tried(context, lambda: bench.instruments.chamber.switch(False))
+    bench.expected = replace(bench.expected, chamber_on=False)
     yield
 
 
@@ -145,7 +176,7 @@ def _soak(step: Soak, context: Context) -> Ticks:
     history: deque[tuple[float, ...]] = deque()
     rate = None
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
-        if not history or history[-1][0] < bench.readings.time_s:
+        if not history or history[-1][0] < bench.readings.asked_s:
             rate = _gyro_rate_c_per_h(bench, history)
         if elapsed_s >= step.at_least_s and rate is not None and rate < limit:
             return
@@ -165,27 +196,29 @@ def _go_to(step: GoTo, context: Context) -> Ticks:
 
 @perform.register
 def _align(step: Align, context: Context) -> Ticks:
-    bench, ins = context.bench, context.bench.instruments.ins
-    _choose_euler_sequence(step, context)
+    bench = context.bench
     context.recorder.begin()
-    ins.align()
+    yield from _choose_euler_sequence(step, context)
+    yield from tried(context, lambda: bench.instruments.ins.align())
     begin_s = bench.clock.now()
     yield
     yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
-    while step.until_fine and ins.status().alignment is not Alignment.FINE:
+    while step.until_fine and bench.instruments.ins.status().alignment is not Alignment.FINE:
         yield
 
 
 @perform.register
 def _navigate(step: Navigate, context: Context) -> Ticks:
-    ins = context.bench.instruments.ins
-    status = ins.status()
+    instruments = context.bench.instruments
+    status = instruments.ins.status()
     if status.mode is not InsMode.NAVIGATE and not context.recorder.lost_navigation():
         if status.alignment is Alignment.NONE:
-            raise FaultError("INS", "has not aligned, so it can't navigate. Give align more time.")
-        ins.navigate()
+            raise SpoiltDwellError("the INS has not aligned, so it can't navigate. Give align more time.")
+        yield from tried(context, lambda: instruments.ins.navigate())
+    yield from _table_read_anew(context)
     context.recorder.begin_window()
     yield from _navigating(step, context)
+    yield from _table_read_anew(context)
     context.recorder.end_window()
 
 
@@ -245,21 +278,37 @@ def _answered(context: Context, question: str, answers: list[str]) -> Ticks:
 
 
 def _moved(context: Context, angles: Angles, rate_dps: float) -> Ticks:
-    station, table = context.bench.station, context.bench.instruments.table
-    table.move_to(station.by_axis_number(angles), rate_dps)
+    """Move the table; one that rests elsewhere is sent again as often as the step allows."""
     context.angles = angles
+    for left in range(context.retries, -1, -1):
+        try:
+            yield from _sent(context, angles, rate_dps)
+        except _AstrayError as error:
+            if not left:
+                raise
+            context.tell_retry(error)
+        else:
+            return
+
+
+class _AstrayError(FaultError):
+    """The table calls its motion complete and rests elsewhere."""
+
+
+def _sent(context: Context, angles: Angles, rate_dps: float) -> Ticks:
+    station, instruments = context.bench.station, context.bench.instruments
+    yield from tried(context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps))
     yield
-    while not table.in_position():
+    while not (yield from tried(context, lambda: instruments.table.in_position())):
         yield
     complete_s = context.bench.clock.now()
-    while not np.allclose(
-        reached := station.table_axes_of(table.read().position_deg),
-        angles,
-        rtol=0.0,
-        atol=_POSITION_TOLERANCE_DEG,
-    ):
+    while True:
+        reading = yield from tried(context, lambda: instruments.table.read())
+        reached = station.table_axes_of(reading.position_deg)
+        if np.allclose(reached, angles, rtol=0.0, atol=_POSITION_TOLERANCE_DEG):
+            return
         if context.bench.clock.now() - complete_s > _OVERSHOOT_S:
-            raise FaultError(
+            raise _AstrayError(
                 "rate table",
                 f"rests at outer {reached[0]:.4f}, inner {reached[1]:.4f} deg, where {angles[0]:.4f}, "
                 f"{angles[1]:.4f} were commanded. Check its limits and its servo.",
@@ -267,21 +316,50 @@ def _moved(context: Context, angles: Angles, rate_dps: float) -> Ticks:
         yield
 
 
+def tried(context: Context, exchange: Callable[[], T]) -> Generator[None, None, T]:
+    """Exchange something with an instrument; what fails is tried again as often as the step allows.
+
+    Every command of the drivers may be given twice: it names what is to be, not what is to change.
+    """
+    for left in range(context.retries, -1, -1):
+        try:
+            return exchange()
+        except FaultError:
+            raise
+        except InstrumentError as error:
+            if not left:
+                raise
+            context.tell_retry(error)
+            if isinstance(error, ConnectionFailedError):
+                context.bench.reopen(error.instrument)
+            yield from _lasting(context.bench, _RETRY_PAUSE_S)
+    raise AssertionError("the last try returns or raises")
+
+
+def _table_read_anew(context: Context) -> Ticks:
+    """Read the table now, and again at each tick until it answers."""
+    begin_s = context.bench.clock.now()
+    context.bench.read_table()
+    while context.bench.readings.table_s < begin_s:
+        yield
+        context.bench.read_table()
+
+
 def _talks(bench: LiveBench) -> bool:
     status = bench.instruments.ins.status()
     return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
-def _choose_euler_sequence(step: Align, context: Context) -> None:
+def _choose_euler_sequence(step: Align, context: Context) -> Ticks:
     """Select the sequence that is regular here; an INS that can't choose keeps its own."""
-    ins = context.bench.instruments.ins
-    if not ins.supports("set_euler_sequence"):
+    instruments = context.bench.instruments
+    if not instruments.ins.supports("set_euler_sequence"):
         return
     y_is_vertical = context.recorder.position in ("y_up", "y_down")
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
-    if ins.status().euler_sequence is not chosen:
-        ins.set_euler_sequence(chosen)
+    if instruments.ins.status().euler_sequence is not chosen:
+        yield from tried(context, lambda: instruments.ins.set_euler_sequence(chosen))
 
 
 def _gyro_rate_c_per_h(bench: LiveBench, history: deque[tuple[float, ...]]) -> float | None:
@@ -289,7 +367,7 @@ def _gyro_rate_c_per_h(bench: LiveBench, history: deque[tuple[float, ...]]) -> f
     readings = bench.readings
     if np.isnan(readings.ins.optics_c).any():
         raise InstrumentError("INS", "sends no gyro temperatures, so a soak can't wait for them. Use for_s.")
-    history.append((readings.time_s, *readings.ins.optics_c.tolist()))
+    history.append((readings.asked_s, *readings.ins.optics_c.tolist()))
     while history[-1][0] - history[0][0] > _SOAK_FIT_S:
         history.popleft()
     if history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:

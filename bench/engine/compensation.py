@@ -12,8 +12,8 @@ from typing import Any
 
 from bench.engine.operator import Operator, asked
 from bench.errors import RefusedError, RunStoppedError
+from bench.station.instruments import Instruments
 from drivers.ins.can_bus import INSTRUMENT
-from drivers.ins.can_ins import CanIns
 from drivers.ins.compensation import Compensation
 from drivers.ins.ins_status import InsStatus
 
@@ -37,13 +37,13 @@ class CompensationWatch:
 
     def __init__(
         self,
-        ins: CanIns,
+        instruments: Instruments,
         wanted: Compensation | None,
         operator: Operator,
         record: Callable[..., None],
         note: Callable[[str], None],
     ) -> None:
-        self._ins = ins
+        self._instruments = instruments
         self._wanted = wanted
         self._operator = operator
         self._record = record
@@ -63,7 +63,7 @@ class CompensationWatch:
         InstrumentError
             The INS does not take what is to be loaded.
         """
-        found = self._ins.status()
+        found = self._instruments.ins.status()
         if self._agreed is not None and _same(found, self._agreed, unknown=not after_power_on):
             return
         before = self._agreed
@@ -72,15 +72,15 @@ class CompensationWatch:
         clears = self._wanted is not None  # no number of an earlier one may stay
         if found.compensation:
             clears = yield from self._decide(found, appeared=before is not None)
-        if clears and self._ins.supports("clear_compensation"):
-            self._ins.clear_compensation()
+        if clears and self._instruments.ins.supports("clear_compensation"):
+            self._instruments.ins.clear_compensation()
         if self._wanted is not None:
-            checksum = self._ins.load_compensation(self._wanted)
-            self._ins.apply_compensation()
+            checksum = self._instruments.ins.load_compensation(self._wanted)
+            self._instruments.ins.apply_compensation()
             self._note(f"the INS compensates its gyros from here on ({checksum:08x})")
         elif before is not None and before.compensation and not found.compensation:
             self._note("the INS has lost the compensation that it had: dwells before and after differ")
-        self._agreed = self._ins.status()
+        self._agreed = self._instruments.ins.status()
         self._record(
             "compensation",
             found=_told(found),
@@ -92,7 +92,7 @@ class CompensationWatch:
         """Ask whether to clear what the INS compensates; returns the answer."""
         which = "a compensation" if found.compensation_in_use is None else f"{found.compensation_in_use:08x}"
         what = f"The INS compensates its gyros {'now' if appeared else 'already'} ({which})."
-        can_clear = self._ins.supports("clear_compensation")
+        can_clear = self._instruments.ins.supports("clear_compensation")
         if self._wanted is None:
             question = f"{what} Clear that, or keep it and measure what it leaves?"
             answers = [_CLEAR, _KEEP, _STOP] if can_clear else [_KEEP, _STOP]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.engine.live_bench import LiveBench
@@ -14,8 +15,12 @@ from bench.measurement.marks import DwellMarks, WindowMark
 from bench.navigation.table_axes import Angles
 from drivers.ins.frames import FrameBlock
 
-#: The table's reading may differ by this much over a window, deg.
+#: One reading of the table may differ by this much from that at the window's begin, deg.
 _STILL_DEG = 0.001
+#: A creep of this size from the first third of a window's readings to the last moves a bias by sigmas.
+_CREEP_DEG = 1e-4
+#: Standard deviations of the readings' scatter that a creep has to exceed as well.
+_CREEP_SIGMAS = 5.0
 
 
 @dataclass
@@ -80,16 +85,18 @@ class DwellRecorder:
             self._start_s = self.bench.clock.now()
             if self.bench.capture:
                 self.bench.capture.chamber_c.clear()  # those of the alignment
-        self._angles = self._table_angles()
+        self._angles = self.bench.table_angles()
         if self.bench.capture:
             self.bench.capture.table_deg.clear()
 
     def end_window(self) -> None:
         """End it."""
-        read_deg = [self._table_angles(), *(self.bench.capture.table_deg if self.bench.capture else ())]
+        read_deg = [*(self.bench.capture.table_deg if self.bench.capture else ()), self.bench.table_angles()]
         moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
         if moved_deg > _STILL_DEG:
-            self._disturbances.append(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
+            self.disturb(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
+        elif (creep_deg := _creep_deg(np.array(read_deg))) > _CREEP_DEG:
+            self.disturb(f"the table crept by {creep_deg:.5f} deg while the INS navigated")
         self._windows.append(self._window())
         self._turn = (None, None)
 
@@ -105,7 +112,7 @@ class DwellRecorder:
     def lost_navigation(self) -> bool:
         """Note that the INS does not navigate; whether that spoils a dwell that has a window already."""
         if self._windows:
-            self._disturbances.append("the INS left navigation in the turn")
+            self.disturb("the INS left navigation in the turn")
         return bool(self._windows)
 
     def estimate_so_far(self) -> StateSpaceEstimate | None:
@@ -119,8 +126,10 @@ class DwellRecorder:
         capture = self.bench.capture
         return capture.frames(first) if capture else FrameBlock.from_messages([])
 
-    def _table_angles(self) -> Angles:
-        return self.bench.station.table_axes_of(self.bench.instruments.table.read().position_deg)
+    def disturb(self, text: str) -> None:
+        """Note that something went wrong in the dwell under way, which keeps it out of the bins."""
+        if text not in self._disturbances:
+            self._disturbances.append(text)
 
     def marks(self) -> DwellMarks:
         """Everything about the dwell that is over."""
@@ -138,9 +147,20 @@ class DwellRecorder:
             start_s=round(self._start_s, 6),
             end_s=round(self.bench.clock.now(), 6),
             since_power_on_s=round(self._start_s - self._power_on_s, 6),
-            chamber_set_c=self.bench.chamber_set_c,
+            chamber_set_c=self.bench.commanded_c,
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
             is_verification=self.is_verification,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )
+
+
+def _creep_deg(read_deg: NDArray[np.float64]) -> float:
+    """How far readings in the order of time, shape (n, 2), creep beyond their own scatter; else zero."""
+    count = len(read_deg) // 3
+    if count == 0:
+        return 0.0
+    first, last = read_deg[:count], read_deg[-count:]
+    creep_deg = np.abs(last.mean(axis=0) - first.mean(axis=0))
+    scatter_deg = np.sqrt((first.var(axis=0) + last.var(axis=0)) / count)
+    return float(np.where(creep_deg > _CREEP_SIGMAS * scatter_deg, creep_deg, 0.0).max())

@@ -2,99 +2,56 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import replace
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.clock import Deadline
 from bench.documents import Document
 from bench.engine.actions import Context, perform
 from bench.engine.compensation import CompensationWatch
+from bench.engine.dwell_book import DwellBook
 from bench.engine.dwell_recorder import DwellRecorder
+from bench.engine.heartbeat import Heartbeat
+from bench.engine.holding import Holding
+from bench.engine.interlocks import Trip
+from bench.engine.interruptions import OrderedError, TrippedError, trip_of
 from bench.engine.live_bench import LiveBench
-from bench.engine.operator import Operator
-from bench.engine.safe_state import SafeAction, make_safe
-from bench.errors import GyrobenchError, RunFolderError, RunStoppedError, StepTimeoutError
-from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
-from bench.measurement.marks import DwellMarks
-from bench.measurement.results import RunResults
-from bench.measurement.verification_dwell import VerificationDwell, measure_verification
+from bench.engine.orders import GivenOrder, Order
+from bench.engine.outcome import RunOutcome
+from bench.engine.outputs import SafeOutputs, told
+from bench.engine.people import People
+from bench.engine.progress import RunProgress
+from bench.errors import (
+    FaultError,
+    GyrobenchError,
+    InstrumentError,
+    RunFolderError,
+    RunStoppedError,
+    SpoiltDwellError,
+    StepTimeoutError,
+)
+from bench.guard.link import Guard
+from bench.measurement.dwell import MeasurementSetup
+from bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
 from bench.procedure.plan import Plan, PlannedStep, turns_after
 from bench.procedure.steps import Align, GoTo, PowerOn
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
 from bench.run_store.provenance import add_identity
 from drivers.ins.compensation import Compensation
-from drivers.ins.epochs import EpochCounts
-from drivers.ins.frames import FrameBlock
 
-
-class Progress(Protocol):
-    """Somebody who watches a run."""
-
-    def told(self, text: str) -> None:
-        """Something that a person should know."""
-        ...
-
-    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
-        """A step begins."""
-        ...
-
-    def ticked(self, bench: LiveBench, left_s: float) -> None:
-        """Time went on; so much is left by the plan."""
-        ...
-
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
-        """The biases of the dwell under way, as far as they are known by now."""
-        ...
-
-    def dwell_measured(self, row: DwellRow) -> None:
-        """A dwell is over and its biases are known."""
-        ...
-
-
-@dataclass
-class RunOutcome:
-    """How a run ended.
-
-    Attributes
-    ----------
-    ended : str
-        "finished", "stopped" (somebody asked) or "failed".
-    reason : str
-        Why it did not finish; empty where it did.
-    dwells : list of MeasuredDwell
-        What was measured.
-    verifications : list of VerificationDwell
-        What was taken to verify a calibration.
-    results : RunResults
-        What the dwells give together.
-    duration_s : float
-        On the run's clock.
-    took_s : dict of str to list of tuple
-        Planned and real duration of every step done, by kind.
-    safe_state : list of SafeAction
-        What was done at the end, and how it went.
-    """
-
-    ended: str = "finished"
-    reason: str = ""
-    dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[VerificationDwell] = field(default_factory=list)
-    results: RunResults = field(default_factory=RunResults)
-    duration_s: float = 0.0
-    took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    safe_state: list[SafeAction] = field(default_factory=list)
-
-    def fail(self, reason: str) -> None:
-        """Note a failure, unless there is one already."""
-        if self.ended == "finished":
-            self.ended, self.reason = "failed", reason
+#: A dwell that was given up so often is tried with the INS switched off and on.
+_REPEATS_UNTIL_POWER_CYCLE = 2
+#: After these the INS may have been off, whatever it says now.
+_UNIT_DOUBTFUL = {"ins_silence", "ins_fault"}
 
 
 class Engine:
     """Runs one plan on one bench.
+
+    What interrupts a step - a trip, a failed instrument, an order - leads to a hold, in the safe state
+    where it has to be, and back into the plan by :mod:`bench.procedure.approach`. Nothing of an
+    interrupted dwell is used: it is done again.
 
     Parameters
     ----------
@@ -108,8 +65,14 @@ class Engine:
         What turns frames into biases.
     folder, journal
         Where the run leaves its results.
-    operator, progress
-        The person to ask, and the one who watches.
+    people : People
+        Who can be asked, who watches, and what they order.
+    guard : Guard
+        Gets a sign of life at each tick.
+    done : RunProgress
+        What was done before; the run goes on from there.
+    outcome : RunOutcome
+        Gets how the run ends, and its dwells beside those measured before.
     compensation : Compensation, optional
         What the INS is to subtract from its gyros all along; without it, nothing.
     """
@@ -122,35 +85,46 @@ class Engine:
         setup: MeasurementSetup,
         folder: RunFolder,
         journal: Journal,
-        operator: Operator,
-        progress: Progress,
+        people: People,
+        guard: Guard,
+        done: RunProgress,
+        outcome: RunOutcome,
         compensation: Compensation | None = None,
     ) -> None:
         self._document = document
         self._plan = plan
         self._bench = bench
-        self._setup = setup
         self._folder = folder
         self._journal = journal
-        self._progress = progress
-        self._recorder = DwellRecorder(bench, setup)
-        self._context = Context(bench, operator, self._recorder, progress.estimated, self._note)
-        self._compensation = CompensationWatch(
-            bench.instruments.ins, compensation, operator, journal.record, self._note
+        self._progress = people.progress
+        self._done = done
+        self._outcome = outcome
+        self._heartbeat = Heartbeat(bench, journal, people, guard)
+        self._note = self._heartbeat.note
+        self._outputs = SafeOutputs(bench, self._heartbeat)
+        self._holding = Holding(bench, self._heartbeat, journal, people, done.resumes)
+        self._recorder = DwellRecorder(bench, setup, unit=done.unit, run=done.power_ons)
+        self._dwells = DwellBook(
+            plan.procedure, setup, bench, self._recorder, folder, journal, people.progress, done, outcome
         )
-        self._outcome = RunOutcome()
+        self._context = Context(
+            bench, people.operator, self._recorder, people.progress.estimated, self._note, self._tell_retry
+        )
+        self._compensation = CompensationWatch(
+            bench.instruments, compensation, people.operator, journal.record, self._note
+        )
+        self._is_hold_ordered = False
 
-    def run(self) -> RunOutcome:
-        """Perform all steps, then go to the safe state, whatever happened.
+    def run(self) -> None:
+        """Perform what is left of the plan, then go to the safe state, whatever happened.
 
         A failure that gyrobench knows of is told by the outcome; any other exception is raised
         once the bench is safe.
         """
         outcome, begin_s = self._outcome, self._bench.clock.now()
         try:
-            self._bench.start()
-            for planned in self._plan.steps:
-                self._perform(planned)
+            self._begin()
+            self._walk()
         except RunStoppedError as error:
             outcome.ended, outcome.reason = "stopped", str(error)
         except GyrobenchError as error:
@@ -161,18 +135,77 @@ class Engine:
         finally:
             outcome.duration_s = self._bench.clock.now() - begin_s
             self._end()
-        return outcome
 
-    def _perform(self, planned: PlannedStep) -> None:
+    def _begin(self) -> None:
+        """Ask all instruments, then give every output its safe value."""
+        self._bench.start()
+        self._make_safe(release_table=False)
+
+    def _walk(self) -> None:
+        """Do the steps that are left; an interrupted one is approached and begun again."""
+        index, standing = self._done.next_index, self._standing_at_start()
+        while index < len(self._plan.steps):
+            try:
+                self._outputs.prepare_table()
+                if standing is not None:
+                    index = restart_of(self._plan, index)
+                    self._approach(index, standing)
+                    standing = None
+                planned = self._plan.steps[index]
+                self._look_around_before(planned)
+                self._perform(planned)
+                index += 1
+                if planned.dwell and self._is_last_of_dwell(planned) and not self._dwells.finish():
+                    standing = self._standing_to_repeat(planned.dwell)
+                    index -= 1
+            except TrippedError as error:
+                standing = self._recover(index, error.trips)
+            except (SpoiltDwellError, StepTimeoutError) as error:
+                index, standing = self._after_failed_step(index, error)
+            except InstrumentError as error:
+                standing = self._recover(index, [trip_of(error, self._bench.station)])
+            except OrderedError as error:
+                index, standing = self._obey(index, error.given)
+
+    def _standing_at_start(self) -> Standing | None:
+        """None for a new run: its plan begins with the bench as it is."""
+        if self._done.next_index == 0:
+            return None
+        return self._standing(is_unit_on=False, is_tempered=False)
+
+    def _standing(self, is_unit_on: bool, is_tempered: bool) -> Standing:
+        chamber_c = self._bench.readings.chamber.temperature_c
+        return Standing(is_unit_on and not self._bench.has_unit_restarted, is_tempered, chamber_c)
+
+    def _standing_to_repeat(self, dwell: int) -> Standing:
+        """A dwell that was spoilt again may owe it to the INS: it is switched off and on, if it can be."""
+        can_switch = self._bench.station.unit.power == "chamber_event"
+        is_unit_on = self._done.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
+        return self._standing(is_unit_on, is_tempered=True)
+
+    # steps
+
+    def _approach(self, index: int, standing: Standing) -> None:
+        steps = approach(self._plan, index, standing)
+        if steps:
+            way = "; ".join(each.step.describe() for each in steps)
+            self._note(f"going back to step {self._plan.steps[index].number}: {way}")
+        for planned in steps:
+            self._perform(planned, is_approach=True)
+
+    def _perform(self, planned: PlannedStep, is_approach: bool = False) -> None:
         bench, clock = self._bench, self._bench.clock
         begin_s = clock.now()
-        what = planned.step.describe()
-        kind = planned.step.name
-        self._journal.record("step_started", step=planned.number, kind=kind, what=what, label=planned.label)
+        what, kind = planned.step.describe(), planned.step.name
+        event = "approach" if is_approach else "step"
+        self._journal.record(
+            f"{event}_started", step=planned.number, kind=kind, what=what, label=planned.label
+        )
         self._progress.step_started(planned, bench)
         bench.step, bench.dwell = planned.number, planned.dwell or 0
         self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
         self._recorder.is_verification = planned.is_verification
+        self._context.retries = planned.step.retries
         if isinstance(planned.step, Align) and not self._recorder.unit:
             self._identify_unit()  # one that is always on
         if isinstance(planned.step, Align):
@@ -181,40 +214,70 @@ class Engine:
             self._context.turns_to_come_deg = turns_after(self._plan, planned)
         deadline = Deadline(clock, planned.timeout_s)
         for _ in perform(planned.step, self._context):
-            bench.tick()
+            self._tick()
             self._progress.ticked(bench, self._plan.duration_s - planned.start_s - (clock.now() - begin_s))
             if deadline.expired():
                 raise StepTimeoutError(self._late(planned))
         took_s = clock.now() - begin_s
-        self._outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
+        if isinstance(planned.step, PowerOn):
+            self._journal.record("powered_on", run=self._recorder.run)
+            self._identify_unit()
+            self._settle_compensation(after_power_on=True)
+        if not is_approach:
+            self._outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
         self._journal.record(
-            "step_finished",
+            f"{event}_finished",
             step=planned.number,
             kind=kind,
             planned_s=round(planned.duration_s, 3),
             took_s=round(took_s, 3),
         )
-        if isinstance(planned.step, PowerOn):
-            self._identify_unit()
-            self._settle_compensation(after_power_on=True)
         self._progress.ticked(bench, self._plan.duration_s - planned.end_s)
-        if planned.dwell and self._is_last_of_dwell(planned):
-            self._finish_dwell()
 
-    def _note(self, text: str) -> None:
-        self._journal.record("note", text=text)
-        self._progress.told(text)
+    def _tick(self) -> None:
+        """Let a tick pass.
+
+        Raises
+        ------
+        TrippedError
+            An interlock is tripped.
+        OrderedError, RunStoppedError
+            Somebody ordered something that interrupts the step.
+        """
+        self._heartbeat.beat()
+        trips = self._bench.trips()
+        if trips:
+            raise TrippedError(trips)
+        given = self._heartbeat.ordered()
+        if given is None:
+            return
+        match given.order:
+            case Order.HOLD:
+                self._is_hold_ordered = True
+                self._note("holds when the dwell under way is over")
+            case Order.CONTINUE:
+                self._is_hold_ordered = False
+            case _:
+                raise OrderedError(given)
+
+    def _tell_retry(self, error: InstrumentError) -> None:
+        self._journal.record("retry", instrument=error.instrument, error=str(error))
 
     def _identify_unit(self) -> None:
         ins = self._bench.instruments.ins
         identity = ins.identify()
-        self._recorder.unit = str(ins.identity().get("serial_number", "unknown"))
-        self._journal.record("ins_identified", unit=self._recorder.unit, identity=identity)
+        unit = str(ins.identity().get("serial_number", "unknown"))
+        if self._recorder.unit not in ("", unit):
+            raise FaultError(
+                "INS", f"is unit {unit}, and this run is of {self._recorder.unit}. Exchange it back."
+            )
+        self._recorder.unit = unit
+        self._journal.record("ins_identified", unit=unit, identity=identity)
         add_identity(self._folder, "INS", identity)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
         for _ in self._compensation.settle(after_power_on):
-            self._bench.tick()
+            self._tick()
 
     def _late(self, planned: PlannedStep) -> str:
         return (
@@ -223,49 +286,95 @@ class Engine:
             "Look at the instrument that it waits for, or give the step a longer timeout_s"
         )
 
+    # dwells
+
     def _is_last_of_dwell(self, planned: PlannedStep) -> bool:
         later = self._plan.steps[planned.number : planned.number + 1]
         return not later or later[0].dwell != planned.dwell
 
-    def _finish_dwell(self) -> None:
-        capture = self._bench.capture
-        if capture is None:
+    # interruptions
+
+    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, Standing]:
+        """Repeat the dwell whose step did not reach its end, or go on without; hold outside dwells."""
+        planned = self._plan.steps[index]
+        if planned.dwell is None or not self._bench.capture:
+            return index, self._recover(index, [trip_of(error, self._bench.station, planned.step)])
+        if self._dwells.may_repeat(planned.dwell):
+            self._dwells.give_up(planned.dwell, str(error), counts=True)
+        else:
+            self._recorder.disturb(str(error))
+            self._dwells.finish()
+            index = end_of_dwell(self._plan, planned.dwell)
+        return index, self._standing_to_repeat(planned.dwell)
+
+    def _recover(self, index: int, trips: Sequence[Trip]) -> Standing:
+        """Make the bench safe and hold until it may go on."""
+        why = "; ".join(trip.text for trip in trips)
+        names = [trip.name for trip in trips]
+        self._journal.record("tripped", interlocks=names, why=why)
+        self._dwells.give_up(self._plan.steps[index].dwell, why, counts=False)
+        self._make_safe()
+        if _UNIT_DOUBTFUL & set(names):  # it is switched off and on before it is used again
+            self._bench.expected = replace(self._bench.expected, ins_on=False)
+        try:
+            self._holding.hold(why, trips)
+        except TrippedError as error:  # all of it has to be good, and safe values may be lost
+            return self._recover(index, [*trips, *error.trips])
+        return self._standing(self._bench.expected.ins_on, is_tempered=False)
+
+    def _obey(self, index: int, given: GivenOrder) -> tuple[int, Standing]:
+        """Pause or skip; returns where to go on."""
+        dwell = self._plan.steps[index].dwell
+        if given.order is Order.SKIP:
+            return self._skip(index), self._standing(True, True)
+        self._dwells.give_up(dwell, f"paused by {given.by}", counts=False)
+        is_safe = self._bench.station.safe_state.on_pause == "safe"
+        if is_safe:
+            self._make_safe()
+        try:
+            self._holding.hold(f"paused by {given.by}")
+        except TrippedError as error:
+            return index, self._recover(index, error.trips)
+        return index, self._standing(self._bench.expected.ins_on, is_tempered=not is_safe)
+
+    def _skip(self, index: int) -> int:
+        dwell = self._plan.steps[index].dwell
+        if not dwell:
+            self._note("no dwell is under way: nothing is skipped, and the step begins again")
+            return index
+        self._dwells.skip(dwell)
+        return end_of_dwell(self._plan, dwell)
+
+    def _look_around_before(self, planned: PlannedStep) -> None:
+        """Between two steps, but not within a dwell: hold if that was ordered, bring a restarted INS back."""
+        if planned.dwell and not isinstance(planned.step, Align):
             return
-        marks = self._recorder.marks()
-        frames = capture.frames()
-        self._bench.end_capture()
-        measure = self._verify if marks.is_verification else self._measure
-        flags, counts = measure(marks, frames)
-        self._journal.record("dwell_finished", marks=marks.to_json(), flags=flags, epochs=asdict(counts))
+        if self._is_hold_ordered:
+            self._is_hold_ordered = False
+            self._holding.hold("to hold at this temperature was ordered")
+        if self._bench.has_unit_restarted:
+            self._note("the INS has started anew by itself")
+            self._approach(planned.number - 1, self._standing(False, True))
+            self._bench.has_unit_restarted = False
 
-    def _measure(self, marks: DwellMarks, frames: FrameBlock) -> tuple[str, EpochCounts]:
-        measured = measure_dwell(marks, frames, self._setup)
-        self._outcome.dwells.append(measured)
-        write_dwells(self._folder.dwells, [dwell.row for dwell in self._outcome.dwells])
-        self._progress.dwell_measured(measured.row)
-        return measured.row.flags, measured.counts
+    # safe state
 
-    def _verify(self, marks: DwellMarks, frames: FrameBlock) -> tuple[str, EpochCounts]:
-        verified = measure_verification(marks, frames, self._setup)
-        self._outcome.verifications.append(verified)
-        self._progress.told(
-            f"{marks.position} at {marks.azimuth_deg:g} deg: {verified.flags or 'taken for verification'}"
-        )
-        return verified.flags, verified.counts
+    def _make_safe(self, release_table: bool = True) -> None:
+        actions = self._outputs.apply(release_table)
+        self._journal.record("made_safe", actions=told(actions))
+        for action in actions:
+            if action.problem:
+                self._progress.told(f"FAILED: {action.what}: {action.problem}")
 
     def _end(self) -> None:
         outcome = self._outcome
-        outcome.safe_state = make_safe(self._bench.station, self._bench.instruments)
+        outcome.safe_state = self._outputs.apply()
         if any(action.problem for action in outcome.safe_state):
             outcome.fail("the bench could not be brought to its safe state")
         try:
+            self._journal.record("ticks", **self._bench.lateness.summary())
             self._journal.record(
-                "run_ended",
-                ended=outcome.ended,
-                reason=outcome.reason,
-                safe_state=[
-                    {"what": action.what, "problem": action.problem} for action in outcome.safe_state
-                ],
+                "run_ended", ended=outcome.ended, reason=outcome.reason, safe_state=told(outcome.safe_state)
             )
         except RunFolderError as error:
             outcome.fail(str(error))

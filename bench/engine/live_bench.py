@@ -2,83 +2,41 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TypeVar
 
 import can
 
 from bench.clock import Clock
-from bench.engine.stop import StopRequest
-from bench.errors import FaultError, NoReplyError
+from bench.engine.capture import Capture
+from bench.engine.interlocks import Expected, InterlockWatch, Trip
+from bench.engine.readings import Readings
+from bench.engine.tick_lateness import TickLateness
+from bench.errors import ConnectionFailedError, FaultError, InstrumentError
+from bench.navigation.table_axes import Angles
 from bench.run_store.can_log import CanLog
 from bench.run_store.telemetry import Telemetry
 from bench.station.instruments import Instruments
 from bench.station.station import Station
-from drivers.ins.frames import FrameBlock, concatenate
-from drivers.ins.ins_status import InsStatus
+from drivers.ins.frames import FrameBlock
 from drivers.ins.readout import InsMode
-from drivers.rate_table import TableReading
 
-_FRAMES_PER_BLOCK = 2000
-#: How far beyond the station's limits the air may overshoot.
-_CHAMBER_MARGIN_C = 5.0
-_INS_SILENCE_S = 5.0
+#: How often an instrument that does not answer at the start is asked again, and how long in between.
+_FIRST_ASKS, _FIRST_PAUSE_S = 5, 2.0
+#: A port that went away is opened anew this often.
+_REOPEN_EVERY_S = 5.0
 
-
-@dataclass(frozen=True)
-class Readings:
-    """What the instruments said when they were last asked.
-
-    Attributes
-    ----------
-    time_s : float
-        When that was, on the run's clock.
-    """
-
-    time_s: float
-    table: TableReading
-    chamber_c: float
-    ins: InsStatus
-
-
-@dataclass
-class Capture:
-    """Frames, chamber temperatures and table angles since an alignment began."""
-
-    log_part: int
-    chamber_c: list[float] = field(default_factory=list)
-    table_deg: list[tuple[float, float]] = field(default_factory=list)
-    _blocks: list[FrameBlock] = field(default_factory=list)
-    _messages: list[can.Message] = field(default_factory=list)
-
-    def add(self, messages: list[can.Message]) -> None:
-        """Keep frames; as arrays, since a dwell has tens of thousands of them."""
-        self._messages += messages
-        if len(self._messages) >= _FRAMES_PER_BLOCK:
-            self._pack()
-
-    def count(self) -> int:
-        """Number of data frames so far."""
-        self._pack()
-        return sum(map(len, self._blocks))
-
-    def frames(self, first: int = 0) -> FrameBlock:
-        """Data frames so far, from a number on."""
-        self._pack()
-        blocks, start = self._blocks, 0
-        while blocks and start + len(blocks[0]) <= first:
-            start += len(blocks[0])
-            blocks = blocks[1:]
-        return concatenate(blocks).take(slice(first - start, None))
-
-    def _pack(self) -> None:
-        if self._messages:
-            self._blocks.append(FrameBlock.from_messages(self._messages))
-            self._messages = []
+T = TypeVar("T")
 
 
 class LiveBench:
     """The opened instruments on the run's clock, polled at every tick.
+
+    An instrument that does not answer when it is polled is asked again at the next tick; its last
+    answer grows old meanwhile, until its interlock trips.
 
     Parameters
     ----------
@@ -88,19 +46,21 @@ class LiveBench:
         The run's clock.
     can_log, telemetry
         Where everything received and read goes.
-    stop : StopRequest
-        Looked at in every tick.
+    tell_failure : callable
+        Takes the error of an exchange that failed, or None when the instrument of that name answers again.
 
     Attributes
     ----------
     readings : Readings
-        From the last time that the instruments were asked; set by :meth:`start`.
-    chamber_set_c : float or None
-        What the chamber was last told; None while it is off.
+        Newest answers; set by :meth:`start`.
+    expected : Expected
+        What the instruments have been told, for the interlocks.
     capture : Capture or None
         The frames of the dwell under way.
-    ins_expected : bool
-        Whether the INS is on, so that its silence is a fault.
+    has_unit_restarted : bool
+        Whether the INS was seen to start anew by itself since it was switched on.
+    lateness : TickLateness
+        How late ticks were.
     step, dwell : int
         Where the run is, for the telemetry; 0 where it is nowhere.
     """
@@ -112,129 +72,200 @@ class LiveBench:
         clock: Clock,
         can_log: CanLog,
         telemetry: Telemetry,
-        stop: StopRequest,
+        tell_failure: Callable[[str, InstrumentError | None], None],
     ) -> None:
         self.station = station
         self.instruments = instruments
         self.clock = clock
         self.readings: Readings
-        self.chamber_set_c: float | None = None
+        self.expected = Expected()
         self.capture: Capture | None = None
-        self.ins_expected = False
+        self.has_unit_restarted = False
+        self.lateness = TickLateness()
         self.step = 0
         self.dwell = 0
         self._can_log = can_log
         self._telemetry = telemetry
-        self._stop = stop
+        self._tell_failure = tell_failure
+        self._watch = InterlockWatch(station, clock)
+        self._failing: list[str] = []
+        self._next_reopen_s = 0.0
+        self._next_reading_s = 0.0
+        self._mode = InsMode.UNKNOWN
         instruments.ins.on_frames = self._received
 
     def start(self) -> None:
-        """Make the table ready to move and ask all instruments for the first time."""
-        self.instruments.table.prepare()
-        self.readings = self.read_instruments()
-
-    def tick(self) -> None:
-        """Wait for the next tick, taking what the INS sends; ask the instruments when it is time.
-
-        Ticks are the multiples of the station's period.
+        """Ask all instruments for the first time.
 
         Raises
         ------
-        RunStoppedError
-            The run is to stop.
         InstrumentError
-            An instrument does not answer or reports a fault.
+            One does not answer, although it was asked several times.
         """
-        self._stop.check()
+        table = self._insist(self.instruments.table.read)
+        faults = self._insist(self.instruments.table.faults)
+        chamber = self._insist(self.instruments.chamber.read)
+        alarms = self._insist(self.instruments.chamber.alarms)
+        self.poll_ins()
+        now_s = self.clock.now()
+        self.readings = Readings(
+            table, now_s, tuple(faults), chamber, now_s, tuple(alarms), self.instruments.ins.status(), now_s
+        )
+        self._next_reading_s = now_s + self.station.instruments_period_s
+        self._watch.observe(self.readings)
+
+    def _insist(self, ask: Callable[[], T]) -> T:
+        for _ in range(_FIRST_ASKS - 1):
+            try:
+                return ask()
+            except FaultError:
+                raise
+            except InstrumentError as error:
+                self._failed(error)
+                self.clock.sleep(_FIRST_PAUSE_S)
+        return ask()
+
+    def tick(self) -> None:
+        """Wait for the next tick, then poll whatever is due."""
         tick_s = self.station.tick_s
         next_tick_s = tick_s * (math.floor(self.clock.now() / tick_s + 1e-9) + 1)
         while (now_s := self.clock.now()) < next_tick_s:
             self.clock.sleep_until(min(next_tick_s, now_s + self.station.poll_period_s))
-            self.instruments.ins.poll()
-        if self.clock.now() - self.readings.time_s >= self.station.instruments_period_s - 1e-6:
-            self.readings = self.read_instruments()
+            self.poll_ins()
+        self.lateness.add(next_tick_s, now_s, tick_s)
+        if self._failing:
+            self._reopen()
+        if self._failing or self.clock.now() >= self._next_reading_s - 1e-6:
+            self.read_instruments()
 
-    def read_instruments(self) -> Readings:
-        """Ask table, chamber and INS, and keep what they say in the telemetry.
+    def trips(self) -> list[Trip]:
+        """Interlocks that are tripped now."""
+        return self._watch.trips(self.clock.now(), self.expected)
 
-        Raises
-        ------
-        FaultError
-            An instrument reports a fault, or the chamber's air is outside the station's limits.
-        NoReplyError
-            The INS is on and has gone silent.
-        """
-        self.instruments.ins.poll()
-        faults = self.instruments.table.faults()
-        if faults:
-            raise FaultError(
-                "rate table", f"reports {', '.join(faults)}. Find the cause before the next run."
-            )
-        readings = Readings(
-            self.clock.now(),
-            self.instruments.table.read(),
-            self.instruments.chamber.read().temperature_c,
-            self.instruments.ins.status(),
-        )
-        self._check_chamber(readings.chamber_c)
-        self._check_ins(readings.ins)
-        self._telemetry.add(self._telemetry_row(readings))
-        if self.capture:
-            self.capture.chamber_c.append(readings.chamber_c)
-            self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
-        return readings
+    def good_for_s(self, trips: Iterable[Trip]) -> float:
+        """How long all of these interlocks have been good; zero if one is not."""
+        since_s = [self._watch.good_since_s(trip.name) for trip in trips]
+        now_s = self.clock.now()
+        return min((0.0 if each_s is None else now_s - each_s for each_s in since_s), default=math.inf)
 
-    def _check_chamber(self, chamber_c: float) -> None:
-        alarms = self.instruments.chamber.alarms()
-        if alarms:
-            raise FaultError("chamber", f"reports {', '.join(alarms)}. Find the cause before the next run.")
-        limits = self.station.file.chamber.limits
-        if not limits.low_c - _CHAMBER_MARGIN_C <= chamber_c <= limits.high_c + _CHAMBER_MARGIN_C:
-            raise FaultError(
-                "chamber",
-                f"its air is at {chamber_c:.1f} degC, outside the station's {limits.low_c:g} to "
-                f"{limits.high_c:g} degC. Check controller, sensor and door.",
-            )
+    def poll_ins(self) -> None:
+        """Take the frames that have arrived."""
+        self._asked("INS", self.instruments.ins.poll)
 
-    def _check_ins(self, status: InsStatus) -> None:
-        if not self.ins_expected:
+    def reopen(self, instrument: str) -> None:
+        """Open a port anew that went away; tells if that fails."""
+        self._asked(instrument, lambda: self.instruments.reopen(instrument))
+
+    def _asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+        try:
+            answer = ask()
+        except FaultError:
+            return None  # it answers; what it reports is looked at by the interlocks
+        except InstrumentError as error:
+            self._failed(error)
+            return None
+        if instrument in self._failing:
+            self._failing.remove(instrument)
+            self._tell_failure(instrument, None)
+        return answer
+
+    def _failed(self, error: InstrumentError) -> None:
+        if error.instrument not in self._failing:
+            self._failing.append(error.instrument)
+            self._tell_failure(error.instrument, error)
+
+    def _reopen(self) -> None:
+        """Open an instrument anew that does not answer: an adapter that was unplugged needs it."""
+        if self.clock.now() < self._next_reopen_s:
             return
-        if status.age_s > _INS_SILENCE_S:
-            raise NoReplyError(
-                "INS", f"has sent nothing for {status.age_s:.0f} s. Check its power, the bus and the cable."
-            )
-        if status.mode is InsMode.FAULT:
-            raise FaultError("INS", "reports a fault. Read its own diagnostics.")
+        self._next_reopen_s = self.clock.now() + _REOPEN_EVERY_S
+        instrument = self._failing[0]
+        self._failing.append(self._failing.pop(0))  # one at a time: it may take long
+        with contextlib.suppress(ConnectionFailedError):  # said already, and still so
+            self.instruments.reopen(instrument)
+
+    def read_instruments(self) -> None:
+        """Ask table, chamber and INS, and keep what they say in the telemetry."""
+        self._next_reading_s = self.clock.now() + self.station.instruments_period_s
+        self.poll_ins()
+        asked_s = self.clock.now()
+        readings = replace(self.readings, ins=self.instruments.ins.status(), asked_s=asked_s)
+        table, chamber = self.instruments.table, self.instruments.chamber
+        if (faults := self._asked("rate table", table.faults)) is not None:
+            readings = replace(readings, table_faults=tuple(faults))
+        if (of_table := self._asked("rate table", table.read)) is not None:
+            readings = replace(readings, table=of_table, table_s=self.clock.now())
+        if (alarms := self._asked("chamber", chamber.alarms)) is not None:
+            readings = replace(readings, chamber_alarms=tuple(alarms))
+        if (of_chamber := self._asked("chamber", chamber.read)) is not None:
+            readings = replace(readings, chamber=of_chamber, chamber_s=self.clock.now())
+        self.readings = readings
+        self._watch.observe(readings)
+        self._notice_restart(readings.ins.mode)
+        self._telemetry.add(self._telemetry_row(readings, asked_s))
+        if self.capture and of_chamber is not None:
+            self.capture.chamber_c.append(of_chamber.temperature_c)
+        if self.capture and of_table is not None:
+            self.capture.table_deg.append(self.table_angles())
+
+    def read_table(self) -> None:
+        """Ask the table alone, between the regular readings."""
+        of_table = self._asked("rate table", lambda: self.instruments.table.read())
+        if of_table is not None:
+            self.readings = replace(self.readings, table=of_table, table_s=self.clock.now())
+
+    def _notice_restart(self, mode: InsMode) -> None:
+        """An INS that has left alignment or navigation without being told has started anew."""
+        worked = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
+        if self.expected.ins_on and worked and mode in (InsMode.BOOT, InsMode.STANDBY):
+            self.has_unit_restarted = True
+        if mode is not InsMode.UNKNOWN:
+            self._mode = mode
 
     def begin_capture(self) -> None:
         """Keep the frames from here on for a dwell; the raw log starts a new part."""
-        self.instruments.ins.poll()
+        self.poll_ins()
         self._can_log.cut()
         self.capture = Capture(self._can_log.next_part)
 
-    def end_capture(self) -> None:
-        """Stop keeping frames; frames and telemetry so far are on the disk when this returns."""
+    def end_capture(self) -> FrameBlock:
+        """Stop keeping frames and return them; log and telemetry so far are on the disk then."""
+        frames = self.capture.frames() if self.capture else FrameBlock.from_messages([])
         self.capture = None
         self._can_log.cut()
         self._telemetry.flush()
+        return frames
 
     def captured_frames(self) -> int:
         """Number of data frames of the dwell under way that have arrived by now."""
-        self.instruments.ins.poll()
+        self.poll_ins()
         return self.capture.count() if self.capture else 0
+
+    def table_angles(self) -> Angles:
+        """Outer and inner angle as last read."""
+        return self.station.table_axes_of(self.readings.table.position_deg)
+
+    @property
+    def commanded_c(self) -> float | None:
+        """Set point of the chamber; None while nobody controls it."""
+        return self.expected.chamber_set_c if self.expected.chamber_on else None
 
     def _received(self, messages: list[can.Message]) -> None:
         self._can_log.write(messages)
         if self.capture:
             self.capture.add(messages)
 
-    def _telemetry_row(self, readings: Readings) -> tuple[float, ...]:
+    def _telemetry_row(self, readings: Readings, asked_s: float) -> tuple[float, ...]:
+        """Values of this moment; those of an instrument that did not answer are not known."""
         ins = readings.ins
-        outer, inner = self.station.table_axes_of(readings.table.position_deg)
-        outer_rate, inner_rate = self.station.table_axes_of(readings.table.rate_dps)
-        set_c = math.nan if self.chamber_set_c is None else self.chamber_set_c
+        angles = (*self.table_angles(), *self.station.table_axes_of(readings.table.rate_dps))
+        chamber_c = readings.chamber.temperature_c
+        set_c = self.commanded_c
         return (
-            readings.time_s, set_c, readings.chamber_c, outer, inner, outer_rate, inner_rate,
+            asked_s,
+            math.nan if set_c is None else set_c,
+            chamber_c if readings.chamber_s >= asked_s else math.nan,
+            *(angles if readings.table_s >= asked_s else (math.nan,) * len(angles)),
             *ins.optics_c.tolist(), *ins.electronics_c.tolist(), ins.case_c,
             float(ins.mode), float(self.step), float(self.dwell),
         )  # fmt: skip

@@ -12,8 +12,9 @@ import numpy as np
 from bench.bias.tables.dwell_table import DwellRow, read_dwells
 from bench.closure.closure import Closure
 from bench.closure.compensation import LoadableModel, declared_model, model_with_effects
-from bench.engine.engine import Progress, RunOutcome
 from bench.engine.operator import Operator
+from bench.engine.outcome import RunOutcome
+from bench.engine.people import Progress
 from bench.engine.session import Job, prepare_job, run_job
 from bench.errors import DocumentError, RunFolderError
 from bench.measurement.comparison import DECLARED, EFFECT, NONE, Comparison, leftover

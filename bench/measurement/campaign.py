@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bench.bias.tables.dwell_table import read_dwells
 from bench.closure.campaign import Campaign, campaign_of
 from bench.closure.temperature_record import TemperatureRecord
+from bench.errors import MeasurementError
 from bench.navigation.positions import AXES
 from bench.run_store.folder import open_run_folder
 from bench.run_store.telemetry import read_telemetry
@@ -39,11 +40,16 @@ def read_campaign(path: Path) -> Campaign:
     MeasurementError
         The table has no good dwells, or dwells of several units.
     """
-    if not path.is_dir():
-        return campaign_of(read_dwells(path))
-    folder = open_run_folder(path)
-    rows = read_dwells(folder.dwells)
-    return campaign_of(rows, temperature_record(read_telemetry(folder.telemetry)))
+    record = None
+    table = path
+    if path.is_dir():
+        folder = open_run_folder(path)
+        table = folder.dwells
+        record = temperature_record(read_telemetry(folder.telemetry))
+    try:
+        return campaign_of(read_dwells(table), record)
+    except MeasurementError as error:
+        raise MeasurementError(f"{table}: {error}") from error
 
 
 def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:

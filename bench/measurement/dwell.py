@@ -21,6 +21,8 @@ from bench.bias.state_space.window_filter import EPOCH_S
 from bench.bias.tables.dwell_table import NOT_MEASURED, DwellRow
 from bench.errors import MeasurementError
 from bench.measurement.marks import DwellMarks, WindowMark
+from bench.measurement.output_checks import OutputFault, output_faults
+from bench.measurement.temperature_checks import believed_temperatures
 from bench.measurement.temperatures import (
     DwellTemperatures,
     dwell_temperatures,
@@ -29,7 +31,6 @@ from bench.measurement.temperatures import (
 )
 from bench.navigation.earth import UG_TO_MPS2
 from bench.navigation.error_model import Site
-from bench.navigation.positions import AXES
 from bench.navigation.table_axes import TwoAxisTable
 from drivers.ins.epochs import EpochCounts
 from drivers.ins.frames import FrameBlock
@@ -41,6 +42,8 @@ Array = NDArray[np.float64]
 
 #: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
 LEAST_FIT_P = 1e-5
+#: The same for biases that differ between the windows: one in ten thousand.
+_LEAST_STEADY_P = 1e-4
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,12 @@ class MeasurementSetup:
         begin_s, end_s = navigation.ins_time_s[np.minimum(rows, len(navigation.row) - 1)]
         return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
 
+    def output_faults(self, dwell: Dwell, noise: NoiseModel) -> list[OutputFault]:
+        """Say what the INS can't have put out at rest."""
+        return output_faults(
+            dwell.windows, noise, self.site.gravity, self.velocity_lsb_mps, self.heading_lsb_rad
+        )
+
     def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
         """Noise of the INS in these windows: declared, or estimated from them.
 
@@ -112,7 +121,12 @@ class MeasuredDwell:
     estimate, paper : StateSpaceEstimate, BiasEstimate or None
         By the full error model and by the paper's method.
     windows : tuple of NavigationWindow
-        Navigation at rest, an epoch a second; empty where it can't be used.
+        Navigation at rest, an epoch a second, to tell the noise of the INS from; empty where it is
+        disturbed, and where :mod:`bench.measurement.run_dwells` does not keep it.
+    counts : EpochCounts
+        How the frames came.
+    doubts : tuple of str
+        Those flags that noise larger than declared would explain.
     """
 
     row: DwellRow
@@ -120,6 +134,17 @@ class MeasuredDwell:
     paper: BiasEstimate | None
     windows: tuple[NavigationWindow, ...]
     counts: EpochCounts
+    doubts: tuple[str, ...]
+
+    @property
+    def flags(self) -> str:
+        """What was wrong; empty where nothing was."""
+        return self.row.flags
+
+    @property
+    def is_spoilt(self) -> bool:
+        """Whether a fault touched it, so that doing it again may do better; larger noise is none."""
+        return self.estimate is None or self.flags not in ("", "; ".join(self.doubts))
 
 
 def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> MeasuredDwell:
@@ -129,28 +154,53 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     """
     flags = list(marks.disturbances)
     estimate, paper = None, None
+    doubts: tuple[str, ...] = ()
     windows: tuple[NavigationWindow, ...] = ()
     counts, temperatures = EpochCounts(), DwellTemperatures()
     try:
-        navigation = setup.decode(frames)
+        navigation = checked_navigation(marks, frames, setup, flags)
         counts = navigation.counts
         temperatures = dwell_temperatures(
             navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
         )
         dwell = dwell_at_rest(marks, navigation, setup)
-        windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
         noise = setup.noise_in(dwell.windows)
         estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
         paper = _paper(dwell, setup.site, noise)
-        unknown = [axis for axis, gyro_c in zip(AXES, temperatures.gyro_c, strict=True) if math.isnan(gyro_c)]
-        if unknown:
-            flags.append(f"no temperature of the {', '.join(unknown)} gyro, so its bias belongs to no bin")
-        if estimate.fit.p_value < LEAST_FIT_P:
-            flags.append(misfit_text(estimate.fit))
+        faults = setup.output_faults(dwell, noise)
+        flags += [fault.text for fault in faults if not fault.may_be_noise]
+        if not flags:
+            windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+        doubts = (*(fault.text for fault in faults if fault.may_be_noise), *_doubts(estimate))
+        flags += doubts
     except MeasurementError as error:
         flags.append(str(error))
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, windows, counts)
+    return MeasuredDwell(row, estimate, paper, windows, counts, doubts)
+
+
+def checked_navigation(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
+) -> NavigationData:
+    """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
+
+    Raises
+    ------
+    MeasurementError
+        The dwell never came to a window.
+    """
+    if not marks.windows:
+        raise MeasurementError("the INS never navigated at rest in this dwell")
+    navigation, faults = believed_temperatures(
+        setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
+    )
+    flags += faults
+    if navigation.counts.contradicted:
+        flags.append(
+            f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
+            "second node send with its identifiers? Look at the bus"
+        )
+    return navigation
 
 
 def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
@@ -172,6 +222,19 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
         C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
         turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
     )
+
+
+def _doubts(estimate: StateSpaceEstimate) -> list[str]:
+    """What the estimate says against itself; noise larger than declared explains it as well."""
+    doubts = []
+    if estimate.fit.p_value < LEAST_FIT_P:
+        doubts.append(misfit_text(estimate.fit))
+    if estimate.steady_p_value < _LEAST_STEADY_P:
+        doubts.append(
+            f"the biases of the windows differ (p = {estimate.steady_p_value:.1g}): the table was turned "
+            "slowly, or a bias jumped. Look at the table and what it stands on"
+        )
+    return doubts
 
 
 def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
@@ -217,6 +280,10 @@ def _check_navigating(navigation: NavigationData, inside: NDArray[np.bool_]) -> 
     if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
         raise MeasurementError(
             "the INS left navigation during the dwell or in its turn. Look at its status in the raw CAN log"
+        )
+    if len(set(navigation.alignment[inside].tolist())) > 1:
+        raise MeasurementError(
+            "the INS said in the dwell or in its turn that its alignment is another one. Did it align anew?"
         )
     if len(set(navigation.segment[inside].tolist())) > 1:
         raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
+
 from bench.bias.dwell import NavigationWindow
 from bench.bias.noise.model import NoiseModel
 from bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate
@@ -17,6 +19,16 @@ from drivers.ins.navigation_data import NavigationData
 
 #: Frames before the new ones that are decoded with them, for the status that they belong to.
 _OVERLAP = 400
+_ANY_NOISE = NoiseModel(1e-7, 1e-5, 1e-5, 1e-8)
+
+
+def warm_up(setup: MeasurementSetup) -> None:
+    """Compile what the estimates need, which takes seconds where nothing is in numba's cache yet."""
+    noise = setup.noise or _ANY_NOISE
+    bias_filter = BiasFilter(setup.site, noise, setup.prior)
+    bias_filter.begin_window(0.0, np.eye(3))
+    bias_filter.add(np.arange(2.0), np.zeros((2, 2)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
+    bias_filter.test_of_fit()
 
 
 class LiveEstimate:

@@ -6,11 +6,18 @@ log gives the very frames that were there live, whatever the CAN interface's tim
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from typing import Any, ClassVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from bench.errors import RunFolderError
+from bench.navigation.positions import POSITIONS
+
+_AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,8 @@ class WindowMark:
         Numbers of the frames with which the turn to this window began and was over; None where
         there was none.
     """
+
+    __pydantic_config__: ClassVar[ConfigDict] = _AS_WRITTEN
 
     first_frame: int
     end_frame: int
@@ -64,6 +73,8 @@ class DwellMarks:
         What went wrong while it lasted; a disturbed dwell is kept out of the bins.
     """
 
+    __pydantic_config__: ClassVar[ConfigDict] = _AS_WRITTEN
+
     unit: str
     run: str
     dwell: int
@@ -81,6 +92,11 @@ class DwellMarks:
     align_s: float = 0.0
     disturbances: tuple[str, ...] = ()
 
+    @property
+    def frame_count(self) -> int:
+        """Number of frames of the log's part that belong to the dwell."""
+        return self.windows[-1].end_frame if self.windows else 0
+
     def to_json(self) -> dict[str, Any]:
         """Plain data for the journal."""
         return asdict(self)
@@ -95,7 +111,21 @@ class DwellMarks:
             The data are not those of a dwell.
         """
         try:
-            windows = tuple(WindowMark(**window) for window in data["windows"])
-            return cls(**{**data, "windows": windows, "disturbances": tuple(data["disturbances"])})
-        except (KeyError, TypeError) as error:
-            raise RunFolderError(f"journal: damaged marks of a dwell: {error}") from error
+            marks = _adapter().validate_json(json.dumps(data))
+        except ValidationError as error:
+            problems = "; ".join(
+                f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
+            )
+            raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
+        lacking = [each.name for each in fields(cls) if each.name not in data]
+        ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
+        if lacking or marks.position not in POSITIONS or not ends or ends[0] < 0 or ends != sorted(ends):
+            raise RunFolderError(
+                "damaged marks of a dwell: keys, position or windows are not those of a dwell"
+            )
+        return marks
+
+
+@cache
+def _adapter() -> TypeAdapter[DwellMarks]:
+    return TypeAdapter(DwellMarks)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import can
+
 from bench.errors import RunFolderError
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from bench.measurement.marks import DwellMarks
+from bench.measurement.run_dwells import add_dwell
 from bench.measurement.verification_dwell import VerificationDwell, measure_verification
 from bench.run_store.can_log import read_can_log
 from bench.run_store.folder import RunFolder
@@ -17,31 +20,56 @@ from drivers.ins.frames import FrameBlock
 def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[VerificationDwell]]:
     """Measure every finished dwell of a run again, those that verify a calibration apart.
 
-    The journal tells which frames make a dwell; the frames themselves come from the raw log.
+    The journal tells which frames make a dwell; the frames themselves come from the raw log, one part of
+    it at a time. Of a dwell that the journal says was finished twice, the last time counts; parts of the
+    log that belong to no finished dwell, as a kill leaves them, are passed over.
 
     Raises
     ------
     RunFolderError
         The journal or the log can't be read, or the log lacks the frames of a dwell.
     """
-    dwells, verifications = [], []
+    dwells: list[MeasuredDwell] = []
+    verifications: list[VerificationDwell] = []
     for marks, frames in _recorded(folder):
         if marks.is_verification:
             verifications.append(measure_verification(marks, frames, setup))
         else:
-            dwells.append(measure_dwell(marks, frames, setup))
+            add_dwell(dwells, measure_dwell(marks, frames, setup))
     return dwells, verifications
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    entries = read_journal(folder.journal)
-    finished = [
-        DwellMarks.from_json(entry["marks"]) for entry in entries if entry.get("event") == "dwell_finished"
-    ]
+    finished = _finished(folder)
     pending = {marks.log_part: marks for marks in finished}
+    if len(pending) < len(finished):
+        raise RunFolderError(f"{folder.journal}: damaged: two dwells are said to be in one part of the log")
     for number, messages in read_can_log(folder.can) if pending else ():
         marks = pending.pop(number, None)
         if marks is not None:
-            yield marks, FrameBlock.from_messages(messages).take(slice(0, marks.windows[-1].end_frame))
+            yield marks, _frames(folder, marks, messages)
     if pending:
         raise RunFolderError(f"{folder.can}: lacks the parts {sorted(pending)} that the journal names")
+
+
+def _finished(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of the finished dwells, each number once."""
+    finished: dict[int, DwellMarks] = {}
+    for entry in read_journal(folder.journal):
+        if entry.get("event") == "dwell_finished":
+            try:
+                marks = DwellMarks.from_json(entry.get("marks", {}))
+            except RunFolderError as error:
+                raise RunFolderError(f"{folder.journal}: {error}") from error
+            finished[marks.dwell] = marks
+    return list(finished.values())
+
+
+def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -> FrameBlock:
+    frames, needed = FrameBlock.from_messages(messages), marks.frame_count
+    if len(frames) < needed:
+        raise RunFolderError(
+            f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "
+            f"needs {needed}: it is cut off or damaged. Restore the part"
+        )
+    return frames.take(slice(0, needed))

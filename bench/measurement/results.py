@@ -20,7 +20,8 @@ from bench.bias.tables.joint_table import (
 from bench.bias.tables.noise_file import write_noise
 from bench.bias.tables.verification_table import VerificationRow, write_verification
 from bench.errors import MeasurementError
-from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, misfit_text
+from bench.files import remove
+from bench.measurement.dwell import MeasuredDwell, MeasurementSetup
 from bench.measurement.verification import verification_rows
 from bench.measurement.verification_dwell import VerificationDwell
 from bench.run_store.folder import RunFolder
@@ -60,7 +61,7 @@ def evaluate(
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
-    The noise is an exception: dwells that merely do not fit the declared noise tell it all the more.
+    The noise is an exception: dwells that larger noise than declared would explain tell it all the more.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def evaluate(
         bins=bin_biases([dwell.row for dwell in good], bin_width_c),
         joint=joint,
         up_rate=pooled_up_rate(joint),
-        noise=_noise([dwell for dwell in dwells if _tells_noise(dwell)], setup),
+        noise=_noise([dwell for dwell in dwells if not dwell.is_spoilt], setup),
         verification=verification_rows(verifications, calibration or [each.row for each in good], setup),
     )
 
@@ -94,7 +95,7 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_stop_rows(results.joint, results.up_rate), JointStopRow)
     for stale in (folder.noise, folder.verification):
-        stale.unlink(missing_ok=True)
+        remove(stale)
     if results.noise is not None:
         write_noise(folder.noise, results.noise)
     if results.verification:
@@ -115,11 +116,6 @@ def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
         for dwell in dwells
         if dwell.estimate
     ]
-
-
-def _tells_noise(dwell: MeasuredDwell) -> bool:
-    """Whether the dwell could be used, and nothing is wrong with it but, at most, the test of fit."""
-    return dwell.estimate is not None and dwell.row.flags in ("", misfit_text(dwell.estimate.fit))
 
 
 def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEstimate | None:

@@ -11,7 +11,13 @@ from bench.bias.state_space.window_filter import EPOCH_S
 from bench.bias.tables.dwell_table import NOT_MEASURED, Triple
 from bench.bias.verification.estimators import navigation_fit
 from bench.errors import MeasurementError
-from bench.measurement.dwell import LEAST_FIT_P, MeasurementSetup, dwell_at_rest, misfit_text
+from bench.measurement.dwell import (
+    LEAST_FIT_P,
+    MeasurementSetup,
+    checked_navigation,
+    dwell_at_rest,
+    misfit_text,
+)
 from bench.measurement.marks import DwellMarks
 from bench.measurement.temperatures import DwellTemperatures, dwell_temperatures
 from drivers.ins.epochs import EpochCounts
@@ -62,6 +68,11 @@ class VerificationDwell:
     counts: EpochCounts
     flags: str
 
+    @property
+    def is_spoilt(self) -> bool:
+        """Whether a fault touched it, so that doing it again may do better."""
+        return bool(self.flags)
+
 
 def measure_verification(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> VerificationDwell:
     """Take what a verification needs out of the frames of one alignment and navigation.
@@ -72,12 +83,14 @@ def measure_verification(marks: DwellMarks, frames: FrameBlock, setup: Measureme
     navigation, counts = None, EpochCounts()
     temperatures, aligning_c = DwellTemperatures(), NOT_MEASURED
     try:
-        data = setup.decode(frames)
+        data = checked_navigation(marks, frames, setup, flags)
         counts = data.counts
         first_frame, end_frame = marks.windows[0].first_frame, marks.windows[-1].end_frame
         temperatures = dwell_temperatures(data, first_frame, end_frame)
         aligning_c = _aligning_c(data, first_frame, temperatures)
-        navigation = _navigation(dwell_at_rest(marks, data, setup), setup)
+        dwell = dwell_at_rest(marks, data, setup)
+        navigation = _navigation(dwell, setup)
+        flags += [fault.text for fault in setup.output_faults(dwell, navigation.noise)]
         (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
         if fit.p_value < LEAST_FIT_P:

@@ -48,6 +48,8 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
             problems += find_reach_problems(plan, planned, limits)
+    if limits is not None:
+        problems += _gyro_problems(plan, limits)
     return problems
 
 
@@ -93,6 +95,22 @@ def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[P
             f"a ramp of {step.ramp_c_per_min:g} degC/min is too fast for the chamber; "
             f"at most {limits.ramp_max_c_per_min:g} degC/min",
         )
+
+
+def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
+    """Tell where a chamber's command would bring the gyros to where an interlock trips."""
+    command: PlannedStep | None = None
+    for planned in plan.steps:
+        if isinstance(planned.step, Chamber):
+            command = planned
+        gyro_c = planned.after.gyro_c
+        if command is not None and not limits.gyro_low_c <= gyro_c <= limits.gyro_high_c:
+            yield Problem(
+                command.place_of("temperature_c"),
+                f"the gyros would come to {gyro_c:.0f} degC, where the interlock gyro_temperature trips "
+                f"({limits.gyro_low_c:g} to {limits.gyro_high_c:g} degC)",
+            )
+            command = None
 
 
 def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:

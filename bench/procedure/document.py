@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
@@ -75,6 +75,15 @@ class Procedure(StrictModel):
         default=[], description="what its source does not tell and was chosen here"
     )
     bin_width_c: float = Field(default=5.0, ge=0.1, le=100.0, description="width of a temperature bin, degC")
+    disturbed_dwell: Literal["repeat", "flag"] = Field(
+        default="repeat", description="what becomes of a dwell that a fault touched"
+    )
+    most_repeats: int = Field(
+        default=2, ge=0, le=20, description="how often one dwell is repeated before it is flagged for good"
+    )
+    most_repeats_in_all: int = Field(
+        default=12, ge=0, le=10_000, description="how many repeats the whole run may cost for spoilt dwells"
+    )
     steps: list[Entry] = Field(min_length=1, description="what to do, in order")
 
 

@@ -42,6 +42,9 @@ class Step(StrictModel):
         default=None,
         description="time after which the step has failed; follows from its duration if not given",
     )
+    retries: int = Field(
+        default=3, ge=0, le=100, description="how often a failed exchange with an instrument is tried again"
+    )
 
     def expected_s(self, bench: BenchEstimate) -> float:  # noqa: ARG002
         """Tell how long the step is expected to take, starting from ``bench``."""

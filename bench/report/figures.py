@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from bench.bias.bins import BiasBin
 from bench.bias.equality import compare_positions
 from bench.bias.tables.dwell_table import DwellRow
-from bench.errors import RunFolderError
+from bench.files import make_folder
 from bench.navigation.positions import AXES
 from bench.report.bias_figure import bias_figure
 from bench.report.difference_figure import position_difference_figure
@@ -48,10 +48,7 @@ def save_figures(
     RunFolderError
         A file can't be written.
     """
-    try:
-        folder.figures.mkdir(exist_ok=True)
-    except OSError as error:
-        raise RunFolderError(f"{folder.figures}: can't be made: {error.strerror}") from error
+    make_folder(folder.figures)
     paths = []
     for name, figure in _figures(telemetry, dwells, bins):
         paths.append(folder.figures / f"{name}.png")

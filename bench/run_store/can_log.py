@@ -1,26 +1,46 @@
 """The raw CAN log: every frame received, in BLF files that python-can reads.
 
 A BLF file is complete once it is closed, so the log is cut into parts: a part ends where
-:meth:`CanLog.cut` is called, and is on the disk from then on. A part that a kill left open can
-still be read up to its last full container.
+:meth:`CanLog.cut` is called, and is on the disk from then on. A part that a kill or a power cut
+left open can still be read up to its last full container. Nobody writes to it again: what comes
+later begins a new part, so that frames before and after a gap are never taken for neighbours.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import can
-from can.io.blf import BLFParseError
+from can.io.blf import (
+    FILE_HEADER_SIZE,
+    LOG_CONTAINER,
+    LOG_CONTAINER_STRUCT,
+    OBJ_HEADER_BASE_STRUCT,
+    ZLIB_DEFLATE,
+    BLFParseError,
+)
 
 from bench.errors import RunFolderError
+from bench.files import cant_be_written, make_folder, sync_folder
+from bench.reading import read_limited
+from bench.run_store.parts import find_parts, part_path
 
-_PART = "part-{:05d}.blf"
+_SUFFIX = ".blf"
+#: A dwell of some hours on a bus that is never idle.
+MAX_PART_BYTES = 1_000_000_000
 #: zlib level: a tenth more bytes than the default in less time.
 _FAST = 1
+#: Bytes before compression, some 340 frames: what a kill loses at most.
+_CONTAINER_BYTES = 16 * 1024
+#: What no program packs into one container; a few damaged bytes could ask for gigabytes.
+_MOST_UNPACKED_BYTES = 16 * 1024 * 1024
 
 
 class CanLog:
@@ -34,14 +54,14 @@ class CanLog:
     Raises
     ------
     RunFolderError
-        A part can't be written.
+        A part can't be written. It ends there; the next frame begins a new one.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-        self._next = 1 + max((int(path.stem[5:]) for path in folder.glob("part-*.blf")), default=0)
-        self._writer: can.BLFWriter | None = None
+        make_folder(folder)
+        self._next = 1 + max(find_parts(folder, _SUFFIX), default=0)
+        self._part: _OpenPart | None = None
 
     @property
     def next_part(self) -> int:
@@ -49,58 +69,109 @@ class CanLog:
         return self._next
 
     def write(self, messages: Iterable[can.Message]) -> None:
-        """Add frames, in the order received."""
+        """Add frames, in the order received; full containers can be read at once."""
+        path = part_path(self._folder, self._next, _SUFFIX)
         try:
-            if self._writer is None:
-                self._path = self._folder / _PART.format(self._next)
+            if self._part is None:
+                self._part = _OpenPart(path)
                 self._next += 1
-                self._writer = can.BLFWriter(self._path, compression_level=_FAST)
-            write = self._writer.on_message_received
-            for message in messages:
-                write(message)
+            self._part.write(messages)
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._given_up(path, error) from error
 
     def cut(self) -> None:
         """End the present part; when this returns, all frames so far are on the disk."""
-        if self._writer is None:
+        if self._part is None:
             return
-        writer, self._writer = self._writer, None
         try:
-            writer.stop()
-            descriptor = os.open(self._path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            self._part.end()
+            sync_folder(self._folder)
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._given_up(self._part.path, error) from error
+        self._part = None
 
-    def _failed(self, error: OSError) -> RunFolderError:
-        return RunFolderError(f"{self._path}: can't be written: {error.strerror}. Is the disk full?")
+    def _given_up(self, path: Path, error: OSError) -> RunFolderError:
+        part, self._part = self._part, None
+        if part is not None:
+            part.give_up()
+            path = part.path
+        return cant_be_written(path, error)
+
+
+class _OpenPart:
+    """The part that is being written."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stream: BinaryIO = path.open("xb")
+        self._writer = can.BLFWriter(
+            self._stream, compression_level=_FAST, max_container_size=_CONTAINER_BYTES
+        )
+
+    def write(self, messages: Iterable[can.Message]) -> None:
+        for message in messages:
+            self._writer.on_message_received(message)
+        self._stream.flush()
+
+    def end(self) -> None:
+        descriptor = os.dup(self._stream.fileno())
+        try:
+            self._writer.stop()  # closes the stream
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def give_up(self) -> None:
+        with contextlib.suppress(OSError):
+            self._stream.close()
 
 
 def read_can_log(folder: Path) -> Iterator[tuple[int, list[can.Message]]]:
     """Frames of a run's log in the order received, part by part: its number and its frames.
 
+    A part that was never ended, or is damaged, gives the frames before its first container that is
+    not whole; it may give none.
+
     Raises
     ------
     RunFolderError
-        There is no log, or a part before the last one is damaged.
+        There is no log, or a part can't be read from the disk.
     """
-    parts = sorted(folder.glob("part-*.blf"))
+    parts = find_parts(folder, _SUFFIX)
     if not parts:
         raise RunFolderError(f"{folder}: holds no CAN log")
-    for path in parts:
-        yield int(path.stem[5:]), _read_part(path, is_last=path is parts[-1])
+    for number, path in parts.items():
+        content = read_limited(path, MAX_PART_BYTES, RunFolderError)
+        yield number, _frames(content[: _whole_bytes(content)])
 
 
-def _read_part(path: Path, *, is_last: bool) -> list[can.Message]:
+def _whole_bytes(content: bytes) -> int:
+    """Number of bytes up to the end of the last container before which all are whole."""
+    end = FILE_HEADER_SIZE
+    try:
+        while content[end : end + 4] == b"LOBJ":
+            _, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack_from(content, end)
+            packed = content[end + OBJ_HEADER_BASE_STRUCT.size : end + size]
+            method, unpacked_size = LOG_CONTAINER_STRUCT.unpack_from(packed)
+            if kind != LOG_CONTAINER or method != ZLIB_DEFLATE or end + size > len(content):
+                break
+            if unpacked_size > _MOST_UNPACKED_BYTES:
+                break
+            unpacking = zlib.decompressobj()
+            unpacked = unpacking.decompress(packed[LOG_CONTAINER_STRUCT.size :], unpacked_size + 1)
+            if not unpacking.eof or len(unpacked) != unpacked_size:
+                break
+            end += size + size % 4  # as python-can pads
+    except (struct.error, zlib.error):
+        pass
+    return end
+
+
+def _frames(content: bytes) -> list[can.Message]:
     messages: list[can.Message] = []
     try:
-        with path.open("rb") as stream, can.BLFReader(stream) as reader:
+        with can.BLFReader(io.BytesIO(content)) as reader:
             messages.extend(reader)
-    except (OSError, ValueError, struct.error, zlib.error, can.CanError, BLFParseError) as error:
-        if not is_last:
-            raise RunFolderError(f"{path}: damaged: {error}") from error
+    except (ValueError, OverflowError, struct.error, can.CanError, BLFParseError):
+        pass  # a file header that never reached the disk
     return messages

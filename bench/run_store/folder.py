@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.errors import RunFolderError
+from bench.files import make_folder, make_new_folder
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class RunFolder:
 
 
 def create_run_folder(out: Path | None, name: str) -> RunFolder:
-    """Make a run folder.
+    """Make a run folder; when this returns, it is on the disk.
 
     Parameters
     ----------
@@ -123,15 +124,17 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
         The folder can't be made, or something is in it.
     """
     if out is not None:
-        _make(out)
-        if any(out.iterdir()):
+        make_folder(out)
+        try:
+            is_empty = not any(out.iterdir())
+        except OSError as error:
+            raise RunFolderError(f"{out}: can't be read: {error.strerror}") from error
+        if not is_empty:
             raise RunFolderError(f"{out}: is not empty. Give another --out, or none for a new folder.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
     candidates = (Path("runs") / f"{safe_name}-{number:03d}" for number in itertools.count(1))
-    path = next(candidate for candidate in candidates if not candidate.exists())
-    _make(path)
-    return RunFolder(path)
+    return RunFolder(next(candidate for candidate in candidates if make_new_folder(candidate)))
 
 
 def open_run_folder(path: Path) -> RunFolder:
@@ -140,16 +143,16 @@ def open_run_folder(path: Path) -> RunFolder:
     Raises
     ------
     RunFolderError
-        There is none at that path.
+        There is none at that path, or one of its folders is a link to elsewhere.
     """
     folder = RunFolder(path)
+    for name in ("can", "telemetry", "figures", "closure", "closure/figures", "verify", "verify/figures"):
+        inner = path / name
+        if not inner.resolve().is_relative_to(path.resolve()):
+            raise RunFolderError(
+                f"{inner}: leads out of the run folder, to {inner.resolve()}, where nothing may be written. "
+                "Put a folder in the place of the link"
+            )
     if not folder.journal.is_file():
         raise RunFolderError(f"{path}: is no run folder (it has no {folder.journal.name})")
     return folder
-
-
-def _make(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunFolderError(f"{path}: can't be made: {error.strerror}") from error

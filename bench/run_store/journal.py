@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,26 +14,42 @@ from typing import Any
 
 from bench.clock import Clock
 from bench.errors import RunFolderError
+from bench.files import cant_be_written, sync_folder
+from bench.reading import parse_json, read_limited
+
+#: Some hundred times the journal of a run of 1000 h.
+MAX_JOURNAL_BYTES = 500_000_000
+_SHOWN_CHARACTERS = 60
 
 
 class Journal:
-    """Append-only JSON lines; each is flushed and synced when :meth:`record` returns.
+    """Append-only JSON lines; each is on the disk when :meth:`record` returns.
 
-    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``.
+    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. A journal that is there is
+    gone on with. If its last line was cut off, that line goes, and an entry ``journal_repaired``
+    says so.
 
     Raises
     ------
     RunFolderError
-        The file can't be written.
+        The file can't be written, another process writes it, or it is damaged before its last line.
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
         try:
-            self._stream = path.open("a", encoding="utf-8")
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         except OSError as error:
-            raise self._failed(error) from error
+            raise cant_be_written(path, error) from error
+        try:
+            self._lock()
+            self._sound_bytes, cut_off = self._find_end()
+        except BaseException:
+            self.close()
+            raise
+        if cut_off:
+            self.record("journal_repaired", cut_off=_shown(cut_off))
 
     def __enter__(self) -> Journal:
         return self
@@ -38,26 +57,57 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stream.close()
+        self.close()
+
+    def close(self) -> None:
+        """Let the file go; everything recorded is on the disk already."""
+        with contextlib.suppress(OSError):
+            os.close(self._descriptor)
 
     def record(self, event: str, **details: Any) -> None:
-        """Add one entry.
+        """Add one entry; numbers that are not finite become null.
 
         Raises
         ------
         RunFolderError
-            It can't be written.
+            It can't be written; the journal is as it was before.
         """
         entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat(), "event": event}
+        line = json.dumps(_finite(entry | details), allow_nan=False).encode() + b"\n"
         try:
-            self._stream.write(json.dumps(entry | details, allow_nan=False) + "\n")
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
+            self._drop_half_line()
+            written = os.write(self._descriptor, line)
+            while written < len(line):
+                written += os.write(self._descriptor, line[written:])
+            os.fsync(self._descriptor)
         except OSError as error:
-            raise self._failed(error) from error
+            with contextlib.suppress(OSError):  # else the next entry sees to it
+                self._drop_half_line()
+            raise cant_be_written(self._path, error) from error
+        self._sound_bytes += len(line)
 
-    def _failed(self, error: OSError) -> RunFolderError:
-        return RunFolderError(f"{self._path}: can't be written: {error.strerror}. Is the disk full?")
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise RunFolderError(
+                f"{self._path}: another process is writing this run. Wait for its end, or stop it."
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+
+    def _find_end(self) -> tuple[int, bytes]:
+        try:
+            sync_folder(self._path.parent)
+            content = self._path.read_bytes()
+        except OSError as error:
+            raise cant_be_written(self._path, error) from error
+        sound_bytes = sum(size_bytes for _, size_bytes in _parse(self._path, content))
+        return sound_bytes, content[sound_bytes:]
+
+    def _drop_half_line(self) -> None:
+        if os.fstat(self._descriptor).st_size != self._sound_bytes:
+            os.ftruncate(self._descriptor, self._sound_bytes)
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
@@ -68,16 +118,32 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
     RunFolderError
         The file can't be read, or a line before the last one is damaged.
     """
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
+    content = read_limited(path, MAX_JOURNAL_BYTES, RunFolderError)
+    yield from (entry for entry, _ in _parse(path, content))
+
+
+def _parse(path: Path, content: bytes) -> Iterator[tuple[dict[str, Any], int]]:
+    """Entries, each with the number of bytes that it takes."""
+    # An entry without its line end was never finished, and nothing was done on the strength of it.
+    lines = content.split(b"\n")[:-1]
     for number, line in enumerate(lines, start=1):
         try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
+            entry = parse_json(line)
+        except ValueError:
             entry = None
         if isinstance(entry, dict):
-            yield entry
+            yield entry, len(line) + 1
         elif number < len(lines):
-            raise RunFolderError(f"{path}:{number}: damaged entry: {line[:60]!r}")
+            raise RunFolderError(f"{path}:{number}: damaged entry: {_shown(line)!r}")
+
+
+def _shown(line: bytes) -> str:
+    return line[:_SHOWN_CHARACTERS].decode(errors="replace")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -12,10 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import bench
+from bench.errors import RunFolderError
 from bench.files import write_whole
+from bench.reading import parse_json, read_limited
 from bench.run_store.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
+
+_MAX_BYTES = 10_000_000
+_OBJECTS = ("instruments", "options", "files_sha256", "packages")
 
 
 def write_provenance(
@@ -55,11 +60,39 @@ def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any]:
-    """Content of provenance.json; empty where there is none."""
-    if not folder.provenance.is_file():
+    """Content of provenance.json; empty where there is none.
+
+    Raises
+    ------
+    RunFolderError
+        It can't be read, or is damaged.
+    """
+    if not folder.provenance.exists():
         return {}
-    content: dict[str, Any] = json.loads(folder.provenance.read_text(encoding="utf-8"))
-    return content
+    try:
+        content = parse_json(read_limited(folder.provenance, _MAX_BYTES, RunFolderError))
+    except ValueError as error:
+        raise RunFolderError(f"{folder.provenance}: damaged: {error}") from error
+    parts = [content, *(content.get(key, {}) for key in _OBJECTS)] if isinstance(content, dict) else [None]
+    if not all(isinstance(part, dict) for part in parts):
+        raise RunFolderError(
+            f"{folder.provenance}: damaged: it, and {', '.join(_OBJECTS)} in it, have to be objects"
+        )
+    return dict(content)
+
+
+def started_utc(folder: RunFolder) -> datetime:
+    """Calendar time at which a run began.
+
+    Raises
+    ------
+    RunFolderError
+        It is not known.
+    """
+    try:
+        return datetime.fromisoformat(read_provenance(folder)["started_utc"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{folder.provenance}: does not tell when the run began") from error
 
 
 def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:

@@ -1,10 +1,14 @@
 """Telemetry: the readings of the bench's instruments, as a folder of Parquet files.
 
-pandas, polars, DuckDB and the like open the folder as one table.
+pandas, polars, DuckDB and the like open the folder as one table. Where readings are missing, a row
+of NaN with the time of the next reading stands between them, so that a line drawn through the
+readings is broken there.
 """
 
 from __future__ import annotations
 
+import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +17,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from bench.errors import RunFolderError
+from bench.files import make_folder, write_whole
+from bench.reading import read_limited
+from bench.run_store.parts import find_parts, part_path
 
 #: Columns, in order; all are 64-bit floats, NaN where a value is not known.
 COLUMNS = (
@@ -35,11 +42,18 @@ COLUMNS = (
     "dwell",
 )
 _ROWS_PER_PART = 900
-_PART = "part-{:05d}.parquet"
+#: A kill loses the readings of this time at most.
+_LONGEST_UNWRITTEN_S = 600.0
+_SUFFIX = ".parquet"
+_MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 
 
 class Telemetry:
     """Writes the readings, part by part.
+
+    The present part is written anew, whole, with every flush until it is full: so a run of weeks
+    has few parts, and each can be read at any instant. Parts that are there at the start are kept;
+    the readings go on in a new one, after a gap.
 
     Raises
     ------
@@ -49,30 +63,40 @@ class Telemetry:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-        self._next = 1 + max((int(path.stem[5:]) for path in folder.glob("part-*.parquet")), default=0)
+        make_folder(folder)
+        parts = find_parts(folder, _SUFFIX)
+        self._number = 1 + max(parts, default=0)
         self._rows: list[tuple[float, ...]] = []
+        self._written_rows = 0
+        self._gap = bool(parts)
+
+    def mark_gap(self) -> None:
+        """Note that readings are missing between the last row and the next."""
+        self._gap = True
 
     def add(self, row: tuple[float, ...]) -> None:
         """Add one row with the values of :data:`COLUMNS`."""
+        if self._gap:
+            self._rows.append((row[0], *[math.nan] * (len(COLUMNS) - 1)))
+            self._gap = False
         self._rows.append(row)
-        if len(self._rows) >= _ROWS_PER_PART:
+        unwritten_s = row[0] - self._rows[self._written_rows][0]
+        if unwritten_s >= _LONGEST_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
             self.flush()
 
     def flush(self) -> None:
-        """Write what has been collected."""
-        if not self._rows:
+        """Write what has been collected; when this returns, it is on the disk."""
+        if self._written_rows == len(self._rows):
             return
         values = np.array(self._rows, dtype=np.float64).T
-        path = self._folder / _PART.format(self._next)
-        temporary = path.with_suffix(".part")
-        try:
-            pq.write_table(pa.table(dict(zip(COLUMNS, values, strict=True))), temporary)
-            temporary.replace(path)
-        except OSError as error:
-            raise RunFolderError(f"{path}: can't be written: {error}. Is the disk full?") from error
-        self._next += 1
-        self._rows.clear()
+        buffer = io.BytesIO()
+        pq.write_table(pa.table(dict(zip(COLUMNS, values, strict=True))), buffer)
+        write_whole(part_path(self._folder, self._number, _SUFFIX), buffer.getvalue())
+        self._written_rows = len(self._rows)
+        if self._written_rows >= _ROWS_PER_PART:
+            self._number += 1
+            self._rows.clear()
+            self._written_rows = 0
 
 
 def read_telemetry(folder: Path) -> dict[str, NDArray[np.float64]]:
@@ -83,12 +107,32 @@ def read_telemetry(folder: Path) -> dict[str, NDArray[np.float64]]:
     RunFolderError
         A part can't be read.
     """
-    parts = sorted(folder.glob("part-*.parquet"))
+    parts = [_read_part(path) for path in find_parts(folder, _SUFFIX).values()]
+    return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in COLUMNS}
+
+
+def last_reading_s(folder: Path) -> float:
+    """Time of the last reading of a run, zero where there is none; may be later than its last journal entry.
+
+    Raises
+    ------
+    RunFolderError
+        The last part can't be read.
+    """
+    parts = find_parts(folder, _SUFFIX)
+    return float(_read_part(parts[max(parts)])["time_s"].max(initial=0.0)) if parts else 0.0
+
+
+def _read_part(path: Path) -> dict[str, NDArray[np.float64]]:
+    content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
     try:
-        tables = [pq.read_table(path) for path in parts]
-    except (OSError, pa.ArrowException) as error:
-        raise RunFolderError(f"{folder}: can't be read: {error}") from error
-    if not tables:
-        return {name: np.empty(0) for name in COLUMNS}
-    table = pa.concat_tables(tables)
-    return {name: table.column(name).to_numpy() for name in COLUMNS}
+        part = pq.ParquetFile(content)
+        # A few damaged bytes could ask for gigabytes.
+        if part.metadata.num_rows > _MAX_PART_ROWS:
+            raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
+        table = part.read(columns=list(COLUMNS))
+        return {name: np.asarray(table.column(name).cast(pa.float64())) for name in COLUMNS}
+    except (OSError, KeyError, ValueError, pa.ArrowException) as error:
+        if isinstance(error, RunFolderError):
+            raise
+        raise RunFolderError(f"{path}: can't be read: {error}") from error

@@ -14,6 +14,8 @@ from bench.navigation.positions import AXES
 Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+#: A spreadsheet that opens the table must not take it for a formula.
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n-]")]
 PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 
 
@@ -219,8 +221,8 @@ class LogMap(StrictModel):
     """What stands where in a log, and how it is averaged."""
 
     description: str = ""
-    unit: str = Field(min_length=1, description="serial number of the unit")
-    run: str = Field(default="1", min_length=1, description="name of the power-on")
+    unit: Name = Field(description="serial number of the unit")
+    run: Name = Field(default="1", description="name of the power-on")
     each_log_is_a_run: bool = Field(
         default=False, description="several logs are of one power-on each, not of one on one clock"
     )

@@ -95,7 +95,10 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
         )
     rows = dwell_rows(read, noise_of_means([log.good for log in read]), log_map)
     warnings = [*_log_warnings(read), *_map_warnings(log_map, rows)]
-    warnings += temperature_warnings(rows, windows, log_map)
+    try:
+        warnings += temperature_warnings(rows, windows, log_map)
+    except MeasurementError as error:
+        raise MeasurementError(f"{', '.join(map(str, logs))}: {error}") from error
     return LogImport(rows, dict(left_out), warnings, _origin(read, windows, map_path, log_map))
 
 

@@ -247,6 +247,9 @@ class _SampleLines(io.RawIOBase):
         block = block.removeprefix(_MARK)
         if self._comment:
             block = self._comment.sub(b"", block)
+        # The reader prints a traceback where it can't decode a line that it hands to us.
+        if not block.isascii():
+            block = block.decode(errors="replace").encode()
         if self._collapse:
             block = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block))
         return block

@@ -3,20 +3,39 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from bench.documents import Document, StrictModel, read_document, validate
 from bench.navigation.error_model import MAX_LATITUDE
+from bench.station.interlocks import Interlocks
 from drivers.ins.command_map import CommandMap
 from drivers.ins.signal_map import SignalMap
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Direction = Literal["east", "north", "up", "west", "south", "down"]
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+_IDENTITY = "text that the instrument's own identification must contain, for instance its serial number"
+
+
+def _low_first(ends: list[float]) -> list[float]:
+    if ends[0] >= ends[1]:
+        raise ValueError("the lower end comes first, then the higher one")
+    return ends
+
+
+Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_first)]
 
 
 class Location(StrictModel):
@@ -60,11 +79,35 @@ class TableLimits(StrictModel):
     inner_deg: Range = Field(description="lowest and highest angle of the inner axis, deg")
 
 
+def _without_password(address: str) -> str:
+    """Refuse ``scheme://user:password@host``: the station file is copied into every run folder."""
+    if _USER_IN_ADDRESS.search(address):
+        raise ValueError(
+            "an address can't hold a user or password: every run folder has a copy of this file. "
+            "Reach the port by a tunnel or a device server without password",
+        )
+    return address
+
+
+def _no_secret(key: str) -> str:
+    if _SECRET.search(key):
+        raise ValueError(f"'{key}' looks like a secret: every run folder has a copy of this file")
+    return key
+
+
+_SECRET = re.compile(r"passw|secret|token|credential|api_?key", re.IGNORECASE)
+_USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")
+Port = Annotated[
+    str, Field(min_length=1, description="serial device or pyserial URL"), AfterValidator(_without_password)
+]
+
+
 class RateTableSection(StrictModel):
     """The rate table."""
 
     dialect: Literal["acutrol3000"] = Field(description="command language")
-    port: str = Field(min_length=1, description="serial device or pyserial URL")
+    identity: str = Field(default="", max_length=200, description=_IDENTITY)
+    port: Port
     baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
     outer_axis_number: int = Field(
         default=1, ge=1, le=9, description="the controller's number of the outer axis"
@@ -102,7 +145,8 @@ class ChamberSection(StrictModel):
     """The thermal chamber."""
 
     dialect: Literal["watlow_f4"] = Field(description="protocol")
-    port: str = Field(min_length=1, description="serial device or pyserial URL")
+    identity: str = Field(default="", max_length=200, description=_IDENTITY)
+    port: Port
     baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
     address: int = Field(default=1, ge=1, le=247, description="Modbus address")
     limits: ChamberLimits
@@ -171,14 +215,18 @@ class InsSection(StrictModel):
     interface: str = Field(
         min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
     )
-    channel: str = Field(min_length=1, description="python-can channel")
+    channel: Annotated[str, AfterValidator(_without_password)] = Field(
+        min_length=1, description="python-can channel"
+    )
     bitrate: int | None = Field(default=None, gt=0, description="bit/s, where the interface sets it")
-    options: dict[str, str | int | float | bool] = Field(
+    options: dict[Annotated[str, AfterValidator(_no_secret)], str | int | float | bool] = Field(
         default={}, description="further options of the python-can interface"
     )
     dbc: str = Field(
-        pattern=r"^[^/\\]+$", description="name of a DBC file beside the station file, or of a shipped one"
+        pattern=r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$",
+        description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
     )
+    identity: str = Field(default="", max_length=200, description=_IDENTITY)
     signals: SignalMap
     commands: CommandMap = CommandMap()
     noise: Noise = Field(description=_WRITE_NOISE)
@@ -212,6 +260,21 @@ class SafeState(StrictModel):
         description="safe set point, degC, or off"
     )
     unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
+    on_pause: Literal["keep", "safe"] = Field(
+        default="keep", description="while a run is paused: keep everything as it is, or the safe state"
+    )
+
+
+class GuardSection(StrictModel):
+    """The process that makes the bench safe when the engine can't."""
+
+    silence_s: float = Field(
+        default=60.0,
+        ge=5.0,
+        le=600.0,
+        description="an engine silent for so long is killed, and the bench made safe, s; healthy "
+        "exchanges and calculations keep the engine silent for up to 20 s",
+    )
 
 
 class StationFile(StrictModel):
@@ -237,6 +300,10 @@ class StationFile(StrictModel):
     ins: InsSection
     unit: UnitSection
     safe_state: SafeState
+    guard: GuardSection = GuardSection()
+    interlocks: Interlocks = Field(
+        default=Interlocks(), description="what is watched, and what becomes of the run after a trip"
+    )
 
     @model_validator(mode="after")
     def _safe_within_limits(self) -> Self:
@@ -250,6 +317,20 @@ class StationFile(StrictModel):
             raise ValueError(
                 f"safe_state.unit: off can't be done with unit.power: {self.unit.power}; use keep"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _interlocks_beyond_limits(self) -> Self:
+        """What the limits allow must trip nothing: procedures are checked against the limits alone."""
+        problems = self.interlocks.inside_limits(
+            chamber_c=(self.chamber.limits.low_c, self.chamber.limits.high_c),
+            ramp_c_per_min=self.chamber.limits.ramp_c_per_min,
+            rate_dps=self.rate_table.limits.rate_dps,
+            outer_deg=self.rate_table.limits.outer_deg,
+            inner_deg=self.rate_table.limits.inner_deg,
+        )
+        if problems:
+            raise ValueError("; ".join(problems))
         return self
 
     @model_validator(mode="after")

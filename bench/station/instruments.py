@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Protocol, Self, TypeVar
 from urllib.parse import urlencode
+
+import can
 
 from bench.clock import Clock
 from bench.documents import find_document
-from bench.errors import GyrobenchError
-from bench.station.document import ChamberSection, RateTableSection
+from bench.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from bench.station.document import ChamberSection, InsSection, RateTableSection
 from bench.station.station import Station
+from bench.station.time_limit import within
 from drivers.chamber import Chamber
 from drivers.chamber.watlow_f4 import WatlowF4
-from drivers.ins.can_bus import open_bus
+from drivers.ins.can_bus import INSTRUMENT as INS
+from drivers.ins.can_bus import close_bus, open_bus
 from drivers.ins.can_ins import CanIns
 from drivers.ins.dbc_codec import load_dbc
 from drivers.rate_table import RateTable
@@ -32,7 +38,21 @@ CHAMBER_DIALECTS: dict[str, Callable[[SerialLine, ChamberSection], Chamber]] = {
     "watlow_f4": lambda line, section: WatlowF4(line, address=section.address),
 }
 
+#: The instruments as error messages name them, and as :meth:`Instruments.reopen` takes them.
+RATE_TABLE, CHAMBER = "rate table", "chamber"
+
 _EMULATOR = "emulator"
+_OPENING_TIME_S = 15.0
+_CONNECTION_TIME_S = 5.0
+#: What somebody asked before this line was opened is answered within this time.
+_LATE_REPLY_S = 1.0
+
+
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+DriverT = TypeVar("DriverT", bound=_Closable)
 
 
 @dataclass(frozen=True)
@@ -45,43 +65,64 @@ class Emulation:
         World file by path or shipped name; only the emulators read it.
     seed : int
         Seed of everything random in it.
+    faults : str
+        List of faults by path or shipped name, empty for none; only the emulators read it.
     """
 
     world: str = "gyro_a"
     seed: int = 0
+    faults: str = ""
 
     def options(self) -> dict[str, str | int]:
         """What an emulator's address says of the world."""
-        return {"world": str(find_document("worlds", self.world)), "seed": self.seed}
+        faults = {"faults": str(find_document("faults", self.faults))} if self.faults else {}
+        return {"world": str(find_document("worlds", self.world)), "seed": self.seed, **faults}
 
 
-class Instruments:
-    """The opened instruments of a bench; a context manager that closes them.
+class Outputs:
+    """Rate table and chamber, whose outputs can do harm; each is opened when it is first used.
 
-    Attributes
+    Opening one is independent of the other: where a port can't be opened, using that instrument
+    raises, and the next use tries again. A context manager that closes them.
+
+    Parameters
     ----------
-    table, chamber, ins
-        The drivers.
+    station : Station
+        Says where they are.
+    clock : Clock
+        The run's clock.
+    emulation : Emulation, optional
+        World behind emulated ones.
     """
 
-    def __init__(self, station: Station, clock: Clock, emulation: Emulation) -> None:
+    def __init__(self, station: Station, clock: Clock, emulation: Emulation | None = None) -> None:
+        self.clock = clock
         self._station = station
-        with ExitStack() as opened:
-            self.table: RateTable = _open_table(station, clock, emulation)
-            opened.callback(self.table.close)
-            self.chamber: Chamber = _open_chamber(station, clock, emulation)
-            opened.callback(self.chamber.close)
-            self.ins = _open_ins(station, clock, emulation)
-            opened.callback(self.ins.close)
-            self._opened = opened.pop_all()
+        self._emulation = emulation or Emulation()
+        self._table: RateTable | None = None
+        self._chamber: Chamber | None = None
 
-    def __enter__(self) -> Instruments:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._opened.close()
+        self.close()
+
+    @property
+    def table(self) -> RateTable:
+        """The rate table's driver."""
+        if self._table is None:
+            self._table = _opened(self.clock, RATE_TABLE, self._open_table)
+        return self._table
+
+    @property
+    def chamber(self) -> Chamber:
+        """The chamber's driver."""
+        if self._chamber is None:
+            self._chamber = _opened(self.clock, CHAMBER, self._open_chamber)
+        return self._chamber
 
     def power_unit(self, on: bool) -> None:
         """Switch the unit's supply where the bench can."""
@@ -89,34 +130,191 @@ class Instruments:
         if unit.power == "chamber_event":
             self.chamber.switch_event(unit.power_event, on)
 
+    def reopen(self, instrument: str) -> None:
+        """Close the port of one instrument and open it anew.
 
-def _open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
+        Where that fails the instrument stays closed until it has been reopened.
+
+        Parameters
+        ----------
+        instrument : {"rate table", "chamber"}
+            As :attr:`~bench.errors.InstrumentError.instrument` names it.
+
+        Raises
+        ------
+        ConnectionFailedError
+            It can't be opened, or does not answer.
+        """
+        if instrument == RATE_TABLE:
+            self._table = _reopened(self.clock, RATE_TABLE, self._table, self._open_table)
+        elif instrument == CHAMBER:
+            self._chamber = _reopened(self.clock, CHAMBER, self._chamber, self._open_chamber)
+        else:
+            raise ValueError(f"no instrument is called {instrument!r}")
+
+    def close(self) -> None:
+        """Close the ports; table and chamber stay as they are."""
+        for driver in (self._chamber, self._table):
+            if driver is not None:
+                driver.close()
+
+    def _open_table(self) -> RateTable:
+        return open_table(self._station, self.clock, self._emulation)
+
+    def _open_chamber(self) -> Chamber:
+        return open_chamber(self._station, self.clock, self._emulation)
+
+
+class Instruments(Outputs):
+    """All instruments of a bench, opened; a context manager that closes them.
+
+    Attributes
+    ----------
+    table, chamber, ins
+        The drivers; :meth:`reopen` replaces them.
+
+    Raises
+    ------
+    ConnectionFailedError
+        One can't be opened; the others are closed again.
+    """
+
+    def __init__(self, station: Station, clock: Clock, emulation: Emulation) -> None:
+        super().__init__(station, clock, emulation)
+        with contextlib.ExitStack() as opened:
+            opened.callback(super().close)
+            self.table  # noqa: B018 - opens it
+            self.chamber  # noqa: B018
+            self.ins = _opened(clock, INS, self._open_ins)
+            opened.pop_all()
+
+    def reopen(self, instrument: str) -> None:
+        """Close and open one instrument anew, the INS as well; see :meth:`Outputs.reopen`.
+
+        The INS stays the same object, with what was received before on a new bus.
+        """
+        if instrument != INS:
+            super().reopen(instrument)
+            return
+
+        def anew() -> can.BusABC:
+            self.ins.close()  # first: a channel that is closed later would close for both
+            return open_ins_bus(self._station, self.clock, self._emulation)
+
+        self.ins.replace_bus(within(self.clock, _OPENING_TIME_S, INS, anew, discard=close_bus))
+
+    def close(self) -> None:
+        """Close all ports; the instruments stay as they are."""
+        self.ins.close()
+        super().close()
+
+    def _open_ins(self) -> CanIns:
+        return open_ins(self._station, self.clock, self._emulation)
+
+
+def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
+    """Open the rate table.
+
+    Raises
+    ------
+    InstrumentError
+        It can't be opened.
+    """
     section = station.file.rate_table
-    line = SerialLine("rate table", _port(section.port, clock, emulation), clock, section.baudrate)
-    table = TABLE_DIALECTS[section.dialect](line, section)
-    limits = section.limits
-    table.set_limits(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
+    with contextlib.ExitStack() as opened:
+        line = SerialLine(RATE_TABLE, _port(section.port, clock, emulation), clock, section.baudrate)
+        opened.callback(line.close)
+        line.await_silence(_LATE_REPLY_S, _OPENING_TIME_S / 2.0)
+        table = TABLE_DIALECTS[section.dialect](line, section)
+        opened.pop_all()
     return table
 
 
-def _open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
+def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
+    """Open the chamber.
+
+    Raises
+    ------
+    InstrumentError
+        It can't be opened or does not answer.
+    """
     section = station.file.chamber
-    line = SerialLine("chamber", _port(section.port, clock, emulation), clock, section.baudrate)
-    return CHAMBER_DIALECTS[section.dialect](line, section)
+    with contextlib.ExitStack() as opened:
+        line = SerialLine(CHAMBER, _port(section.port, clock, emulation), clock, section.baudrate)
+        opened.callback(line.close)
+        line.await_silence(_LATE_REPLY_S, _OPENING_TIME_S / 2.0)
+        chamber = CHAMBER_DIALECTS[section.dialect](line, section)
+        opened.pop_all()
+    return chamber
 
 
-def _open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
+def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
+    """Open the INS on its bus.
+
+    Raises
+    ------
+    ConnectionFailedError
+        It can't be opened.
+    DocumentError
+        The maps of the station file do not fit the DBC file.
+    """
+    section, database = station.file.ins, load_dbc(station.dbc_path)
+    bus = open_ins_bus(station, clock, emulation)
+    try:
+        return CanIns(bus, section.signals, database, clock, section.commands)
+    except GyrobenchError:
+        close_bus(bus)
+        raise
+
+
+def open_ins_bus(station: Station, clock: Clock, emulation: Emulation) -> can.BusABC:
+    """Open the bus alone.
+
+    Raises
+    ------
+    ConnectionFailedError
+        It can't be opened.
+    """
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
         options.update(emulation.options())
-    database = load_dbc(station.dbc_path)
-    bus = open_bus(section.interface, section.channel, clock, section.bitrate, **options)
+    _check_server(section)
+    return open_bus(section.interface, section.channel, clock, section.bitrate, **options)
+
+
+def _check_server(section: InsSection) -> None:
+    """Look whether the server of a socketcand bus listens: python-can asks again without a pause."""
+    if section.interface != "socketcand":
+        return
+    address = (str(section.options.get("host", "")), int(section.options.get("port", 0)))
     try:
-        return CanIns(bus, section.signals, database, clock, section.commands)
-    except GyrobenchError:
-        bus.shutdown()
+        socket.create_connection(address, timeout=_CONNECTION_TIME_S).close()
+    except OSError as error:
+        raise ConnectionFailedError(
+            INS,
+            f"no socketcand server at {address[0]}:{address[1]}: {error}. "
+            "Check ins.options (host, port) of the station file, the network, and that socketcand runs.",
+        ) from error
+
+
+def _opened(clock: Clock, instrument: str, open_it: Callable[[], DriverT]) -> DriverT:
+    return within(clock, _OPENING_TIME_S, instrument, open_it, discard=lambda driver: driver.close())
+
+
+def _reopened(clock: Clock, instrument: str, old: DriverT | None, open_it: Callable[[], DriverT]) -> DriverT:
+    def anew() -> DriverT:
+        if old is not None:
+            old.close()
+        return open_it()
+
+    try:
+        return _opened(clock, instrument, anew)
+    except ConnectionFailedError:
         raise
+    except InstrumentError as error:
+        what = str(error).removeprefix(f"{instrument}: ")
+        raise ConnectionFailedError(instrument, f"its port is open, but {what}") from error
 
 
 def _port(url: str, clock: Clock, emulation: Emulation) -> str:

@@ -169,13 +169,15 @@ class Station:
 
     def limits(self) -> StationLimits:
         """Limits that a plan must keep."""
-        chamber = self.file.chamber.limits
+        chamber, gyro = self.file.chamber.limits, self.file.interlocks.gyro_temperature
         return StationLimits(
             chamber_low_c=chamber.low_c,
             chamber_high_c=chamber.high_c,
             ramp_max_c_per_min=chamber.ramp_c_per_min,
             table_rate_max_dps=self.file.rate_table.limits.rate_dps,
             reachable=self._why_unreachable,
+            gyro_low_c=gyro.low_c,
+            gyro_high_c=gyro.high_c,
         )
 
     def by_axis_number(self, angles: Angles) -> dict[int, float]:

@@ -8,9 +8,21 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class ChamberReading:
-    """What one poll of a chamber gives."""
+    """What one poll of a chamber gives.
+
+    Attributes
+    ----------
+    temperature_c : float
+        The air.
+    set_point_c : float or None
+        Where the controller says it is to go; None if it does not tell.
+    is_on : bool or None
+        Whether the temperature is controlled at all; None if it does not tell.
+    """
 
     temperature_c: float
+    set_point_c: float | None = None
+    is_on: bool | None = None
 
 
 class Chamber(Protocol):
@@ -24,7 +36,7 @@ class Chamber(Protocol):
         ...
 
     def read(self) -> ChamberReading:
-        """Measure the air.
+        """Measure the air, and read set point and on or off back from the controller.
 
         Raises
         ------
@@ -68,6 +80,10 @@ class Chamber(Protocol):
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch one of the controller's event outputs, counted from 1."""
+        ...
+
+    def is_event_on(self, number: int) -> bool:
+        """Whether one of the controller's event outputs is switched on."""
         ...
 
     def close(self) -> None:

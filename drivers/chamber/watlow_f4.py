@@ -107,7 +107,7 @@ class WatlowF4:
         return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
 
     def read(self) -> ChamberReading:
-        """Measure the air (registers 100 and 101).
+        """Measure the air (registers 100, 101); read set point (300) and the chamber's event output back.
 
         Raises
         ------
@@ -117,7 +117,8 @@ class WatlowF4:
         value, error = self._modbus.read(Register.PROCESS_VALUE_1, 2)
         if error:
             raise FaultError(self._line.instrument, f"{_sensor_error(error)}; check the temperature sensor")
-        return ChamberReading(from_register(value, self._decimals))
+        is_on = self.is_event_on(self._chamber_event)
+        return ChamberReading(from_register(value, self._decimals), self.set_point_c(), is_on)
 
     def alarms(self) -> list[str]:
         """Active alarms and sensor errors (registers 101, 102, 106)."""
@@ -178,9 +179,12 @@ class WatlowF4:
         RefusedError
             There is no such output, or it does not keep its state.
         """
-        if not 1 <= number <= len(_EVENTS):
-            raise self._refused(f"there is no event output {number}, only 1 to {len(_EVENTS)}")
-        self._write(_EVENTS[number - 1], int(on))
+        self._write(self._event(number), int(on))
+
+    def is_event_on(self, number: int) -> bool:
+        """Whether an event output, 1 to 8, is switched on; raises RefusedError where there is none."""
+        (state,) = self._modbus.read(self._event(number))
+        return bool(state)
 
     def close(self) -> None:
         """Close the line; the controller goes on as it is."""
@@ -210,6 +214,11 @@ class WatlowF4:
             (Register.RAMP_SCALE, scale),
             (Register.RAMP_MODE, _RAMP_AT_EVERY_CHANGE),
         ]
+
+    def _event(self, number: int) -> Register:
+        if not 1 <= number <= len(_EVENTS):
+            raise self._refused(f"there is no event output {number}, only 1 to {len(_EVENTS)}")
+        return _EVENTS[number - 1]
 
     def _write(self, register: Register, number: int) -> None:
         self._modbus.write(register, number)

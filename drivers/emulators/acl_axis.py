@@ -80,24 +80,28 @@ class AclAxis:
     def __init__(self, physics: TableAxis) -> None:
         self.physics = physics
         self.widest = physics.parameters.limits
+        self.open_interlocks = 0
+        self._now_s = 0.0
+        self.state: AxisState = physics.encoder(0.0)
+        self._set_defaults()
+
+    def _set_defaults(self) -> None:
         self.limits = dict.fromkeys(Mode, self.widest)
         self.trip_rates_dps = dict.fromkeys(Mode, _RATE_TRIP_FACTOR * self.widest.rate_dps)
         self.tracking_error_limit_deg = _TRACKING_ERROR_LIMIT_DEG
         self.mode = Mode.OFF
         self.closed = False
         self.software_faults = 0
-        self.open_interlocks = 0
-        self.latched_interlocks = 0
-        self._now_s = 0.0
-        self.state: AxisState = physics.encoder(0.0)
+        self.latched_interlocks = self.open_interlocks
         self.demands = Demands(self.state.position_deg)
 
     def begin_frame(self, now_s: float) -> None:
         """Look at the axis now; a rate or a following error beyond its limit trips it."""
         self._now_s = now_s
         self.state = self.physics.encoder(now_s)
-        if self.closed and self.physics.is_moving(now_s):
-            if abs(self.state.rate_dps) > self.trip_rates_dps[self.mode]:
+        if self.closed:
+            turns = self.physics.is_moving(now_s)
+            if turns and abs(self.state.rate_dps) > self.trip_rates_dps[self.mode]:
                 self.trip(SoftwareFault.RATE_TRIP)
             elif abs(self.following_error_deg) > self.tracking_error_limit_deg:
                 self.trip(SoftwareFault.TRACKING_ERROR)
@@ -156,6 +160,11 @@ class AclAxis:
     def close_interlock(self, bit: int) -> None:
         """Close the hardware interlock again; it stays latched until a reset."""
         self.open_interlocks &= ~(1 << bit)
+
+    def power_cycle(self) -> None:
+        """Lose the servo, and come back as switched on: nothing latched, all that was set forgotten."""
+        self.open()
+        self._set_defaults()
 
     # modes and demands
 

@@ -68,13 +68,28 @@ class Acutrol3000Emulator:
         self.axes = {number: AclAxis(axis) for number, axis in sorted(axes.items())}
         self._prefix = struct.Struct("<II" if word_order == "little" else ">II")
         self._identity = identity
+        self._errors: deque[ErrorCode] = deque(maxlen=_ERRORS_KEPT)
+        self._set_defaults()
+        self._handlers = {**AxisCommands(self.axes, decimals).handlers(), **self._own_handlers()}
+
+    def _set_defaults(self) -> None:
         self._buffer = b""
         self._overlong = False
-        self._errors: deque[ErrorCode] = deque(maxlen=_ERRORS_KEPT)
+        self._errors.clear()
         self._events, self._events_enabled = _POWER_ON, 0
         self._requests_enabled = _INTERLOCK_SUMMARY
         self._locked_out = False
-        self._handlers = {**AxisCommands(self.axes, decimals).handlers(), **self._own_handlers()}
+
+    def power_cycle(self, now_s: float) -> None:
+        """Lose power and come back: servos open, limits, modes and registers as after switching on."""
+        for axis in self.axes.values():
+            axis.begin_frame(now_s)
+            axis.power_cycle()
+        self._set_defaults()
+
+    def refusal(self, code: ErrorCode) -> bytes:
+        """Reply to a message that is refused with this code."""
+        return self._framed(code, code.text)
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes; return the replies to the messages that they complete."""
@@ -112,6 +127,9 @@ class Acutrol3000Emulator:
         except AclError as error:
             code, text = error.code, error.code.text
             self._note(code)
+        return self._framed(code, text)
+
+    def _framed(self, code: ErrorCode, text: str) -> bytes:
         body = text.encode("ascii")
         return self._prefix.pack(code, len(body)) + body
 

@@ -1,23 +1,30 @@
 """The emulated bench: one world and its three instruments, shared by all who open them.
 
-An address says which: ``emulator://table?clock=NAME&world=FILE&seed=N`` (pyserial), or the same
-keys as options of python-can's ``interface="emulator"``. Equal clock, world and seed mean the same
-bench. Without a clock the bench runs on wall time, without a world it is ``gyro_a``.
+An address says which: ``emulator://table?clock=NAME&world=FILE&seed=N&faults=FILE`` (pyserial), or
+the same keys as options of python-can's ``interface="emulator"``. Equal clock, world, seed and list of
+faults mean the same bench. Without a clock the bench runs on wall time, without a world it is
+``gyro_a``, without a list of faults nothing fails.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
-from weakref import WeakKeyDictionary
 
 from bench.clock import Clock, WallClock, clock_named
 from bench.documents import find_document
 from bench.errors import DocumentError
 from drivers.emulators.acutrol3000 import Acutrol3000Emulator
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.serial_instrument import SerialInstrument
+from drivers.emulators.can_ins import CanInsEmulator, CanNode
+from drivers.emulators.faults.document import FaultList, load_faults
+from drivers.emulators.faults.fault import BenchParts
+from drivers.emulators.faults.faulty_can import FaultyCan
+from drivers.emulators.faults.faulty_serial import FaultySerial
+from drivers.emulators.faults.injector import Injector
+from drivers.emulators.faults.record import Injected, InjectionRecord
+from drivers.emulators.serial_instrument import Connection, SerialInstrument
 from drivers.emulators.watlow_f4 import WatlowF4Emulator
 from drivers.emulators.world.document import load_world
 from drivers.emulators.world.world import World
@@ -26,6 +33,7 @@ from drivers.emulators.world.world import World
 UNIT_POWER_EVENT = 2
 
 _DEFAULT_WORLD = "gyro_a"
+_KEYS = ("clock", "world", "seed", "faults")
 
 
 @dataclass(frozen=True)
@@ -35,47 +43,94 @@ class BenchAddress:
     clock: str = ""
     world: str = _DEFAULT_WORLD
     seed: int = 0
+    faults: str = ""
 
 
 class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
+    It begins at the clock's present time, everything switched off and at room temperature.
+
+    Parameters
+    ----------
+    clock : Clock
+        The time that it lives in.
+    world : Path
+        World file.
+    seed : int
+        Seed of everything random.
+    faults : Path, optional
+        List of faults to inject.
+    faults_log : Path, optional
+        Where injected faults are noted, in place of the list's own ``log``.
+
     Attributes
     ----------
+    table, chamber, ins
+        The emulated instruments themselves.
     serial : dict of str to SerialInstrument
-        ``table`` and ``chamber``.
-    ins : CanInsEmulator
-        The INS at its CAN connector.
+        ``table`` and ``chamber`` as they are at their ports.
+    bus : CanNode
+        The INS as it is at the bus.
+    connections : dict of str to Connection
+        The plugs of ``table``, ``chamber`` and ``ins``.
+    injected : list of Injected
+        The faults so far.
 
     Raises
     ------
     DocumentError
-        The world file is wrong, or the seed is below zero.
+        The world file or the list of faults is wrong, or the seed is below zero.
     """
 
-    def __init__(self, clock: Clock, world: Path, seed: int) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        world: Path,
+        seed: int,
+        faults: Path | None = None,
+        faults_log: Path | None = None,
+    ) -> None:
         if seed < 0:
             raise DocumentError(f"emulated bench: the seed must not be below zero; found {seed}")
         self.clock = clock
-        self.world = World(load_world(world), seed)
+        start_s = math.floor(clock.now())
+        self.world = World(load_world(world), seed, start_s)
+        self.table = Acutrol3000Emulator(self.world.axes)
+        self.chamber = WatlowF4Emulator(self.world.air, on_event=self._chamber_event)
         self.ins = CanInsEmulator(self.world, clock.epoch.timestamp())
-        chamber = WatlowF4Emulator(self.world.air, on_event=self._chamber_event)
-        self.serial: dict[str, SerialInstrument] = {
-            "table": Acutrol3000Emulator(self.world.axes),
-            "chamber": chamber,
-        }
-        self.world.advance(clock.now())
+        self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
+        self.bus: CanNode = self.ins
+        self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
+        self.injected: list[Injected] = []
+        self._injector: Injector | None = None
+        if faults is not None:
+            listed = load_faults(faults)
+            beside = faults.parent / listed.log if listed.log else None
+            self._inject(listed, seed, start_s, faults_log or beside)
+        self.advance()
 
     def advance(self) -> None:
         """Bring the world to the present."""
-        self.world.advance(self.clock.now())
+        if self._injector is None:
+            self.world.advance(self.clock.now())
+        else:
+            self._injector.advance(self.clock.now())
+
+    def _inject(self, faults: FaultList, seed: int, start_s: int, log: Path | None) -> None:
+        lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
+        self.bus = bus = FaultyCan(self.ins)
+        self.serial = dict(lines)
+        self.connections = {name: line.connection for name, line in lines.items()} | {"ins": bus.connection}
+        parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus)
+        record = InjectionRecord(self.injected, log)
+        self._injector = Injector(faults.faults, parts, seed, start_s, record)
 
     def _chamber_event(self, number: int, on: bool) -> None:
         if number == UNIT_POWER_EVENT:
             self.world.power_unit(on)
 
 
-_benches: WeakKeyDictionary[Clock, dict[tuple[Path, int], EmulatedBench]] = WeakKeyDictionary()
 _wall_clocks: dict[str, WallClock] = {}
 
 
@@ -85,7 +140,8 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     Raises
     ------
     DocumentError
-        The world file is wrong or absent, the seed is below zero, or no clock of that name exists.
+        The world file or the list of faults is wrong or absent, the seed is below zero, or no clock
+        of that name exists.
     """
     clock: Clock
     try:
@@ -93,15 +149,16 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     except KeyError:
         raise DocumentError(f"emulator address: no clock is named {address.clock!r}") from None
     world = find_document("worlds", address.world).resolve()
-    benches = _benches.setdefault(clock, {})
-    key = (world, address.seed)
-    if key not in benches:
-        benches[key] = EmulatedBench(clock, world, address.seed)
-    return benches[key]
+    faults = find_document("faults", address.faults).resolve() if address.faults else None
+    key = (world, address.seed, faults)
+    bench = clock.companions.get(key)
+    if not isinstance(bench, EmulatedBench):
+        bench = clock.companions[key] = EmulatedBench(clock, world, address.seed, faults)
+    return bench
 
 
 def parse_address(url: str) -> tuple[str, BenchAddress]:
-    """Instrument name and bench of ``emulator://instrument?clock=..&world=..&seed=..``.
+    """Instrument name and bench of ``emulator://instrument?clock=..&world=..&seed=..&faults=..``.
 
     Raises
     ------
@@ -113,10 +170,13 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     except ValueError as error:
         raise DocumentError(f"{url}: is no address: {error}") from error
     values = dict(parse_qsl(parts.query, keep_blank_values=True))
-    unknown = values.keys() - {"clock", "world", "seed"}
+    unknown = values.keys() - _KEYS
     if unknown:
-        raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: clock, world, seed")
+        raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(_KEYS)}")
     seed = values.get("seed", "0")
     if not seed.isdecimal():
         raise DocumentError(f"{url}: seed must be a whole number; found {seed!r}")
-    return parts.netloc, BenchAddress(values.get("clock", ""), values.get("world", _DEFAULT_WORLD), int(seed))
+    address = BenchAddress(
+        values.get("clock", ""), values.get("world", _DEFAULT_WORLD), int(seed), values.get("faults", "")
+    )
+    return parts.netloc, address

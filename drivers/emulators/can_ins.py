@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from typing import Protocol
 
 import can
 import numpy as np
@@ -35,6 +36,22 @@ _ELECTRONICS = struct.Struct("<hhhh")
 _OUTPUT_SCALES = np.array([1e4, 1e4, np.degrees(1e6), np.degrees(1e6), np.degrees(1e6)])
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
+
+
+class CanNode(Protocol):
+    """A side of the bus with the INS behind it.
+
+    Attributes
+    ----------
+    listeners : list of callable
+        Each is called with the messages of every stretch of time that the world advances.
+    """
+
+    listeners: list[Callable[[list[can.Message]], None]]
+
+    def receive(self, message: can.Message) -> None:
+        """Take a frame from the bus."""
+        ...
 
 
 class CanInsEmulator:
@@ -75,6 +92,14 @@ class CanInsEmulator:
             self._command(data[0], data[1])
         elif message.arbitration_id == COMPENSATION_NUMBER and len(data) == 8:
             self._number(*struct.unpack("<BBxxf", data))
+
+    def count_anew(self) -> None:
+        """Begin all counters at zero, as switching on does."""
+        self._epoch_counter = self._status_counter = 0
+
+    def skip_epochs(self, count: int) -> None:
+        """Let the epoch counter jump."""
+        self._epoch_counter = (self._epoch_counter + count) & 0xFFFF
 
     def _command(self, command: int, argument: int) -> None:
         unit = self._world.unit

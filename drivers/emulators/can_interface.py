@@ -19,33 +19,43 @@ class EmulatorBus(can.BusABC):
     ----------
     channel : str
         ``ins``.
-    clock, world, seed
+    clock, world, seed, faults
         Which emulated bench; see :mod:`drivers.emulators.bench`.
 
     Raises
     ------
     can.CanInitializationError
-        There is no such channel, clock or world.
+        There is no such channel, clock, world or list of faults.
     """
 
     def __init__(
-        self, channel: str = "ins", clock: str = "", world: str = "gyro_a", seed: int = 0, **options: Any
+        self,
+        channel: str = "ins",
+        clock: str = "",
+        world: str = "gyro_a",
+        seed: int = 0,
+        faults: str = "",
+        **options: Any,
     ) -> None:
         if channel != "ins":
             raise can.CanInitializationError(f"no emulated CAN channel {channel!r}; there is: ins")
         try:
-            self._bench = emulated_bench(BenchAddress(clock, world, seed))
+            self._bench = emulated_bench(BenchAddress(clock, world, seed, faults))
+            self._bench.advance()
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
+        self._connection = self._bench.connections["ins"]
+        self._opened_number = self._connection.number
         self._queue: deque[can.Message] = deque()
         self.channel_info = f"emulated INS, world {world}, seed {seed}"
         super().__init__(channel, **options)
-        self._bench.ins.listeners.append(self._queue.extend)
+        self._bench.bus.listeners.append(self._queue.extend)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Send a frame to the INS; it arrives at once."""
         self._bench.advance()
-        self._bench.ins.receive(msg)
+        self._check_bus()
+        self._bench.bus.receive(msg)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Wait for a frame that passes the filters; None if none came in ``timeout`` seconds.
@@ -57,6 +67,7 @@ class EmulatorBus(can.BusABC):
         if not self._queue:
             self._bench.advance()
         while True:
+            self._check_bus()
             while self._queue:
                 message = self._queue.popleft()
                 if self._matches_filters(message):
@@ -67,9 +78,13 @@ class EmulatorBus(can.BusABC):
             clock.sleep(min(self._bench.world.file.ins.epoch_period_s, left_s))
             self._bench.advance()
 
+    def _check_bus(self) -> None:
+        if self._connection.number != self._opened_number:
+            raise can.CanOperationError("bus-off: the controller has left the bus; it has to be opened anew")
+
     def shutdown(self) -> None:
         """Leave the bus; the INS goes on."""
-        listeners = self._bench.ins.listeners
+        listeners = self._bench.bus.listeners
         if self._queue.extend in listeners:
             listeners.remove(self._queue.extend)
         super().shutdown()

@@ -51,6 +51,13 @@ class HoldingRegister:
     write: Callable[[int], bool] | None = None
 
 
+def exception_frame(address: int, function: int, code: int) -> bytes:
+    """Frame in which the device at that address refuses a function."""
+    refusal = ExceptionResponse(function, code)
+    refusal.dev_id = address
+    return FramerRTU(DecodePDU(is_server=True)).buildFrame(refusal)
+
+
 class ModbusRtuDevice:
     """Answers requests for holding registers: functions 03, 06 and 16.
 

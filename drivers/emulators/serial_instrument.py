@@ -22,3 +22,29 @@ class SerialInstrument(Protocol):
         The world has already been brought to ``now_s``. Any byte sequence is accepted.
         """
         ...
+
+
+class Connection:
+    """The plug between an instrument and its clients.
+
+    Attributes
+    ----------
+    broken : bool
+        Whether nothing goes through at present.
+    number : int
+        Changes with every break and every mend: what a client opened before is dead.
+    """
+
+    def __init__(self) -> None:
+        self.broken = False
+        self.number = 0
+
+    def cut(self) -> None:
+        """Pull the plug."""
+        self.broken = True
+        self.number += 1
+
+    def mend(self) -> None:
+        """Put it back."""
+        self.broken = False
+        self.number += 1

@@ -1,19 +1,23 @@
 """The emulated bench as a process of its own: pseudo-terminals or TCP ports of the loopback.
 
-Table and chamber speak their protocols, the INS speaks slcan. Any client can talk to them: this
-project's bench, pymodbus, a terminal program.
+Table and chamber speak their protocols, the INS slcan or socketcand. Any client can talk to them:
+this project's bench, pymodbus, a terminal program.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import math
 import os
 import selectors
 import socket
 import sys
+import tempfile
 import tty
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -21,8 +25,9 @@ from bench.clock import VirtualClock, WallClock
 from bench.documents import find_document
 from bench.errors import DocumentError
 from drivers.emulators.bench import EmulatedBench
-from drivers.emulators.serial_instrument import SerialInstrument
+from drivers.emulators.serial_instrument import Connection, SerialInstrument
 from drivers.emulators.slcan_adapter import SlcanAdapter
+from drivers.emulators.socketcand_daemon import BUS_NAME, SocketcandDaemon
 
 _PERIOD_S = 0.01
 _MAX_BACKLOG = 65536
@@ -46,15 +51,44 @@ class Port(Protocol):
         """Send what fits now; returns how many bytes that was."""
         ...
 
+    def unplug(self) -> None:
+        """Go away, as a device that is pulled out; whoever had it open loses it."""
+        ...
+
+    def plug_in(self) -> None:
+        """Come back under the same ``url``."""
+        ...
+
 
 class PseudoTerminal:
-    """A pseudo-terminal; clients open ``url`` like a serial device."""
+    """A pseudo-terminal; clients open ``url`` like a serial device.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    link : Path, optional
+        A symbolic link for ``url``, which stays the same when the terminal itself comes back as another.
+    """
+
+    def __init__(self, link: Path | None = None) -> None:
+        self._link = link
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        """Come back under the same ``url``, if there is a link."""
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.url = os.ttyname(self._slave)
+        if self._link is not None:
+            self._link.symlink_to(self.url)
+            self.url = str(self._link)
+
+    def unplug(self) -> None:
+        """Go away: whoever had it open gets input/output errors."""
+        if self._link is not None:
+            self._link.unlink()
+        os.close(self._master)
+        os.close(self._slave)
 
     def fileno(self) -> int:
         """Descriptor to wait on."""
@@ -76,13 +110,31 @@ class PseudoTerminal:
 
 
 class TcpPort:
-    """A TCP port of the loopback with one client at a time; a new one replaces the old."""
+    """A TCP port of the loopback with one client at a time; a new one replaces the old.
 
-    def __init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.setblocking(False)
+    Parameters
+    ----------
+    greet : callable, optional
+        Gives what a new client is told at once.
+    """
+
+    def __init__(self, greet: Callable[[], bytes] = bytes) -> None:
+        self._greet = greet
         self._client: socket.socket | None = None
-        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.number = 0
+        self.plug_in()
+        self.url = f"socket://127.0.0.1:{self.number}"
+
+    def plug_in(self) -> None:
+        """Listen, at the same port as before."""
+        self._listener = socket.create_server(("127.0.0.1", self.number))
+        self._listener.setblocking(False)
+        self.number = self._listener.getsockname()[1]
+
+    def unplug(self) -> None:
+        """Hang up, and let nobody connect."""
+        self._hang_up()
+        self._listener.close()
 
     def fileno(self) -> int:
         """Descriptor to wait on."""
@@ -96,6 +148,7 @@ class TcpPort:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._hang_up()
             self._client = client
+            client.sendall(self._greet())
         except BlockingIOError:
             pass
         if self._client is None:
@@ -136,7 +189,9 @@ class Server:
     bench : EmulatedBench
         On a wall clock.
     make_port : callable
-        Makes a port for each instrument.
+        Makes a port for the instrument of that name.
+    socketcand : bool
+        Whether the INS speaks socketcand over TCP, not slcan.
 
     Attributes
     ----------
@@ -144,12 +199,26 @@ class Server:
         Where ``table``, ``chamber`` and ``ins`` are.
     """
 
-    def __init__(self, bench: EmulatedBench, make_port: type[PseudoTerminal] | type[TcpPort]) -> None:
+    def __init__(
+        self, bench: EmulatedBench, make_port: Callable[[str], Port], socketcand: bool = False
+    ) -> None:
         self._bench = bench
-        self._adapter = SlcanAdapter(bench.ins)
-        instruments: dict[str, SerialInstrument] = {**bench.serial, "ins": self._adapter}
-        self._lines = {name: _Line(make_port(), instrument) for name, instrument in instruments.items()}
+        self._lines = {
+            name: _Line(make_port(name), instrument, bench.connections[name])
+            for name, instrument in bench.serial.items()
+        }
         self.urls = {name: line.port.url for name, line in self._lines.items()}
+        # What the bus suffers is the adapter's matter; the adapter itself stays plugged in.
+        self._adapter: SlcanAdapter | SocketcandDaemon
+        if socketcand:
+            self._adapter = daemon = SocketcandDaemon(bench.bus, bench.connections["ins"])
+            port = TcpPort(daemon.greet)
+            self._lines["ins"] = _Line(port, daemon, Connection())
+            self.urls["ins"] = f"socketcand://127.0.0.1:{port.number}/{BUS_NAME}"
+        else:
+            self._adapter = SlcanAdapter(bench.bus, bench.connections["ins"])
+            self._lines["ins"] = _Line(make_port("ins"), self._adapter, Connection())
+            self.urls["ins"] = self._lines["ins"].port.url
 
     def serve(self, duration_s: float | None = None) -> None:
         """Serve until ``duration_s`` is over, or for ever."""
@@ -165,28 +234,58 @@ class Server:
     def _wait(self) -> None:
         with selectors.DefaultSelector() as selector:
             for line in self._lines.values():
-                selector.register(line.port, selectors.EVENT_READ)
-            selector.select(_PERIOD_S)
+                if line.plugged_in:
+                    selector.register(line.port, selectors.EVENT_READ)
+            now_s = self._bench.clock.now()
+            due_s = min(line.due_s for line in self._lines.values())
+            selector.select(max(0.0, min(_PERIOD_S, due_s - now_s)))
 
 
 class _Line:
-    """An instrument on its port, with what could not be sent yet."""
+    """An instrument on its port, with its replies under way and what could not be sent yet."""
 
-    def __init__(self, port: Port, instrument: SerialInstrument) -> None:
+    def __init__(self, port: Port, instrument: SerialInstrument, connection: Connection) -> None:
         self.port = port
+        self.plugged_in = True
         self._instrument = instrument
+        self._connection = connection
+        self._connection_number = connection.number
+        self._replies: deque[tuple[float, bytes]] = deque()
         self._backlog = bytearray()
 
+    @property
+    def due_s(self) -> float:
+        """When the next reply is to be sent; infinite for none."""
+        return self._replies[0][0] if self._replies else math.inf
+
     def exchange(self, now_s: float) -> None:
-        """Hand what has come to the instrument and send its reply."""
-        data = self.port.read()
-        self.send(self._instrument.feed(data, now_s) if data else b"")
+        """Hand what has come to the instrument and send its reply after its latency."""
+        self._follow_plug()
+        data = self.port.read() if self.plugged_in else b""
+        reply = self._instrument.feed(data, now_s) if data else b""
+        if reply:
+            self._replies.append((now_s + self._instrument.latency_s, reply))
+        while self.due_s <= now_s:
+            self.send(self._replies.popleft()[1])
+        self.send(b"")
+
+    def _follow_plug(self) -> None:
+        if self._connection.number == self._connection_number:
+            return
+        self._connection_number = self._connection.number
+        if self.plugged_in:
+            self.port.unplug()
+            self._replies.clear()
+            self._backlog.clear()
+        self.plugged_in = not self._connection.broken
+        if self.plugged_in:
+            self.port.plug_in()
 
     def send(self, data: bytes) -> None:
         """Send; while nobody takes it, the oldest bytes beyond the backlog's size are lost."""
         self._backlog += data
         del self._backlog[:-_MAX_BACKLOG]
-        if self._backlog:
+        if self._backlog and self.plugged_in:
             del self._backlog[: self.port.write(bytes(self._backlog))]
 
 
@@ -196,21 +295,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--world", default="gyro_a", help="world file, or the name of a shipped one")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
     parser.add_argument("--tcp", action="store_true", help="TCP ports of the loopback, not pseudo-terminals")
+    parser.add_argument("--can", choices=("slcan", "socketcand"), default="slcan", help="what the INS speaks")
+    parser.add_argument("--faults", default="", help="list of faults, or the name of a shipped one")
+    parser.add_argument("--faults-log", type=Path, help="file to which each injected fault is added as JSON")
     parser.add_argument("--for-s", type=float, default=None, help="end after so many seconds")
     options = parser.parse_args(arguments)
     try:
         world = find_document("worlds", options.world)
+        faults = find_document("faults", options.faults) if options.faults else None
         _rehearse(world)
-        bench = EmulatedBench(WallClock(), world, options.seed)
+        bench = EmulatedBench(WallClock(), world, options.seed, faults, options.faults_log)
     except DocumentError as error:
         parser.exit(2, f"gyrobench-emulators: {error}\n")
-    server = Server(bench, TcpPort if options.tcp else PseudoTerminal)
-    try:
+    with contextlib.ExitStack() as opened, contextlib.suppress(KeyboardInterrupt):
+        make_port = _port_maker(opened, options.tcp, links=faults is not None)
+        server = Server(bench, make_port, options.can == "socketcand")
         sys.stdout.write(json.dumps(server.urls) + "\n")
         sys.stdout.flush()
         server.serve(options.for_s)
-    except KeyboardInterrupt:
-        return
+
+
+def _port_maker(opened: contextlib.ExitStack, tcp: bool, links: bool) -> Callable[[str], Port]:
+    """Make ports; pseudo-terminals that can go away get links, so that they come back under their names."""
+    if tcp:
+        return lambda _: TcpPort()
+    if not links:
+        return lambda _: PseudoTerminal()
+    folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="gyrobench-emulators-")))
+    return lambda name: PseudoTerminal(folder / name)
 
 
 def _rehearse(world: Path) -> None:

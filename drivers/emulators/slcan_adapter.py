@@ -12,7 +12,8 @@ import re
 
 import can
 
-from drivers.emulators.can_ins import CanInsEmulator
+from drivers.emulators.can_ins import CanNode
+from drivers.emulators.serial_instrument import Connection
 
 _OK, _ERROR = b"\r", b"\a"
 _LONGEST_LINE = 64
@@ -29,18 +30,22 @@ class SlcanAdapter:
 
     Parameters
     ----------
-    ins : CanInsEmulator
-        What is on the bus.
+    bus : CanNode
+        The bus with the INS on it.
+    connection : Connection
+        Broken while the adapter is bus-off; the channel has to be opened anew then.
     """
 
     latency_s = 0.0
 
-    def __init__(self, ins: CanInsEmulator) -> None:
-        self._ins = ins
+    def __init__(self, bus: CanNode, connection: Connection) -> None:
+        self._bus = bus
+        self._connection = connection
+        self._opened_number = connection.number
         self._open = self._listens_only = False
         self._line = bytearray()
         self._received = bytearray()
-        ins.listeners.append(self._on_bus)
+        bus.listeners.append(self._on_bus)
 
     def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
         """Take bytes from the line; see :class:`drivers.emulators.serial_instrument.SerialInstrument`."""
@@ -60,8 +65,13 @@ class SlcanAdapter:
         return lines
 
     def _obey(self, line: str) -> bytes:
+        if self._connection.number != self._opened_number:
+            self._open = False
         match line:
             case "O" | "L":
+                if self._connection.broken:
+                    return _ERROR
+                self._opened_number = self._connection.number
                 self._open, self._listens_only = True, line == "L"
                 return _OK
             case "C":
@@ -85,11 +95,11 @@ class SlcanAdapter:
             message = can.Message(arbitration_id=identifier, data=data, is_extended_id=extended, check=True)
         except ValueError:
             return _ERROR
-        self._ins.receive(message)
+        self._bus.receive(message)
         return b"Z\r" if extended else b"z\r"
 
     def _on_bus(self, messages: list[can.Message]) -> None:
-        if self._open:
+        if self._open and self._connection.number == self._opened_number:
             for message in messages:
                 self._received += (
                     f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex().upper()}\r".encode()

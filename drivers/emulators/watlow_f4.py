@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice
+from drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
 from drivers.emulators.world.chamber_air import ChamberAir
 
 MODEL_NUMBER = 5270
@@ -27,6 +27,15 @@ _DEFAULT_RAMP, _FASTEST_RAMP = 100.0, 999.0
 _MOST_DECIMALS = 3
 _CELSIUS = 1
 _INT16_MIN, _INT16_MAX = -32768, 32767
+
+
+class _Settings(NamedTuple):
+    """What the controller keeps without power."""
+
+    set_point_c: float
+    decimals: int
+    limits_c: dict[int, float]
+    ramp: tuple[int, float, bool]
 
 
 class WatlowF4Emulator:
@@ -67,6 +76,9 @@ class WatlowF4Emulator:
         on_event: Callable[[int, bool], None] | None = None,
     ) -> None:
         self.air = air
+        self._address = address
+        self._sensor_fault = self._sensor_latched = 0
+        self._alarm_causes = {1: _NO_ALARM, 2: _NO_ALARM}
         self.sensor_error = 0
         self.alarm_1 = _NO_ALARM
         self.alarm_2 = _NO_ALARM
@@ -87,11 +99,52 @@ class WatlowF4Emulator:
         if model == "F4P":
             registers |= self._ramp()
         self._device = ModbusRtuDevice(registers, address)
+        self._memory = self._kept_settings()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the line at time ``now_s`` and return the reply, if one is complete."""
         self._watch_air()
         return self._device.feed(data, now_s)
+
+    def refusal(self, function: int, code: int) -> bytes:
+        """Frame with an exception code in reply to that function."""
+        return exception_frame(self._address, function, code)
+
+    def power_off(self) -> None:
+        """Lose power: every event output drops."""
+        for number in range(1, _EVENT_OUTPUTS + 1):
+            self._set_event(number, 0)
+
+    def power_on(self) -> None:
+        """Come back with the settings last saved by register 25, alarms clear and outputs off."""
+        self.alarm_1 = self.alarm_2 = _NO_ALARM
+        self._sensor_latched = self._sensor_fault
+        self.sensor_error = self._sensor_fault
+        self.air.faults.blind = bool(self._sensor_fault)
+        kept = self._memory
+        self.air.set_point_c = kept.set_point_c
+        self._decimals = kept.decimals
+        self._limits_c = dict(kept.limits_c)
+        self._ramp_mode, self._ramp_rate, self._ramp_per_hour = kept.ramp
+        self._apply_ramp()
+
+    def break_sensor(self, error: int) -> None:
+        """Let input 1 fail: the outputs stop. The error stays until register 311 clears it."""
+        self._sensor_fault = self._sensor_latched = self.sensor_error = error
+        self.air.faults.blind = True
+
+    def mend_sensor(self) -> None:
+        """Let input 1 be well again; its error stays until it is cleared."""
+        self._sensor_fault = 0
+
+    def raise_alarm(self, number: int, high: bool) -> None:
+        """Give alarm 1 or 2 a cause; the alarm stays until register 312 clears it."""
+        self._alarm_causes[number] = _HIGH_ALARM if high else _LOW_ALARM
+        self._watch_air()
+
+    def end_alarm(self, number: int) -> None:
+        """Take the cause away; the alarm stays until it is cleared."""
+        self._alarm_causes[number] = _NO_ALARM
 
     def _measurements(self) -> dict[int, HoldingRegister]:
         return {
@@ -118,8 +171,8 @@ class WatlowF4Emulator:
         }
 
     def _commands(self) -> dict[int, HoldingRegister]:
-        save = HoldingRegister(lambda: 0, lambda value: value == 0)
-        clear_input_error = HoldingRegister(lambda: 0, lambda value: value in (0, 1))
+        save = HoldingRegister(lambda: 0, self._save)
+        clear_input_error = HoldingRegister(lambda: 0, self._clear_input_error)
         clear_alarms = HoldingRegister(lambda: 0, self._clear_alarms)
         silence = HoldingRegister(lambda: 0, lambda value: value in (0, 1))
         return {25: save, 311: clear_input_error, 312: clear_alarms, 313: silence}
@@ -165,6 +218,21 @@ class WatlowF4Emulator:
         if allowed:
             self._decimals = number
         return allowed
+
+    def _kept_settings(self) -> _Settings:
+        ramp = (self._ramp_mode, self._ramp_rate, self._ramp_per_hour)
+        return _Settings(self.air.set_point_c, self._decimals, dict(self._limits_c), ramp)
+
+    def _save(self, number: int) -> bool:
+        if number == 0:
+            self._memory = self._kept_settings()
+        return number == 0
+
+    def _clear_input_error(self, number: int) -> bool:
+        if number == 1 and self._sensor_latched and not self._sensor_fault:
+            self._sensor_latched = self.sensor_error = 0
+            self.air.faults.blind = False
+        return number in (0, 1)
 
     def _clear_alarms(self, number: int) -> bool:
         if number == 1:
@@ -217,6 +285,8 @@ class WatlowF4Emulator:
         return self._ramp_rate / 60.0 if self._ramp_per_hour else self._ramp_rate
 
     def _watch_air(self) -> None:
+        self.alarm_1 = self._alarm_causes[1] or self.alarm_1
+        self.alarm_2 = self._alarm_causes[2] or self.alarm_2
         if self.air.air_c < self._limits_c[_ALARM_1_LOW]:
             self.alarm_1 = _LOW_ALARM
         elif self.air.air_c > self._limits_c[_ALARM_1_HIGH]:

@@ -1,11 +1,13 @@
 """A signal map tied to a DBC file: units checked and converted, values read by arrival.
 
-Bound values are in SI (m/s, rad, s), temperatures in degrees Celsius.
+Bound values are in SI (m/s, rad, s), temperatures in degrees Celsius. A speed or a temperature at the
+end of its field's range or beyond the DBC's is no value: it is saturated, or says that there is none.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from cantools.database.can import Signal
@@ -57,6 +59,31 @@ class BoundSignal:
     signal: Signal
     gain: float
     offset: float
+    saturates: bool = False
+
+    def to_si(self, physical: Float64) -> Float64:
+        """Values in SI of values in the DBC's unit; NaN where the signal is saturated."""
+        values = np.asarray(physical * self.gain + self.offset, np.float64)
+        if self.saturates:
+            low, high = self._limits
+            values[~((physical > low) & (physical < high))] = np.nan
+        return values
+
+    @cached_property
+    def _limits(self) -> tuple[float, float]:
+        """Between which values in the DBC's unit the signal means something."""
+        signal = self.signal
+        low, high = -np.inf, np.inf
+        if not signal.conversion.is_float:
+            first = -(2 ** (signal.length - 1)) if signal.is_signed else 0
+            ends = [signal.offset + signal.scale * raw for raw in (first, first + 2**signal.length - 1)]
+            # Half a step inwards: the end itself need not come out exactly.
+            low, high = min(ends) + abs(signal.scale) / 2.0, max(ends) - abs(signal.scale) / 2.0
+        if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
+            margin = abs(signal.scale) / 2.0 if not signal.conversion.is_float else 0.0
+            low = max(low, float(signal.minimum) + margin)
+            high = min(high, float(signal.maximum) - margin)
+        return low, high
 
     @property
     def lsb(self) -> float:
@@ -110,7 +137,8 @@ def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:
     signal = codec.signal(message, name)
     gain, offset = _conversion(quantity, signal)
     factor = quantity.source.sign * quantity.source.scale
-    return BoundSignal(message, signal, factor * gain, factor * offset)
+    saturates = quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
+    return BoundSignal(message, signal, factor * gain, factor * offset, saturates)
 
 
 def _conversion(quantity: Quantity, signal: Signal) -> tuple[float, float]:
@@ -141,7 +169,7 @@ class BlockReader:
     def held(self, bound: BoundSignal, rows: Rows) -> Float64:
         """Last value that had arrived at each of those rows of the block; NaN before the first."""
         frames, decoded = self._message(bound.message)
-        values = np.append(decoded[bound.signal.name] * bound.gain + bound.offset, np.nan)
+        values = np.append(bound.to_si(decoded[bound.signal.name]), np.nan)
         # Index -1, where nothing had arrived yet, is the NaN at the end.
         return np.asarray(values[np.searchsorted(frames, rows, side="right") - 1])
 

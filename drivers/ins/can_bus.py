@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import can
+from can.interfaces.slcan import slcanBus
 
 from bench.clock import Clock
 from bench.errors import ConnectionFailedError
@@ -35,3 +37,33 @@ def open_bus(
             f"can't open the CAN interface '{interface}', channel {channel}: {error}. "
             "Check the station file's interface, channel and options, and the adapter.",
         ) from error
+
+
+def close_bus(bus: can.BusABC) -> None:
+    """Leave a bus for good, also one whose adapter is gone; a second call does nothing."""
+    try:
+        bus.shutdown()
+    except (can.CanError, OSError):  # gone already
+        if isinstance(bus, slcanBus):
+            # It says goodbye before it closes its port, and stops where that fails.
+            with contextlib.suppress(OSError):
+                bus.serialPortOrig.close()
+
+
+def is_garbage(bus: can.BusABC, error: Exception) -> bool:
+    """Whether an error of the bus means that what arrived is no frame, rather than that the bus is gone."""
+    # slcan wraps what it raises for bytes that are no text.
+    of_text = isinstance(bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)
+    return of_text or isinstance(error, (ValueError, LookupError))
+
+
+def drop_half_line(bus: can.BusABC) -> None:
+    """Forget the begin of a line that can't be understood, or it would spoil the next one too.
+
+    Raises
+    ------
+    CanError
+        The bus went away.
+    """
+    if isinstance(bus, slcanBus):
+        bus.flush()

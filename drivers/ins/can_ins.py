@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,13 +15,14 @@ from bench.errors import (
     ConnectionFailedError,
     DocumentError,
     FaultError,
+    InstrumentError,
     NoReplyError,
     RefusedError,
     ReplyError,
 )
 from drivers.ins.attitude import EulerSequence
 from drivers.ins.bound_signals import bind_signals
-from drivers.ins.can_bus import INSTRUMENT
+from drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage
 from drivers.ins.command_map import Command, CommandMap, check_commands
 from drivers.ins.compensation import Compensation, checksum
 from drivers.ins.dbc_codec import DbcCodec
@@ -41,7 +41,7 @@ _POLL_PERIOD_S = 0.05
 
 @dataclass(frozen=True)
 class InsHealth:
-    """Counts since the bus was opened; error frames include remote frames."""
+    """Counts since the first bus was opened; error frames include remote frames."""
 
     frames: int
     error_frames: int
@@ -89,8 +89,15 @@ class CanIns:
 
     def close(self) -> None:
         """Leave the bus; a second call does nothing."""
-        with contextlib.suppress(can.CanError, OSError):  # gone already
-            self._bus.shutdown()
+        close_bus(self._bus)
+
+    def replace_bus(self, bus: can.BusABC) -> None:
+        """Go on with a bus opened anew, after bus-off or an adapter that went away; leaves the old one.
+
+        What was received and counted before stays.
+        """
+        close_bus(self._bus)
+        self._bus = bus
 
     def poll(self) -> list[can.Message]:
         """Take all frames that have arrived, in order; the rest of a flood waits for the next call.
@@ -106,14 +113,21 @@ class CanIns:
         try:
             # extend() keeps what came before an exception.
             messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MOST_FRAMES_A_POLL))
-        except (can.CanError, OSError) as error:
-            raise self._gone(error) from error
-        except ValueError as error:
-            raise ReplyError(INSTRUMENT, f"{self._bus}: what arrived is no CAN frame: {error}") from error
+        except (can.CanError, OSError, ValueError, LookupError) as error:
+            raise self._failed(error) from error
         finally:
             if messages:
                 self._take(messages)
         return messages
+
+    def _failed(self, error: Exception) -> InstrumentError:
+        if not is_garbage(self._bus, error):
+            return self._gone(error)
+        try:
+            drop_half_line(self._bus)
+        except (can.CanError, OSError) as gone:
+            return self._gone(gone)
+        return ReplyError(INSTRUMENT, f"{self._bus}: what arrived is no CAN frame: {error}")
 
     def _take(self, messages: list[can.Message]) -> None:
         data_frames = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]

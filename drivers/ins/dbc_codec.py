@@ -7,7 +7,9 @@ equals.
 from __future__ import annotations
 
 import difflib
+import logging
 from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +21,16 @@ from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
 from bench.errors import DocumentError
+from bench.reading import read_limited
 from drivers.ins.bit_fields import BitField, Payloads
 from drivers.ins.dbc_checks import oversized, undecodable
 from drivers.ins.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock
 
-MAX_DBC_BYTES = 5_000_000
+MAX_DBC_BYTES = 2_000_000
+
+# It warns of messages of the same name or number, which are refused here.
+logging.getLogger("cantools").setLevel(logging.ERROR)
+_SHOWN_MISTAKES = 20
 
 #: What cantools is known to raise for a file that is wrong; it has no single error for that.
 _DBC_ERRORS = (
@@ -48,13 +55,7 @@ def load_dbc(path: Path) -> Database:
     DocumentError
         The file can't be read, is too large, or is no valid DBC.
     """
-    try:
-        size = path.stat().st_size
-        if size > MAX_DBC_BYTES:
-            raise DocumentError(f"{path}: {size} bytes; at most {MAX_DBC_BYTES} are allowed")
-        content = path.read_bytes()
-    except OSError as error:
-        raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+    content = read_limited(path, MAX_DBC_BYTES, DocumentError)
     database = Database()
     try:
         text = _text(content)
@@ -77,7 +78,7 @@ def _text(content: bytes) -> str:
 
 
 def _refuse(path: Path, mistakes: Iterable[str]) -> None:
-    lines = [f"{path}: {mistake} is not possible" for mistake in mistakes]
+    lines = [f"{path}: {mistake} is not possible" for mistake in islice(mistakes, _SHOWN_MISTAKES)]
     if lines:
         raise DocumentError("\n".join(lines))
 

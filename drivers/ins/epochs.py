@@ -44,6 +44,8 @@ class EpochCounts:
         Times that the clock or the counter of the INS was set anew.
     untimed : int
         Epochs whose INS time can't be told; dropped.
+    contradicted : int
+        Frames of an epoch beyond one of each kind, with other content than the one before.
     """
 
     lost: int = 0
@@ -51,6 +53,7 @@ class EpochCounts:
     late: int = 0
     restarts: int = 0
     untimed: int = 0
+    contradicted: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +101,7 @@ def find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
     lost = int(np.sum(np.rint(np.diff(position)[~restart[1:]]) - 1.0))
     times_s = _times(readout, groups, position, restart)
     timed = ~np.isnan(times_s)
+    contradicted = _count_contradicted(reader, readout, groups.rows, np.where(restart, np.inf, steps[new]))
     groups, times_s, segment = groups.take(timed), times_s[timed], np.cumsum(restart)[timed]
     counts = EpochCounts(
         lost=lost,
@@ -105,6 +109,7 @@ def find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
         late=_count_late(groups.arrival_s - times_s, segment, _LATE_PERIODS * period_s),
         restarts=int(np.sum(restart)),
         untimed=int(np.sum(~timed)),
+        contradicted=contradicted,
     )
     return Epochs(groups.rows, groups.arrival_s, times_s, segment, counts)
 
@@ -132,7 +137,10 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
     rows = np.flatnonzero(place >= 0)
     order = place[rows]
     # A new epoch: the order begins again, or what should have come in a row did not.
-    begins = (np.diff(order) <= 0) | (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
+    again = np.diff(order) <= 0
+    pause = ~again & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
+    counts = [name == _counter_message(readout) for name in names]
+    begins = again | (pause & ~_only_late(readout, rows, again, np.array(counts)[order]))
     group = np.cumsum(np.concatenate([[True], begins]))[: len(rows)] - 1
     table = np.full((int(group.max(initial=-1)) + 1, len(names)), -1, np.int64)
     table[group, order] = rows
@@ -145,6 +153,27 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
         time_rows=whole[:, of_time].max(axis=1, initial=-1),
     )
     return groups, int(np.sum(~complete[1:-1]))
+
+
+def _only_late(
+    readout: Readout, rows: Rows, again: NDArray[np.bool_], counts: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Tell which frames belong to the epoch of the frame before, however late they came.
+
+    Between two counts of the epochs that follow each other there is one epoch. ``again`` tells where the
+    order of the frames begins again, ``counts`` which frames hold a count.
+    """
+    counted = np.flatnonzero(counts)
+    if not len(counted):
+        return np.zeros(len(again), np.bool_)
+    numbers = readout.value("epoch_counter", rows[counted])
+    steps = _nearest(np.diff(numbers), _modulus(readout, "epoch_counter"), 1.0)
+    follows = np.concatenate([[False], steps == 1.0])
+    later = np.arange(1, len(rows))
+    next_count = np.minimum(np.searchsorted(counted, later), len(counted) - 1)
+    group = np.concatenate([[0], np.cumsum(again)])
+    same = (counted[next_count] >= later) & (group[counted[next_count]] == group[later])
+    return np.asarray(same & follows[next_count], np.bool_)
 
 
 def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
@@ -167,6 +196,10 @@ def _time_message(readout: Readout) -> str | None:
     return readout.signals["time_s"].message if "time_s" in readout.signals else None
 
 
+def _counter_message(readout: Readout) -> str | None:
+    return readout.signals["epoch_counter"].message if "epoch_counter" in readout.signals else None
+
+
 def _modulus(readout: Readout, path: str) -> float:
     """Tell what a quantity wraps at; infinite if it does not."""
     return readout.signals[path].modulus if path in readout.signals else np.inf
@@ -175,8 +208,10 @@ def _modulus(readout: Readout, path: str) -> float:
 def _follow(numbers: Float64, modulus: float, passed: Float64) -> tuple[Float64, NDArray[np.bool_]]:
     """Find the steps from number to number (the first is 1), and where the numbering was set anew.
 
-    ``passed`` is the number of epochs that the arrival says have passed in each step.
+    ``passed`` is the number of epochs that the arrival says have passed in each step; where its clock was
+    set back, that is nothing to go by.
     """
+    passed = np.where(passed < 0.0, 1.0, passed)
     steps = _nearest(np.diff(numbers), modulus, passed)
     jump = min(_JUMP, modulus / 4.0)
     jumped = (steps < 0.0) | (steps - passed > jump)
@@ -225,6 +260,21 @@ def _interpolated(position: Float64, segment: NDArray[np.int64], known: Rows, of
         if inside.start < inside.stop:
             result[run] = np.interp(position[run], position[known[inside]], offsets_s[inside])
     return result
+
+
+def _count_contradicted(reader: BlockReader, readout: Readout, ends: Rows, steps: Float64) -> int:
+    """Count frames that no epoch accounts for; each of ``steps`` is how many lead to an epoch's end."""
+    if not len(ends):
+        return 0
+    contradicted = 0
+    for message in readout.map.messages_of_epoch():
+        rows = reader.rows(message)
+        data = reader.block.data[rows]
+        other = np.concatenate([[True], (data[1:] != data[:-1]).any(axis=1)])[: len(rows)]
+        found = np.bincount(np.searchsorted(ends, rows[other]), minlength=len(ends) + 1)
+        # What came before the first epoch and after the last one belongs to epochs that are cut off.
+        contradicted += int(np.maximum(found[1 : len(ends)] - steps[1:], 0.0).sum())
+    return contradicted
 
 
 def _count_late(delays_s: Float64, segment: NDArray[np.int64], tolerance_s: float) -> int:

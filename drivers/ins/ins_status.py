@@ -76,7 +76,7 @@ class Snapshot:
                 {} if frame is None else self._codec.decode_one(frame.data, bound.message)
             )
         value = self._decoded[bound.message].get(bound.signal.name, np.nan)
-        return np.array([value * bound.gain + bound.offset])
+        return bound.to_si(np.array([value]))
 
 
 def _key(arbitration_id: int) -> int:

@@ -18,6 +18,7 @@ Float64 = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _TEMPERATURES = ("gyro_optics_temperature", "gyro_electronics_temperature", "case_temperature")
+_SENSORS = (*(f"{name}.{axis}" for name in _TEMPERATURES[:2] for axis in "xyz"), _TEMPERATURES[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +33,16 @@ class Temperatures:
         Of each gyro, by body axis.
     case_c : ndarray, shape (m,)
         Of the case.
+    spread_k : ndarray, shape (m, 7)
+        By how much several readings of one sensor differ that came since the last time: optics,
+        electronics, case; 0 where there was only one.
     """
 
     ins_time_s: Float64
     optics_c: Float64
     electronics_c: Float64
     case_c: Float64
+    spread_k: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,4 +127,17 @@ def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temp
         optics_c=readout.axes("gyro_optics_temperature", rows),
         electronics_c=readout.axes("gyro_electronics_temperature", rows),
         case_c=readout.value("case_temperature", rows),
+        spread_k=np.stack([_spread(reader, readout, path, rows) for path in _SENSORS], axis=-1),
     )
+
+
+def _spread(reader: BlockReader, readout: Readout, path: str, rows: Rows) -> Float64:
+    """Largest difference (m,) between neighbouring readings of a sensor from one of the rows to the next."""
+    spread = np.zeros(len(rows) + 1)
+    if path in readout.signals:
+        own = reader.rows(readout.signals[path].message)
+        since = np.searchsorted(rows, own)
+        again = since[1:] == since[:-1]
+        differences = np.abs(np.diff(readout.value(path, own)))
+        np.fmax.at(spread, since[1:][again], differences[again])
+    return spread[:-1]

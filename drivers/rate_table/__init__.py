@@ -13,10 +13,35 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class TableReading:
-    """All axes at one moment, in ascending order of their numbers."""
+    """All axes at one moment, in ascending order of their numbers.
+
+    Attributes
+    ----------
+    is_servoed : bool
+        Whether all axes are under servo control.
+    """
 
     position_deg: tuple[float, ...]
     rate_dps: tuple[float, ...]
+    is_servoed: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class AxisLimits:
+    """What the controller allows one axis at most, whatever it is told.
+
+    Attributes
+    ----------
+    trip_dps : float
+        Rate at which it takes the power off.
+    """
+
+    rate_dps: float
+    acceleration_dps2: float
+    jerk_dps3: float
+    low_deg: float
+    high_deg: float
+    trip_dps: float
 
 
 class RateTable(Protocol):
@@ -42,6 +67,10 @@ class RateTable(Protocol):
 
     def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:
         """Bound every motion of every axis from now on."""
+        ...
+
+    def limits(self) -> tuple[AxisLimits, ...]:
+        """Read the controller's own limits of each axis, in ascending order of their numbers."""
         ...
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:

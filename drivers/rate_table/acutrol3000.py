@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import TypeVar
 
 from bench.clock import Deadline
 from bench.errors import FaultError, NoReplyError, RefusedError, ReplyError
-from drivers.rate_table import TableReading
+from drivers.rate_table import AxisLimits, TableReading
 from drivers.rate_table.acl_messages import (
     ABORTS,
     DYNAMICS_POSITION_COMPLETE,
@@ -26,6 +28,8 @@ from drivers.rate_table.acl_messages import (
 )
 from drivers.serial_line import SerialLine
 
+AnswerT = TypeVar("AnswerT")
+
 _REGISTER = re.compile(r"\d{1,10}", re.ASCII)
 #: Modes whose limits bound the motions of this driver: Off (controlled stop), Position, Rate.
 _LIMITED_MODES = ("O", "P", "R")
@@ -33,8 +37,10 @@ _SERVO_TIME_S = 5.0
 _STANDSTILL_TIME_S = 30.0
 _STANDSTILL_DPS = 0.01
 _POLL_S = 0.1
-#: After a failed exchange the line must be silent for this share of the reply time-out.
-_SILENCE_SHARE = 0.25
+#: After a failed exchange the line must be silent for the reply time-out, within so many of them.
+_LONGEST_NOISE = 5.0
+#: Ends half a message that the controller may hold in such a way that it can't be carried out.
+_NO_MESSAGE = b"~\r\n"
 
 
 class Acutrol3000:
@@ -56,15 +62,17 @@ class Acutrol3000:
         self._reply_timeout_s = reply_timeout_s
         self._framing = ReplyFraming()
         self._out_of_step = False
+        self._is_new = True
         self._limits: tuple[float, float, float] | None = None
         self._moved = self._axes
-        self._read_query = ":Read:" + ";".join(f"Position? {n};Rate? {n}" for n in self._axes)
+        positions_and_rates = ":Read:" + ";".join(f"Position? {n};Rate? {n}" for n in self._axes)
+        self._read_query = f"{positions_and_rates};{self._status_query('STATE')}"
         self._done_query = self._status_query("STATE", "DYN")
         self._fault_query = self._status_query("STATE", "SWFLT", "INTLK")
 
     def identify(self) -> str:
         """Answer to ``*IDN?``."""
-        return self._exchange("*IDN?")
+        return self._exchange("*IDN?", str)
 
     def prepare(self) -> None:
         """Lock the front panel out, clear faults, close the servos, set the limits given before."""
@@ -83,6 +91,13 @@ class Acutrol3000:
         bounds = ",".join(map(_number, (rate_dps, acceleration_dps2, jerk_dps3)))
         self._command(";".join(f":Limit {n},{mode},{bounds}" for n in self._axes for mode in _LIMITED_MODES))
         self._limits = (rate_dps, acceleration_dps2, jerk_dps3)
+
+    def limits(self) -> tuple[AxisLimits, ...]:
+        """Read the absolute limits of each axis, which no command goes beyond."""
+        count = len(fields(AxisLimits))
+        query = ":Limit:" + ";".join(f"Absolute? {n}" for n in self._axes)
+        values = self._numbers(query, count)
+        return tuple(AxisLimits(*values[i : i + count]) for i in range(0, len(values), count))
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
         """Start to move axes to absolute angles, in one message and so in one servo frame."""
@@ -110,15 +125,11 @@ class Acutrol3000:
         self._command(f":Demand:Rate {axis},{_number(rate_dps)};:Mode:Rate {axis}")
 
     def read(self) -> TableReading:
-        """Position and rate of all axes in one servo frame."""
-        text = self._exchange(self._read_query)
-        try:
-            values = tuple(map(float, text.split(";")))
-        except ValueError:
-            raise self._unexpected(self._read_query, text) from None
-        if len(values) != 2 * len(self._axes) or not all(map(math.isfinite, values)):
-            raise self._unexpected(self._read_query, text)
-        return TableReading(values[0::2], values[1::2])
+        """Position, rate and servo state of all axes in one servo frame."""
+        values = self._numbers(self._read_query, 3)
+        motion, states = values[: 2 * len(self._axes)], values[2 * len(self._axes) :]
+        is_servoed = all(int(state) & STATE_SERVOED for state in states)
+        return TableReading(motion[0::2], motion[1::2], is_servoed)
 
     def faults(self) -> list[str]:
         """Latched faults and open interlocks of every axis."""
@@ -174,25 +185,37 @@ class Acutrol3000:
             f"an axis is not under servo control ({causes}). Clear the cause and prepare the table again.",
         )
 
+    def _numbers(self, query: str, count: int) -> tuple[float, ...]:
+        """Finite numbers that answer a query, ``count`` for each axis."""
+        return self._exchange(query, lambda text: _finite_numbers(text, count * len(self._axes)))
+
     def _registers(self, query: str, count: int) -> dict[int, tuple[int, ...]]:
         """Status registers of each axis, ``count`` of each."""
-        text = self._exchange(query)
-        values = text.split(";")
-        if len(values) != count * len(self._axes) or not all(map(_REGISTER.fullmatch, values)):
-            raise self._unexpected(query, text)
-        numbers = tuple(map(int, values))
+        numbers = self._exchange(query, lambda text: _whole_numbers(text, count * len(self._axes)))
         return {n: numbers[i * count : (i + 1) * count] for i, n in enumerate(self._axes)}
 
     def _command(self, message: str) -> None:
-        # some firmware sends an empty line instead of OK
-        if (text := self._exchange(message)) not in ("OK", ""):
-            raise self._unexpected(message, text)
+        self._exchange(message, _acknowledgement)
 
-    def _exchange(self, message: str) -> str:
-        """Send one message and return the text of its reply."""
+    def _exchange(self, message: str, understood: Callable[[str], AnswerT]) -> AnswerT:
+        """Send one message and return what its reply says; the first one of all is tried twice.
+
+        Whoever spoke last may have left half a message with the controller, or be owed a reply.
+        ``understood`` raises ValueError for a text that is no reply to this message.
+        """
+        if self._is_new:
+            self._is_new = False
+            try:
+                return self._exchange_once(message, understood)
+            except (NoReplyError, ReplyError, RefusedError):
+                self._out_of_step = True
+        return self._exchange_once(message, understood)
+
+    def _exchange_once(self, message: str, understood: Callable[[str], AnswerT]) -> AnswerT:
         line = self._line
         if self._out_of_step:
-            self._await_silence()
+            line.write(_NO_MESSAGE)
+            line.await_silence(self._reply_timeout_s, _LONGEST_NOISE * self._reply_timeout_s)
         line.discard_input()
         self._out_of_step = True
         line.write(message.encode("ascii") + b"\r\n")
@@ -208,28 +231,42 @@ class Acutrol3000:
             detail = str(error).removeprefix(f"{line.instrument}: ")
             raise NoReplyError(line.instrument, f"no complete reply to {message}: {detail}") from error
         text = body.decode("ascii", errors="backslashreplace").strip()
-        self._out_of_step = False
         if code:
+            self._out_of_step = False
             raise RefusedError(line.instrument, f"{message} was refused with error {code} {text}".rstrip())
-        return text
+        try:
+            answer = understood(text)
+        except ValueError:
+            raise self._unexpected(message, text) from None
+        self._out_of_step = False
+        return answer
 
     def _unexpected(self, message: str, reply: str) -> ReplyError:
-        self._out_of_step = True
         return ReplyError(
             self._line.instrument,
             f"{message} was answered by {reply!r}. Does another program use this line?",
         )
 
-    def _await_silence(self) -> None:
-        """Let a late reply arrive, so that it can't be taken for the next one."""
-        clock = self._line.clock
-        deadline = Deadline(clock, self._reply_timeout_s)
-        while not deadline.expired():
-            try:
-                self._line.read(1, Deadline(clock, _SILENCE_SHARE * self._reply_timeout_s))
-            except NoReplyError:
-                return
-
 
 def _number(value: float) -> str:
     return f"{value:.6f}"
+
+
+def _acknowledgement(text: str) -> None:
+    # some firmware sends an empty line instead of OK
+    if text not in ("OK", ""):
+        raise ValueError
+
+
+def _finite_numbers(text: str, count: int) -> tuple[float, ...]:
+    values = tuple(map(float, re.split("[;,]", text)))
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise ValueError
+    return values
+
+
+def _whole_numbers(text: str, count: int) -> tuple[int, ...]:
+    values = text.split(";")
+    if len(values) != count or not all(map(_REGISTER.fullmatch, values)):
+        raise ValueError
+    return tuple(map(int, values))

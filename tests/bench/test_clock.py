@@ -1,9 +1,50 @@
 import gc
 import time
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.clock import VIRTUAL_EPOCH, Deadline, VirtualClock, WallClock, clock_named
+import bench.clock
+from bench.clock import RESUME_STEP_S, VIRTUAL_EPOCH, Deadline, VirtualClock, WallClock, clock_named
+
+TEN = datetime(2026, 3, 1, 10, tzinfo=UTC)
+
+
+class Host:
+    """Stands in for the host's calendar and its steady clocks."""
+
+    def __init__(self):
+        self.calendar = TEN
+        self.steady_s = {time.CLOCK_MONOTONIC: 500.0, time.CLOCK_BOOTTIME: 800.0}
+        self.slept_s = 0.0
+
+    def now(self, zone):
+        return self.calendar.astimezone(zone)
+
+    def clock_gettime(self, kind):
+        return self.steady_s[kind]
+
+    def sleep(self, duration_s):
+        self.slept_s += duration_s
+        self.passes(duration_s)
+
+    def passes(self, duration_s):
+        self.calendar += timedelta(seconds=duration_s)
+        for kind in self.steady_s:
+            self.steady_s[kind] += duration_s
+
+    def is_suspended(self, duration_s):
+        self.calendar += timedelta(seconds=duration_s)
+        self.steady_s[time.CLOCK_BOOTTIME] += duration_s
+
+
+@pytest.fixture
+def host(monkeypatch):
+    host = Host()
+    monkeypatch.setattr(bench.clock, "datetime", host)
+    monkeypatch.setattr(bench.clock.time, "clock_gettime", host.clock_gettime)
+    monkeypatch.setattr(bench.clock.time, "sleep", host.sleep)
+    return host
 
 
 def test_a_virtual_wait_takes_no_real_time():
@@ -56,3 +97,59 @@ def test_a_clock_is_found_by_its_name_while_it_is_in_use():
     gc.collect()
     with pytest.raises(KeyError):
         clock_named(name)
+
+
+def test_a_resumed_virtual_run_goes_on_where_it_was():
+    clock = VirtualClock(start_s=7200.5)
+    assert clock.now() == 7200.5
+    clock.sleep(0.5)
+    assert clock.utc() == VIRTUAL_EPOCH + timedelta(seconds=7201)
+    assert clock.calendar_offset_s() == 0.0
+
+
+def test_a_wall_clock_begins_at_the_calendars_time(host):
+    clock = WallClock()
+    assert (clock.now(), clock.epoch) == (0.0, TEN)
+    host.passes(90.0)
+    assert (clock.now(), clock.utc()) == (90.0, TEN + timedelta(seconds=90))
+
+
+def test_a_wall_clock_can_begin_later_than_zero_at_the_calendars_time(host):
+    clock = WallClock(start_s=30.0)
+    assert (clock.now(), clock.utc()) == (30.0, TEN)
+
+
+@pytest.mark.parametrize("step_s", [86400.0, -86400.0])
+def test_setting_the_calendar_changes_no_wait_and_is_told(host, step_s):
+    clock = WallClock()
+    deadline = Deadline(clock, 10.0)
+    host.calendar += timedelta(seconds=step_s)
+    assert deadline.remaining_s() == 10.0
+    clock.sleep_until(4.0)
+    assert host.slept_s == 4.0
+    assert clock.utc() == TEN + timedelta(seconds=4)
+    assert clock.calendar_offset_s() == step_s
+
+
+def test_time_goes_on_while_the_host_is_suspended(host):
+    clock = WallClock()
+    host.is_suspended(3600.0)
+    assert clock.now() == 3600.0
+    assert clock.calendar_offset_s() == 0.0
+
+
+def test_a_resumed_run_goes_on_at_the_calendars_time(host):
+    host.passes(5400.0)
+    clock = WallClock.resumed(TEN, last_s=1800.0)
+    assert (clock.now(), clock.epoch) == (5400.0, TEN)
+    assert clock.utc() == host.calendar
+
+
+def test_the_time_of_a_resumed_run_never_goes_back_where_the_calendar_did(host):
+    host.calendar -= timedelta(hours=3)
+    clock = WallClock.resumed(TEN, last_s=1800.0)
+    assert clock.now() == 1800.0 + RESUME_STEP_S
+    assert clock.epoch == TEN
+    host.passes(1.0)
+    assert clock.utc() == TEN + timedelta(seconds=1801.0 + RESUME_STEP_S)
+    assert clock.calendar_offset_s() == pytest.approx(-3 * 3600.0 - 1800.0 - RESUME_STEP_S)

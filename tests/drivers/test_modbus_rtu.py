@@ -1,9 +1,15 @@
 import pytest
-from hypothesis import given
+import serial
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymodbus.framer.rtu import FramerRTU
 
-from drivers.modbus_rtu import crc16, framed
+from bench.clock import VirtualClock
+from bench.errors import NoReplyError, ReplyError
+from drivers.modbus_rtu import PAUSE_AFTER_READ_S, ModbusRtu, crc16, framed
+from drivers.serial_line import SerialLine
+
+TIMEOUT_S = 1.0
 
 WATLOW_F4_FRAMES = [
     "01 03 00 64 00 01 C5 D5",
@@ -40,3 +46,104 @@ def test_a_wrong_bit_is_noticed(content, bit):
     frame = bytearray(framed(content))
     frame[bit // 8] ^= 1 << (bit % 8)
     assert crc16(bytes(frame)) != 0
+
+
+class LatePort:
+    """A port with a device whose register n holds n; each reply comes when a script says.
+
+    The script has an entry for each request: when copies of the reply come, in seconds after it, and
+    whether each is damaged.
+    """
+
+    def __init__(self, clock):
+        self.clock = clock
+        self.script = []
+        self.timeout = 0.0
+        self._due = []
+
+    def write(self, request):
+        register, count = int.from_bytes(request[2:4]), int.from_bytes(request[4:6])
+        values = b"".join((register + i).to_bytes(2) for i in range(count))
+        reply = framed(bytes((1, 3, len(values))) + values)
+        for delay_s, is_damaged in self.script.pop(0):
+            arrives_s = self.clock.now() + delay_s
+            self._due += [(arrives_s, byte ^ is_damaged) for byte in reply]
+        self._due.sort(key=lambda arrival: arrival[0])
+
+    def read(self, count):
+        end_s, data = self.clock.now() + self.timeout, bytearray()
+        while len(data) < count and self._due and self._due[0][0] <= end_s:
+            arrives_s, byte = self._due.pop(0)
+            self.clock.sleep_until(arrives_s)
+            data.append(byte)
+        if len(data) < count:
+            self.clock.sleep_until(end_s)
+        return bytes(data)
+
+    def reset_input_buffer(self):
+        self._due = [arrival for arrival in self._due if arrival[0] > self.clock.now()]
+
+    def flush(self):
+        pass
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def port(monkeypatch):
+    port = LatePort(VirtualClock())
+    monkeypatch.setattr(serial, "serial_for_url", lambda *_, **__: port)
+    return port
+
+
+@pytest.fixture
+def modbus(port):
+    return ModbusRtu(SerialLine("chamber", "late", port.clock), 1, TIMEOUT_S)
+
+
+SOON = st.floats(0.0, 0.9 * TIMEOUT_S)
+LATE = st.floats(1.001 * TIMEOUT_S, 1.999 * TIMEOUT_S)
+EVER = st.floats(0.0, 1.999 * TIMEOUT_S)
+GOOD, DAMAGED = st.just(0), st.just(1)
+#: In time, perhaps twice before the next question; or too late, perhaps several times; or damaged, and
+#: then whatever; or lost.
+REPLIES = st.one_of(
+    st.tuples(SOON, st.lists(st.floats(0.0, 0.9 * PAUSE_AFTER_READ_S), max_size=2)).map(
+        lambda reply: [(reply[0], 0), *((reply[0] + more_s, 0) for more_s in reply[1])]
+    ),
+    st.lists(st.tuples(LATE, GOOD), min_size=1, max_size=3),
+    st.tuples(SOON, st.lists(st.tuples(EVER, GOOD), max_size=2)).map(
+        lambda reply: [(reply[0], 1), *((max(reply[0], at_s), bad) for at_s, bad in reply[1])]
+    ),
+    st.just([]),
+)
+QUESTIONS = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 2), REPLIES), min_size=2, max_size=12)
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(questions=QUESTIONS)
+def test_no_late_lost_or_repeated_reply_gives_the_value_of_another_register(port, modbus, questions):
+    for register, count, replies in questions:
+        port.script = [replies]
+        try:
+            values = modbus.read(register, count)
+        except (NoReplyError, ReplyError):
+            continue
+        assert values == tuple(range(register, register + count))
+    port.script = [[(0.01, 0)]]
+    assert modbus.read(3) == (3,)
+
+
+def test_a_reply_that_came_too_late_passes_before_the_next_question(port, modbus):
+    port.script = [[(1.9, 0)], [(0.01, 0)]]
+    with pytest.raises(NoReplyError):
+        modbus.read(7)
+    assert modbus.read(8) == (8,)
+    assert port.clock.now() == pytest.approx(1.9 + TIMEOUT_S + 0.01)
+
+
+def test_a_good_reply_costs_no_wait_for_silence(port, modbus):
+    port.script = [[(0.01, 0)], [(0.01, 0)]]
+    assert modbus.read(7) + modbus.read(8) == (7, 8)
+    assert port.clock.now() == pytest.approx(0.02 + PAUSE_AFTER_READ_S)

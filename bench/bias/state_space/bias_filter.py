@@ -16,7 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
+from scipy.special import erfc
 
 from bench.bias.dwell import BiasEstimate, Dwell, TurnPath
 from bench.bias.least_squares import solve
@@ -69,6 +71,8 @@ class StateSpaceEstimate(BiasEstimate):
         m/s^2, body axes; an axis that stays vertical is not measured and keeps its prior uncertainty.
     fit : FitTest
         Whether the model explains the data.
+    steady_p_value : float
+        Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     information : DwellInformation
         For the joint solution of several dwells.
     """
@@ -76,6 +80,7 @@ class StateSpaceEstimate(BiasEstimate):
     accelerometer_bias: Array
     accelerometer_sigma: Array
     fit: FitTest
+    steady_p_value: float
     information: DwellInformation
 
 
@@ -190,6 +195,7 @@ class BiasFilter:
             accelerometer_bias=unknowns[acceleration],
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
             fit=self._fit_test(unknowns, covariance),
+            steady_p_value=self._steady_p_value(information),
             information=information,
         )
 
@@ -200,6 +206,19 @@ class BiasFilter:
     def _solved(self, information: DwellInformation) -> tuple[Array, Array]:
         prior_root = causes.prior_root(self._prior, len(self._windows), self._earth_rate)
         return solve(information.rows, information.data, prior_root)
+
+    def _steady_p_value(self, information: DwellInformation) -> float:
+        """Give each window after the first its own biases, and see whether any differs from those of all.
+
+        The sums of the test of fit are many, and hide a small difference between two windows.
+        """
+        changes = [window.root[:, whitening.INPUT :][:, :3] @ window.C_nb for window in self._windows]
+        rows = np.hstack([information.rows, block_diag(*changes)[:, 3:]])
+        prior_root = causes.prior_root(self._prior, len(self._windows), self._earth_rate)
+        count, wide = len(prior_root), np.eye(rows.shape[1] - len(prior_root)) * causes.WIDE_GYRO_BIAS
+        unknowns, covariance = solve(rows, information.data, block_diag(prior_root, wide))
+        away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
+        return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
 
     def _from_first(self, gyro_c: Array) -> Array:
         if self._reference_c is None:

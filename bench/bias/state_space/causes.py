@@ -25,7 +25,9 @@ COMMON = 23
 HEADING, VELOCITY, ATTITUDE = 0, slice(1, 3), slice(3, 6)
 PER_WINDOW = 6
 
-_HEADING, _VELOCITY, _FIRST_ATTITUDE, _GYRO_BIAS = 1.0, 10.0, 0.1, 0.01
+#: So wide a prior of a gyro's bias, rad/s, that it only keeps the problem regular.
+WIDE_GYRO_BIAS = 0.01
+_HEADING, _VELOCITY, _FIRST_ATTITUDE = 1.0, 10.0, 0.1
 
 
 def inputs(C_nb: NDArray[np.float64], rate_body: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -66,7 +68,7 @@ def prior_root(prior: PriorKnowledge, windows: int, earth_rate: NDArray[np.float
     """
     root = np.zeros((COMMON + PER_WINDOW * windows,) * 2)
     sigmas = np.diagonal(root).copy()
-    sigmas[GYRO_BIAS], sigmas[GYRO_SLOPE] = _GYRO_BIAS, prior.bias_slope
+    sigmas[GYRO_BIAS], sigmas[GYRO_SLOPE] = WIDE_GYRO_BIAS, prior.bias_slope
     sigmas[ACCELEROMETER_BIAS] = prior.accelerometer_bias
     sigmas[ACCELEROMETER_DRIFT] = prior.accelerometer_drift
     matrix = np.full((3, 3), prior.gyro_misalignment)

@@ -11,7 +11,10 @@ from pathlib import Path
 
 from bench.errors import DocumentError
 from bench.files import write_whole
+from bench.reading import read_limited
 
+#: Some hundred thousand dwells.
+MAX_TABLE_BYTES = 100_000_000
 _SHOWN_PROBLEMS = 20
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -66,6 +69,15 @@ class CsvTable:
         """Give the cell as it stands; empty where the table has no such column."""
         position = self._columns.get(column)
         return "" if position is None else self._rows[index][position].strip()
+
+    def name(self, index: int, column: str) -> str:
+        """Read a name; one that a spreadsheet would take for a formula is a mistake."""
+        text = self.text(index, column)
+        if text.startswith(("=", "+", "-", "@")):
+            self.problem(
+                index, column, f"a name can't begin with '{text[0]}', as formulas do; found '{text}'"
+            )
+        return text
 
     def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
         """Read one of some words."""
@@ -153,12 +165,10 @@ def read_text(path: Path) -> str:
     Raises
     ------
     DocumentError
-        The file can't be read.
+        The file can't be read, is too large, or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+        return read_limited(path, MAX_TABLE_BYTES, DocumentError).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
 

@@ -206,8 +206,8 @@ def _row(table: CsvTable, index: int) -> DwellRow:
         return table.number(index, name, may_be_empty=name in _OPTIONAL)
 
     row = DwellRow(
-        unit=table.text(index, "unit"),
-        run=table.text(index, "run"),
+        unit=table.name(index, "unit"),
+        run=table.name(index, "run"),
         dwell=table.integer(index, "dwell"),
         cycle=table.integer(index, "cycle"),
         position=table.choice(index, "position", POSITIONS),

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Sized
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import ConfigDict, Field, model_validator
 
 from bench.bias.noise.allan import AllanVariance, RateNoise
 from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
 from bench.bias.tables.csv_text import read_text, write_text
+from bench.documents import StrictModel
 from bench.errors import DocumentError
 from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from bench.navigation.positions import AXES
+from bench.reading import parse_json
 
 _UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"
 #: An array of plain numbers, which goes into one line.
+_OfTerms = Annotated[list[float], Field(min_length=3, max_length=3)]
 _ARRAY = re.compile(r"\[[^][{}]*\]")
 
 
@@ -46,18 +50,68 @@ def read_noise(path: Path) -> NoiseEstimate:
     """
     text = read_text(path)
     try:
-        data = json.loads(text)
-        x, y, z = (_channel(each) for each in data["gyros"])
-        return NoiseEstimate(
-            gyros=(x, y, z),
-            all_gyros=_channel(data["all_gyros"]),
-            heading=_channel(data["heading"]),
-            acceleration=_channel(data["acceleration"]),
-            gravity=data["gravity"],
-            duration_s=data["duration_s"],
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        data = _NoiseFile.model_validate(parse_json(text))
+    except ValueError as error:
         raise DocumentError(f"{path}: holds no noise estimate: {error}") from error
+    x, y, z = map(_channel, data.gyros)
+    return NoiseEstimate(
+        gyros=(x, y, z),
+        all_gyros=_channel(data.all_gyros),
+        heading=_channel(data.heading),
+        acceleration=_channel(data.acceleration),
+        gravity=data.gravity,
+        duration_s=data.duration_s,
+    )
+
+
+class _Part(StrictModel):
+    """What was measured may be infinite or not a number."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+
+class _Allan(_Part):
+    interval_s: float = Field(gt=0.0)
+    factors: list[Annotated[int, Field(ge=1, lt=2**53)]]
+    variance: list[float]
+    counts: list[Annotated[int, Field(ge=0, lt=2**53)]]
+    lengths: list[Annotated[int, Field(ge=0, lt=2**53)]]
+
+
+class _Fit(_Part):
+    terms: _OfTerms
+    unbounded: _OfTerms
+    covariance: Annotated[list[_OfTerms], Field(min_length=3, max_length=3)]
+    expected: list[float]
+    used: list[bool]
+    edf: list[float]
+    misfit: float
+
+
+class _Channel(_Part):
+    allan: _Allan
+    step: float
+    fit: _Fit | None
+
+    @model_validator(mode="after")
+    def _same_averaging_times(self) -> Self:
+        lists: list[Sized] = [self.allan.variance, self.allan.counts]
+        if self.fit is not None:
+            lists += [self.fit.expected, self.fit.used, self.fit.edf]
+        if any(len(each) != len(self.allan.factors) for each in lists):
+            raise ValueError("every averaging time needs one value of each kind")
+        return self
+
+
+class _NoiseFile(_Part):
+    units: str
+    summary: dict[str, Any]
+    gyros: Annotated[list[_Channel], Field(min_length=3, max_length=3)]
+    all_gyros: _Channel
+    heading: _Channel
+    acceleration: _Channel
+    gravity: float
+    duration_s: float
 
 
 def _summary(noise: NoiseEstimate) -> dict[str, dict[str, float | bool | None]]:
@@ -88,11 +142,11 @@ def _short(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def _channel(data: Mapping[str, Any]) -> ChannelNoise:
-    fit = data["fit"] and RateNoise(**_arrays(data["fit"]))
-    allan = {**_arrays(data["allan"]), "lengths": tuple(data["allan"]["lengths"])}
-    return ChannelNoise(AllanVariance(**allan), data["step"], fit)
+def _channel(data: _Channel) -> ChannelNoise:
+    fit = None if data.fit is None else RateNoise(**_arrays(data.fit))
+    allan = {**_arrays(data.allan), "lengths": tuple(data.allan.lengths)}
+    return ChannelNoise(AllanVariance(**allan), data.step, fit)
 
 
-def _arrays(data: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: np.array(value) if isinstance(value, list) else value for name, value in data.items()}
+def _arrays(data: _Part) -> dict[str, Any]:
+    return {name: np.array(value) if isinstance(value, list) else value for name, value in data}

@@ -12,7 +12,7 @@ from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from bench.errors import GyrobenchError
 from drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
-from drivers.emulators.serial_instrument import SerialInstrument
+from drivers.emulators.serial_instrument import Connection, SerialInstrument
 
 
 class Serial(SerialBase):  # the name that pyserial looks for
@@ -20,6 +20,7 @@ class Serial(SerialBase):  # the name that pyserial looks for
 
     _bench: EmulatedBench
     _instrument: SerialInstrument
+    _connection: Connection
 
     def open(self) -> None:
         """Connect to the instrument that the address names."""
@@ -28,12 +29,17 @@ class Serial(SerialBase):  # the name that pyserial looks for
         try:
             name, address = parse_address(self.portstr or "")
             self._bench = emulated_bench(address)
+            self._bench.advance()
         except GyrobenchError as error:
             raise SerialException(str(error)) from error
         if name not in self._bench.serial:
             names = ", ".join(sorted(self._bench.serial))
             raise SerialException(f"no emulated instrument {name!r}; there are: {names}")
         self._instrument = self._bench.serial[name]
+        self._connection = self._bench.connections[name]
+        self._opened_number = self._connection.number
+        if self._connection.broken:
+            raise SerialException(f"could not open port {self.portstr}: [Errno 2] No such file or directory")
         self._due: deque[tuple[float, bytes]] = deque()
         self._arrived = bytearray()
         self.is_open = True
@@ -75,8 +81,9 @@ class Serial(SerialBase):  # the name that pyserial looks for
 
     def write(self, data: bytes, /) -> int:  # type: ignore[override]
         """Send bytes to the instrument; its reply arrives after its latency."""
+        if self.is_open:
+            self._bench.advance()
         self._check_open()
-        self._bench.advance()
         now_s = self._bench.clock.now()
         reply = self._instrument.feed(bytes(data), now_s)
         if reply:
@@ -103,3 +110,5 @@ class Serial(SerialBase):  # the name that pyserial looks for
     def _check_open(self) -> None:
         if not self.is_open:
             raise PortNotOpenError
+        if self._connection.number != self._opened_number:
+            raise SerialException("[Errno 5] Input/output error: the device is gone")

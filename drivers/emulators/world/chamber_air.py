@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 #: Least cooling, as a share of full power, at which the compressor runs without a pause.
 _LEAST_STEADY_COOLING = 0.3
+#: How fast the room's air comes in by an open door.
+_DOOR_TIME_CONSTANT_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,28 @@ class ChamberParameters:
     high_c: float = 100.0
 
 
+@dataclass
+class AirFaults:
+    """What keeps the air from its set point.
+
+    Attributes
+    ----------
+    stopped : bool
+        The machinery stands still although it is told to run.
+    blind : bool
+        The controller has no reading to control by.
+    error_c : float
+        The control holds the air so far from its set point.
+    door_open : bool
+        The room's air comes in, faster than the machinery works.
+    """
+
+    stopped: bool = False
+    blind: bool = False
+    error_c: float = 0.0
+    door_open: bool = False
+
+
 class ChamberAir:
     """Air temperature of a chamber under control, or left alone.
 
@@ -51,6 +75,8 @@ class ChamberAir:
         The set point as ramped so far.
     power : float
         Share of full power: 1 heats, -1 cools.
+    faults : AirFaults
+        What keeps the machinery from its work.
     compressor_duty : float
         Share of the time that the compressor runs: it can't be throttled at will, so it works in
         bursts where little heat has to be taken out.
@@ -64,6 +90,7 @@ class ChamberAir:
         self.running = False
         self.working_set_point_c = self.air_c
         self.power = 0.0
+        self.faults = AirFaults()
 
     @property
     def compressor_duty(self) -> float:
@@ -72,10 +99,12 @@ class ChamberAir:
 
     def step(self, dt_s: float) -> None:
         """Go on by ``dt_s``."""
-        if self.running:
+        if self.faults.door_open:
+            self._drift(dt_s, _DOOR_TIME_CONSTANT_S)
+        elif self.running and not (self.faults.stopped or self.faults.blind):
             self._control(dt_s)
         else:
-            self._drift(dt_s)
+            self._drift(dt_s, self.parameters.ambient_time_constant_s)
 
     def disturb(self, delta_c: float) -> None:
         """Change the air's temperature at once, as an opened door does."""
@@ -88,7 +117,7 @@ class ChamberAir:
             span_c = self.ramp_rate_c_per_min * dt_s / 60.0
             target_c = _within(target_c, self.working_set_point_c - span_c, self.working_set_point_c + span_c)
         self.working_set_point_c = target_c
-        gap_c = _within(target_c, limits.low_c, limits.high_c) - self.air_c
+        gap_c = _within(target_c + self.faults.error_c, limits.low_c, limits.high_c) - self.air_c
         wanted_c_per_min = -gap_c * math.expm1(-dt_s / limits.control_time_constant_s) * 60.0 / dt_s
         rate_c_per_min = _within(
             wanted_c_per_min, -limits.cooling_limit_c_per_min, limits.heating_limit_c_per_min
@@ -105,10 +134,9 @@ class ChamberAir:
         )
         self.power = _within(demand_c_per_min / full_c_per_min, -1.0, 1.0)
 
-    def _drift(self, dt_s: float) -> None:
-        limits = self.parameters
-        share = -math.expm1(-dt_s / limits.ambient_time_constant_s)
-        self.air_c += (limits.ambient_c - self.air_c) * share
+    def _drift(self, dt_s: float, time_constant_s: float) -> None:
+        share = -math.expm1(-dt_s / time_constant_s)
+        self.air_c += (self.parameters.ambient_c - self.air_c) * share
         # Control that is switched on later ramps from where the air is by then.
         self.working_set_point_c = self.air_c
         self.power = 0.0

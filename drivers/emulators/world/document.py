@@ -20,6 +20,8 @@ PositiveHeatConductance = Annotated[float, Field(gt=0.0, le=5.0)]
 def _has_a_direction(vector: list[float]) -> list[float]:
     if not any(vector):
         raise ValueError("a direction has to have a component that is not zero")
+    if not 1e-6 <= max(map(abs, vector)) <= 1e6:
+        raise ValueError("the largest component of a direction has to be between 1e-6 and 1e6")
     return vector
 
 

@@ -79,6 +79,8 @@ class InertialUnit:
         The compensation's numbers as loaded so far.
     compensation : Compensation or None
         What is subtracted from the gyros' output.
+    never_aligns : bool
+        Alignment goes on without ever coming to a result.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
@@ -97,6 +99,7 @@ class InertialUnit:
         self.mode = Mode.OFF
         self.alignment = Alignment.INVALID
         self.pitch_first = False
+        self.never_aligns = False
         self.clear_compensation()
         self._reset_state()
 
@@ -227,7 +230,7 @@ class InertialUnit:
             return
         self._sums += self._second
         self._aligned_samples += self._second_samples
-        if self.align_time_s >= self._behaviour.coarse_alignment_s:
+        if self.align_time_s >= self._behaviour.coarse_alignment_s and not self.never_aligns:
             fine = self.align_time_s >= self._behaviour.fine_alignment_s
             self.alignment = Alignment.FINE if fine else Alignment.COARSE
             self._state[:4] = gyrocompass(self._sums[0], self._sums[1])

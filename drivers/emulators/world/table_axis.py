@@ -27,6 +27,8 @@ from drivers.emulators.world.motion_profile import (
 Array = NDArray[np.float64]
 
 _ARCSEC_DEG = 1.0 / 3600.0
+#: How much harder than the servo an obstacle brakes.
+_JAM = 50.0
 #: How long before the last command the past can still be asked for.
 _MEMORY_S = 1.0
 
@@ -78,6 +80,8 @@ class TableAxis:
     ----------
     limits : AxisLimits
         Bounds for the commands from now on; may be set, and does not change a motion under way.
+    friction_deg : float
+        How far before the target a move ends, because the servo is too weak for the last bit.
     """
 
     def __init__(self, parameters: AxisParameters, position_deg: float = 0.0) -> None:
@@ -85,14 +89,20 @@ class TableAxis:
         self.limits = parameters.limits
         rest = Motion(0.0, AxisState(position_deg), [], Settling(0.0, 1.0))
         self._motions = [rest]
+        self._commanded: Motion | None = None
+        self._missed_deg = self.friction_deg = 0.0
         self._complete_from_s, self._complete_until_s = 0.0, math.inf
         self._rest_angle_deg = self._true_angle(np.asarray(position_deg))
 
     def move_to(self, position_deg: float, now_s: float) -> None:
         """Move to a position of the encoder and stay; beyond a position limit means that limit."""
         target_deg = min(max(position_deg, self.limits.low_deg), self.limits.high_deg)
-        up, along, down = move(self.encoder(now_s), target_deg, self.limits)
-        self._start(now_s, [*up, *along, *down], self._settling(down), target_deg)
+        way_deg = target_deg - self.encoder(now_s).position_deg
+        missed_deg = math.copysign(min(self.friction_deg, abs(way_deg)), way_deg)
+        reached_deg = target_deg - missed_deg
+        up, along, down = move(self.encoder(now_s), reached_deg, self.limits)
+        self._start(now_s, [*up, *along, *down], self._settling(down), reached_deg)
+        self._missed_deg = missed_deg
 
     def turn_at(self, rate_dps: float, now_s: float) -> None:
         """Turn at a rate until the next command; at a position limit the axis stops by itself."""
@@ -117,6 +127,40 @@ class TableAxis:
         pieces = change_rate(self.encoder(now_s), 0.0, self.limits)
         self._start(now_s, pieces, self._settling([]))
 
+    def overcome(self, now_s: float, by_deg: float = 0.0) -> None:
+        """Let something stronger than the servo take the axis so far from where it is, and keep it there.
+
+        What is commanded from now on moves the command alone, until :meth:`let_go`.
+        """
+        start, limits = self.encoder(now_s), self.parameters.limits
+        if by_deg:
+            target_deg = start.position_deg + by_deg
+            up, along, down = move(start, target_deg, limits)
+            pieces = [*up, *along, *down]
+        else:
+            target_deg = None
+            hard = replace(
+                limits,
+                acceleration_dps2=_JAM * limits.acceleration_dps2,
+                jerk_dps3=_JAM**2 * limits.jerk_dps3,
+            )
+            pieces = change_rate(start, 0.0, hard)
+        commanded = self._commanded or self._motions[-1]
+        self._follow(Motion(now_s, start, pieces, self._settling([]), target_deg))
+        self._commanded = commanded
+
+    def let_go(self, now_s: float, *, servo: bool) -> None:
+        """End what :meth:`overcome` and :attr:`friction_deg` did; the servo, if any, follows its command."""
+        commanded, self._commanded = self._commanded, None
+        target_deg = self.rest_position_deg + self._missed_deg
+        self._missed_deg = 0.0
+        if commanded is not None:
+            target_deg = commanded.last_state.position_deg
+        if servo and math.isfinite(self._complete_until_s):
+            self.stop(now_s)  # a rate that was not kept is not made up for
+        elif servo and target_deg != self.rest_position_deg:
+            self.move_to(target_deg, now_s)
+
     def encoder(self, now_s: float) -> AxisState:
         """Return what the encoder reads at a time not before the last command."""
         return self._motions[-1].at(now_s)
@@ -127,8 +171,12 @@ class TableAxis:
         return self._motions[-1].last_state.position_deg
 
     def following_error_deg(self, now_s: float) -> float:
-        """Return encoder minus commanded profile: the overshoot while the axis settles."""
+        """Return encoder minus commanded profile: the overshoot while the axis settles, or what it misses."""
         motion = self._motions[-1]
+        if self._commanded is not None:
+            return self.encoder(now_s).position_deg - self._commanded.at(now_s).position_deg
+        if self._missed_deg and now_s >= motion.still_from_s:
+            return -self._missed_deg
         if motion.end_s < now_s < motion.still_from_s:
             return motion.at(now_s).position_deg - motion.last_state.position_deg
         return 0.0
@@ -157,11 +205,19 @@ class TableAxis:
         self, now_s: float, pieces: list[Piece], settling: Settling, target_deg: float | None = None
     ) -> None:
         motion = Motion(now_s, self.encoder(now_s), pieces, settling, target_deg)
+        self._missed_deg = 0.0
+        self._complete_from_s, self._complete_until_s = motion.end_s, math.inf
+        if self._commanded is not None:
+            self._commanded = motion
+        else:
+            self._follow(motion)
+
+    def _follow(self, motion: Motion) -> None:
+        now_s = motion.start_s
         # a motion is remembered as long as its end, the start of the next one, is recent
         ends_s = [later.start_s for later in self._motions[1:]] + [now_s]
         recent = [m for m, end_s in zip(self._motions, ends_s, strict=True) if end_s > now_s - _MEMORY_S]
         self._motions = [*recent, motion]
-        self._complete_from_s, self._complete_until_s = motion.end_s, math.inf
         self._rest_angle_deg = self._true_angle(np.asarray(motion.last_state.position_deg))
 
     def _settling(self, braking: list[Piece]) -> Settling:

@@ -35,7 +35,10 @@ class World:
     file : WorldFile
         What the bench is like.
     seed : int
-        Everything random comes from it.
+        Everything random comes from it, and from the start.
+    start_s : int
+        Whole second at which this world begins: at room temperature, the unit off, the table at
+        zero. What depends on time itself goes by the time since zero.
 
     Attributes
     ----------
@@ -47,13 +50,16 @@ class World:
         The INS.
     on_epochs : callable
         Called with the navigation epochs as they come about.
+    broken_sensors : dict of int to float
+        What faulty temperature sensors read, by their place in :meth:`temperatures_c`.
     """
 
-    def __init__(self, file: WorldFile, seed: int) -> None:
+    def __init__(self, file: WorldFile, seed: int, start_s: int = 0) -> None:
         self.file = file
-        self._random = np.random.default_rng(seed)
+        # A bench that is made anew in the middle of a run must not repeat the noise of its beginning.
+        self._random = np.random.default_rng((seed, 0, start_s) if start_s else seed)
         # Its own, so that what else is random does not depend on it.
-        self._unit_random = np.random.default_rng((seed, 1))
+        self._unit_random = np.random.default_rng((seed, 1, start_s) if start_s else (seed, 1))
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _Geometry(file.table)
         self.axes = {number: TableAxis(_axis_parameters(file.table)) for number in (OUTER, INNER)}
@@ -68,12 +74,13 @@ class World:
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)
         self.on_epochs: Callable[[Epochs], None] | None = None
+        self.broken_sensors: dict[int, float] = {}
         self._gyro = gyro_errors(file.gyro)
         self._accelerometer = accelerometer_errors(file.accelerometer)
         self._power_on_bias = np.zeros(3)
-        self._powered_on_sample = 0
+        self._sample = start_s * SAMPLE_RATE_HZ
+        self._powered_on_sample = self._sample
         self._remainders = np.zeros((2, 3))
-        self._sample = 0
         self._resting: tuple[Array, Array, Array] | None = None
         self._errors_now: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
@@ -92,7 +99,7 @@ class World:
     def temperatures_c(self) -> Array:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
         noise = self._random.standard_normal(7)
-        return self.thermal.nodes_c + self.file.thermal.sensor_noise_c * noise
+        return self._as_read(self.thermal.nodes_c + self.file.thermal.sensor_noise_c * noise)
 
     def true_gyro_bias(self) -> Array:
         """The gyro biases at this moment in rad/s, shape (3,): the truth that tests compare with."""
@@ -128,10 +135,16 @@ class World:
         self.thermal.step(1.0, self.air.air_c, up_body)
         self._feel(up_body)
         if self.unit.powered:
-            noise_c = self.file.thermal.sensor_noise_c * self._unit_random.standard_normal((2, 3))
-            self.unit.sense_temperatures(
-                self.thermal.optics_c + noise_c[0], self.thermal.electronics_c + noise_c[1]
-            )
+            noise_c = self.file.thermal.sensor_noise_c * self._unit_random.standard_normal(6)
+            read_c = self.thermal.nodes_c.copy()
+            read_c[1:] += noise_c
+            read_c = self._as_read(read_c)
+            self.unit.sense_temperatures(read_c[1:4], read_c[4:])
+
+    def _as_read(self, nodes_c: Array) -> Array:
+        for place, reading_c in self.broken_sensors.items():
+            nodes_c[place] = reading_c
+        return nodes_c
 
     def _feel(self, up_body: Array) -> None:
         """Let the undeclared effects act for the second that begins; the sensors' errors are new then."""

@@ -40,10 +40,17 @@ class Meddler:
         pass
 
 
-def run_with(tmp_path, kind, deed, procedure="ten_minute_check", nth=1):
+class RefusingOperator(ConsentingOperator):
+    """Gives the last answer: stop, abort."""
+
+    def ask(self, question, answers):
+        self._answer = answers[-1]
+
+
+def run_with(tmp_path, kind, deed, procedure="ten_minute_check", nth=1, operator=None):
     """Run a procedure while somebody meddles; returns run folder, outcome and emulated bench."""
     meddler = Meddler(kind, deed, nth)
     job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0))
-    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    folder, outcome = run_job(job, tmp_path / "run", meddler, operator or RefusingOperator())
     assert meddler.done
     return folder, outcome, meddler.bench

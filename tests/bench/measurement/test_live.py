@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bench.bias.state_space import causes
+from bench.bias.state_space.whitening import whiten
 from bench.measurement.dwell import measure_dwell
-from bench.measurement.live import LiveEstimate
+from bench.measurement.live import LiveEstimate, warm_up
 
 INS_STATUS = 0x010
 
@@ -145,3 +146,14 @@ def test_noise_that_the_first_window_does_not_tell_leaves_the_biases_untold(reco
     short = replace(marks, windows=(replace(first, end_frame=first.first_frame + 37 * 20), second))
     assert Replayed(short, frames, replace(setup, noise=None)).estimate_at(second.end_frame) is None
     assert Replayed(marks, frames, replace(setup, noise=None)).estimate_at(second.end_frame) is not None
+
+
+@pytest.mark.parametrize("has_noise", [True, False])
+def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
+    marks, frames, setup = recorded
+    warm_up(setup if has_noise else replace(setup, noise=None))
+    compiled = list(whiten.signatures)
+    assert compiled
+    measure_dwell(marks, frames, setup)
+    assert Replayed(marks, frames, setup).estimate_at(end_of(recorded)) is not None
+    assert list(whiten.signatures) == compiled

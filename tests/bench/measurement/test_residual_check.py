@@ -23,9 +23,9 @@ steps:
       steps:
         - go_to: {position: $position}
         - align: {duration_s: 60}
-        - navigate: {duration_s: 60}
+        - navigate: {duration_s: 120}
         - turn: {angle_deg: 180}
-        - navigate: {duration_s: 60}
+        - navigate: {duration_s: 120}
   - repeat:
       over: {azimuth_deg: [0, 180]}
       steps:

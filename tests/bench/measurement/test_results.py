@@ -137,8 +137,10 @@ def test_dwells_without_a_set_point_are_one_stop(measured):
 
 def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
     dwells, setup = measured
+    misfits = [misfit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
-        replace(dwell, row=replace(dwell.row, flags=misfit_text(dwell.estimate.fit))) for dwell in dwells
+        replace(dwell, row=replace(dwell.row, flags=misfit), doubts=(misfit,))
+        for dwell, misfit in zip(dwells, misfits, strict=True)
     ]
     found = evaluate(unexplained, [], [], setup, 5.0)
     assert (found.bins, found.joint, found.up_rate) == ([], [], None)

@@ -24,6 +24,7 @@ def optics_c(time_s):
 def series(time_s, **changed):
     """Temperatures that change evenly, the electronics 10 K hotter, the case 5 K cooler than the x gyro."""
     values = {"optics_c": optics_c(time_s), "case_c": optics_c(time_s)[:, 0] - 5.0}
+    values["spread_k"] = np.zeros((len(time_s), 7))
     return Temperatures(time_s, **{**values, "electronics_c": values["optics_c"] + 10.0, **changed})
 
 

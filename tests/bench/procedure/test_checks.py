@@ -154,3 +154,15 @@ def test_shipped_procedures_can_be_run(limits: StationLimits, shipped: Path, nam
         expand(document, procedure),
         replace(limits, reachable=lambda position, azimuth_deg, turns_deg: None),
     )
+
+
+def test_a_temperature_at_which_an_interlock_would_trip_is_refused(
+    planned: PlanOf, limits: StationLimits
+) -> None:
+    document, plan = planned(
+        "  - power_on\n  - chamber: {temperature_c: 60, ramp_c_per_min: 1}\n  - soak: {for_s: 36000}\n"
+    )
+    narrow = replace(limits, gyro_low_c=-60.0, gyro_high_c=65.0)
+    with pytest.raises(DocumentError, match=r"test.yaml:4:15: the gyros would come to \d+ degC"):
+        check(document, plan, narrow)
+    check(document, plan, replace(limits, gyro_high_c=95.0))

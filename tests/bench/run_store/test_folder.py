@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from bench.errors import RunFolderError
-from bench.files import write_whole
 from bench.run_store.folder import RunFolder, create_run_folder, open_run_folder
 
 
@@ -30,14 +29,23 @@ def test_a_folder_without_a_journal_is_no_run_folder(tmp_path):
         open_run_folder(tmp_path)
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "table.csv"
-    write_whole(path, b"old")
-    with pytest.raises(RunFolderError, match="can't be written"):
-        write_whole(tmp_path / "absent" / "table.csv", b"new")
-    write_whole(path, b"new")
-    assert path.read_bytes() == b"new"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+@pytest.mark.parametrize("name", ["figures", "closure/figures", "telemetry"])
+def test_a_run_folder_that_leads_elsewhere_by_a_link_is_refused(tmp_path, name):
+    elsewhere, run = tmp_path / "elsewhere", tmp_path / "run"
+    elsewhere.mkdir()
+    (run / name).parent.mkdir(parents=True, exist_ok=True)
+    (run / "journal.jsonl").write_text("")
+    (run / name).symlink_to(elsewhere)
+    with pytest.raises(RunFolderError, match=f"run/{name}: leads out of the run folder"):
+        open_run_folder(run)
+
+
+def test_a_run_folder_may_itself_be_reached_by_a_link(tmp_path):
+    run = tmp_path / "run"
+    (run / "figures").mkdir(parents=True)
+    (run / "journal.jsonl").write_text("")
+    (tmp_path / "link").symlink_to(run)
+    assert open_run_folder(tmp_path / "link").path == tmp_path / "link"
 
 
 def test_everything_in_a_folder_has_a_name_of_its_own(tmp_path):

@@ -40,6 +40,28 @@ def test_a_left_handed_mounting_is_an_error_with_its_place(changed):
         Station(path)
 
 
+@pytest.mark.parametrize(
+    ("found", "put", "message"),
+    [
+        (
+            "port: emulator://chamber",
+            "port: socket://anna:word@192.168.0.7:4001",
+            "can't hold a user or password",
+        ),
+        ("port: emulator://chamber", "port: rfc2217://anna@host:4001", "can't hold a user or password"),
+        ("channel: ins", "channel: http://anna:word@host", "can't hold a user or password"),
+        ("channel: ins", "channel: ins\n  options: {password: word}", "looks like a secret"),
+        ("dbc: gyrobench_ins.dbc", "dbc: ../secret.dbc", "String should match"),
+        ("dbc: gyrobench_ins.dbc", "dbc: procedure.yaml", "String should match"),
+        ("inner_deg: [-380, 380]", "inner_deg: [380, -380]", "the lower end comes first"),
+    ],
+)
+def test_what_must_not_be_in_a_station_file_is_refused_with_its_place(changed, found, put, message):
+    path = changed((found, put))
+    with pytest.raises(DocumentError, match=rf"station\.yaml:\d+:\d+: .*{message}"):
+        Station(path)
+
+
 def test_an_absent_dbc_file_is_named(changed):
     path = changed(("dbc: gyrobench_ins.dbc", "dbc: absent.dbc"))
     with pytest.raises(DocumentError, match=r"absent\.dbc"):

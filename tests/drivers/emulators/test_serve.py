@@ -4,12 +4,15 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import can
 import pytest
+import serial
 
 from bench.clock import WallClock
+from bench.errors import ConnectionFailedError, InstrumentError
 from drivers.chamber.watlow_f4 import WatlowF4
 from drivers.emulators.serve import main
 from drivers.rate_table.acutrol3000 import Acutrol3000
@@ -125,3 +128,98 @@ def test_a_negative_seed_ends_it_with_a_message(capsys):
         main(["--world", "ideal", "--seed", "-3"])
     assert caught.value.code == 2
     assert "the seed must not be below zero; found -3" in capsys.readouterr().err
+
+
+def test_the_ins_speaks_socketcand(serve):
+    _, urls = serve("--can", "socketcand")
+    address = urlsplit(urls["ins"])
+    assert (address.scheme, address.path) == ("socketcand", "/can0")
+    assert urls["table"].startswith("/dev/pts/")
+    chamber = WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))
+    with can.Bus(
+        interface="socketcand", channel="can0", host=address.hostname, port=address.port, ignore_config=True
+    ) as bus:
+        chamber.switch_event(2, True)
+        assert {f.data[0] for f in frames_until_status(bus) if f.arbitration_id == STATUS} == {1}
+        bus.send(can.Message(arbitration_id=0x200, data=b"\x02\x00", is_extended_id=False))
+        frames_until_status(bus)
+        assert {f.data[0] for f in frames_until_status(bus) if f.arbitration_id == STATUS} == {2}
+    chamber.close()
+
+
+@pytest.fixture
+def faults(tmp_path):
+    """Write a list of faults; returns the options that name it, and its log."""
+
+    def write(*entries):
+        path = tmp_path / "faults.yaml"
+        path.write_text("faults:\n" + "".join(f"  - {{{entry}}}\n" for entry in entries))
+        log = tmp_path / "faults.log"
+        return ("--faults", str(path), "--faults-log", str(log)), log
+
+    return write
+
+
+def answers(url):
+    """Whether a chamber can be opened and read there."""
+    try:
+        with SerialLine("chamber", url, WallClock()) as line:
+            return WatlowF4(line).read().temperature_c == pytest.approx(23.0, abs=0.2)
+    except InstrumentError:
+        return False
+
+
+def wait_for(condition):
+    end_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+# pyserial leaves the socket of a connection that was hung up to the garbage collector.
+@pytest.mark.filterwarnings(
+    "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
+)
+@pytest.mark.parametrize("options", [(), ("--tcp",)])
+def test_a_port_goes_away_and_comes_back_under_its_address(serve, faults, options):
+    listed, log = faults("fault: port_gone, target: chamber, at_s: 1.5, for_s: 1.0")
+    _, urls = serve(*options, *listed)
+    chamber = WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))
+    assert chamber.read().temperature_c == pytest.approx(23.0, abs=0.2)
+    wait_for(lambda: "port_gone" in log.read_text())
+    with pytest.raises(ConnectionFailedError):
+        chamber.read()
+    assert not answers(urls["chamber"])
+    chamber.close()
+    wait_for(lambda: answers(urls["chamber"]))
+    with SerialLine("rate table", urls["table"], WallClock()) as line:
+        assert "Acutrol3000" in Acutrol3000(line).identify()
+
+
+def test_replies_are_lost_and_late_over_a_pseudo_terminal_and_its_link_goes_in_the_end(serve, faults):
+    listed, log = faults(
+        "fault: lost_reply, target: chamber, at_s: 0",
+        "fault: late_reply, target: chamber, at_s: 0, delay_s: 0.3",
+    )
+    server, urls = serve(*listed)
+    with serial.Serial(urls["chamber"], timeout=0.15) as port:
+        port.write(READ_PV)
+        assert port.read(7) == b""
+        port.write(READ_PV)
+        assert port.read(7) == b""
+        port.timeout = 2.0
+        assert port.read(7)[:3] == bytes.fromhex("01 03 02")
+    kinds = [json.loads(line)["fault"] for line in log.read_text().splitlines()]
+    assert kinds == ["lost_reply", "late_reply"]
+    server.send_signal(signal.SIGINT)
+    server.communicate(timeout=5)
+    assert not Path(urls["table"]).parent.exists()
+
+
+def test_a_wrong_list_of_faults_ends_it_with_a_message(tmp_path, capsys):
+    path = tmp_path / "faults.yaml"
+    path.write_text("faults:\n  - {fault: gremlins, at_s: 1}\n")
+    with pytest.raises(SystemExit) as caught:
+        main(["--world", "quick", "--faults", str(path)])
+    assert caught.value.code == 2
+    assert f"gyrobench-emulators: {path}:2:5: " in capsys.readouterr().err

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import drivers.ins
 from drivers.emulators.can_ins import CanInsEmulator
+from drivers.emulators.serial_instrument import Connection
 from drivers.emulators.slcan_adapter import SlcanAdapter
 from drivers.emulators.world.inertial_unit import Mode
 
@@ -24,7 +25,7 @@ class Bench:
         self.ins = CanInsEmulator(world)
         self.sent = []
         self.ins.listeners.append(self.sent.extend)
-        self.adapter = SlcanAdapter(self.ins)
+        self.adapter = SlcanAdapter(self.ins, Connection())
         world.power_unit(True)
         world.advance(2.5)
         assert self.unit.mode is Mode.STANDBY
@@ -211,3 +212,22 @@ def test_random_bytes_never_break_it_and_each_line_gets_one_answer(make_world, c
     bench.adapter.feed(b"\rC\rO\r", 0.0)
     bench.world.advance(3.0)
     assert bench.ask("V") == b"V1013\r"
+
+
+def test_after_bus_off_the_channel_has_to_be_opened_anew(make_world):
+    connection = Connection()
+    world = make_world("ideal", ins={"boot_s": 1.0})
+    adapter = SlcanAdapter(CanInsEmulator(world), connection)
+    world.power_unit(True)
+    assert adapter.feed(b"O\r", 0.0) == b"\r"
+    world.advance(2.0)
+    assert adapter.from_bus()
+    connection.cut()
+    world.advance(3.0)
+    assert adapter.from_bus() == b""
+    assert adapter.feed(b"t20020200\rO\r", 3.0) == b"\a\a"
+    connection.mend()
+    assert adapter.feed(b"t20020200\r", 3.0) == b"\a"
+    assert adapter.feed(b"O\rt20020200\r", 3.0) == b"\rz\r"
+    world.advance(4.0)
+    assert adapter.from_bus()

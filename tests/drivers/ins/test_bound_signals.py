@@ -86,3 +86,27 @@ def test_a_held_value_is_the_last_that_arrived(codec, signal_map, frames_of):
     held = BlockReader(block, codec).held(bound, np.array([0, 1, 2, 100]))
     assert np.isnan(held[0])
     assert held[1:].tolist() == [2, 3, 3]
+
+
+@pytest.mark.parametrize("raw", [32767, -32768])
+def test_a_temperature_at_the_end_of_its_field_is_no_value(codec, signal_map, raw):
+    bound = bind_signals(signal_map, codec)["gyro_optics_temperature.x"]
+    values = bound.to_si(np.array([0.01 * raw, 25.0]))
+    assert np.isnan(values[0])
+    assert values[1] == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize(
+    ("value_c", "is_told"), [(84.99, True), (85.0, False), (90.0, False), (-40.0, False)]
+)
+def test_a_temperature_at_the_limit_of_the_dbc_or_beyond_is_no_value(
+    codec_with_units, signal_map, value_c, is_told
+):
+    codec = codec_with_units({"X : 0|16@1- (0.01,0) [-327.68|327.67]": "X : 0|16@1- (0.01,0) [-40|85]"})
+    bound = bind_signals(signal_map, codec)["gyro_optics_temperature.x"]
+    assert np.isfinite(bound.to_si(np.array([value_c]))).tolist() == [is_told]
+
+
+def test_an_angle_at_the_limit_of_the_dbc_is_an_angle(codec, signal_map):
+    bound = bind_signals(signal_map, codec)["attitude.euler.roll"]
+    assert bound.to_si(np.array([180.0, -180.0])) == pytest.approx([np.pi, -np.pi])

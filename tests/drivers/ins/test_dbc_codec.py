@@ -267,3 +267,28 @@ def test_every_signal_of_the_projects_dbc_is_documented(codec):
             assert signal.unit
             assert signal.comment
             assert signal.minimum < signal.maximum
+
+
+_MESSAGE = "BO_ 1 M: 8 X\n"
+_SIGNAL = ' SG_ S{} {}: 8|8@1+ (1,0) [0|0] "" X\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("(" * 1_000_000, "line 1: a line of 1000000 characters"),
+        ("SG_ " * 250_000, "line 1: a line of 1000000 characters"),
+        (
+            "\n" + _MESSAGE + "".join(_SIGNAL.format(i, "") for i in range(20_000)),
+            "line 2: a message of 20000",
+        ),
+        (_MESSAGE + "SG_MUL_VAL_ 1 S T 0-60000;\n" * 20_000, "line 3: 120002 multiplexer values"),
+        ("\n" * 2_000_001, "at most 2000000 are allowed"),
+        (_MESSAGE + _SIGNAL.format(0, "") + _MESSAGE, "a second message called M"),
+    ],
+)
+def test_a_file_that_would_take_minutes_or_is_ambiguous_is_refused(tmp_path, text, message):
+    path = tmp_path / "hostile.dbc"
+    path.write_text(text)
+    with pytest.raises(DocumentError, match=message):
+        load_dbc(path)

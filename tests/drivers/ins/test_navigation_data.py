@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -88,6 +90,26 @@ def test_epochs_that_lack_a_frame_are_dropped_and_counted(recording, signal_map,
     assert found.velocity_enu_mps[:, 1] == pytest.approx(kept * 1e-3)
 
 
+@pytest.mark.parametrize("late_s", [0.04, 0.07, 0.3, 5.0])
+def test_an_epoch_whose_last_frames_come_late_is_not_lost(recording, signal_map, codec, late_s):
+    block = recording(0, 50)
+    begin = np.flatnonzero(block.arbitration_id == HEADING_ID)[20]
+    stamps_s = block.timestamp_s + late_s * (np.arange(len(block)) >= begin)
+    found = decode_navigation(replace(block, timestamp_s=stamps_s), signal_map, codec)
+    assert replace(found.counts, late=0) == EpochCounts()
+    assert found.ins_time_s == pytest.approx(100 + np.arange(50) / 10)
+
+
+@pytest.mark.parametrize("whole", [0, 3])
+def test_the_halves_of_two_epochs_do_not_make_one(recording, signal_map, codec, whole):
+    block = without(recording(0, 50), HEADING_ID, *range(20, 21 + whole))
+    block = without(block, VELOCITY_ID, *range(21, 22 + whole))
+    found = decode_navigation(block, signal_map, codec)
+    kept = np.setdiff1d(np.arange(50), np.arange(20, 22 + whole))
+    assert found.velocity_enu_mps[:, 1] == pytest.approx(kept * 1e-3)
+    assert found.counts.lost == 2 + whole
+
+
 def test_epochs_cut_off_at_the_edges_are_not_lost(recording, signal_map, codec):
     block = recording(0, 50)
     first = np.flatnonzero(block.arbitration_id == VELOCITY_ID)[0]
@@ -101,6 +123,19 @@ def test_the_counter_wraps_without_a_break(recording, signal_map, codec):
     found = decode_navigation(recording(0, 100, counter_offset=65500), signal_map, codec)
     assert found.counts == EpochCounts()
     assert found.ins_time_s == pytest.approx(100 + np.arange(100) / 10, abs=1e-9)
+
+
+@pytest.mark.parametrize(("changed", "contradicted"), [(0, 0), (1, 10)])
+def test_frames_that_come_twice_in_an_epoch_count_where_they_differ(
+    recording, signal_map, codec, changed, contradicted
+):
+    block = recording(0, 50)
+    velocities = np.flatnonzero(block.arbitration_id == 4)[20:30]
+    doubled = block.take(np.insert(np.arange(len(block)), velocities, velocities))
+    data = doubled.data.copy()
+    data[velocities + np.arange(10), 0] += changed
+    found = decode_navigation(replace(doubled, data=data), signal_map, codec)
+    assert found.counts.contradicted == contradicted
 
 
 def test_a_repeated_epoch_is_dropped_and_counted(recording, signal_map, codec):

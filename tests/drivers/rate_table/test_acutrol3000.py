@@ -60,7 +60,7 @@ def test_the_byte_order_of_the_prefix_is_detected(serve, word_order):
     with serve(emulator(word_order=word_order)) as line:
         table = Acutrol3000(line)
         table.prepare()
-        assert table.read() == TableReading((0.0, 0.0), (0.0, 0.0))
+        assert table.read() == TableReading((0.0, 0.0), (0.0, 0.0), True)
 
 
 def test_preparing_closes_the_servos_and_locks_the_panel_out(table, controller):
@@ -173,6 +173,34 @@ def test_what_the_controller_refuses_is_refused_by_name_and_the_line_stays_in_st
     assert table.read().rate_dps == (0.0, 0.0)
 
 
+def test_a_reading_tells_whether_the_axes_are_under_servo_control(table, controller):
+    assert not table.read().is_servoed
+    table.prepare()
+    assert table.read().is_servoed
+    controller.axes[2].open()
+    assert not table.read().is_servoed
+
+
+def test_the_limits_are_those_that_no_command_goes_beyond(table, controller):
+    table.set_limits(10.0, 20.0, 30.0)
+    first, second = table.limits()
+    widest = controller.axes[1].widest
+    assert (first.rate_dps, first.acceleration_dps2, first.jerk_dps3) == (2000.0, 2e4, 2e6)
+    assert (first.low_deg, first.high_deg) == (widest.low_deg, widest.high_deg)
+    assert first.trip_dps >= first.rate_dps
+    assert second == first
+
+
+@pytest.mark.parametrize("left_behind", [b":Demand:Position 1,1", b"\x00\xff\x13", b";;;", b"*IDN?\r\n"])
+def test_what_another_left_on_the_line_does_not_make_the_first_command_fail(serve, controller, left_behind):
+    with serve(controller) as line:
+        line.write(left_behind)
+        table = Acutrol3000(line, reply_timeout_s=0.2)
+        table.set_limits(100.0, 100.0, 1000.0)
+        table.prepare()
+        assert table.read().position_deg == (0.0, 0.0)
+
+
 def test_moving_without_servo_is_refused(table):
     with pytest.raises(RefusedError, match="Not servoed"):
         table.move_to({1: 5.0}, rate_dps=10.0)
@@ -180,10 +208,17 @@ def test_moving_without_servo_is_refused(table):
 
 def test_a_single_axis_table_reads_one_axis(serve):
     with serve(Acutrol3000Emulator({1: TableAxis(FAST, position_deg=10.0001)})) as line:
-        assert Acutrol3000(line, axes=[1]).read() == TableReading((10.0001,), (0.0,))
+        assert Acutrol3000(line, axes=[1]).read() == TableReading((10.0001,), (0.0,), False)
 
 
 # on replies that are wrong
+
+
+def met(line, **options):
+    """Return a driver that has had its first answer, and so tries nothing twice."""
+    table = Acutrol3000(line, **options)
+    table.identify()
+    return table
 
 
 def test_silence_is_reported_with_the_command(serve, scripted):
@@ -192,43 +227,53 @@ def test_silence_is_reported_with_the_command(serve, scripted):
 
 
 def test_a_truncated_prefix_is_no_reply(serve, scripted):
-    with serve(scripted(b"\x00\x00\x00")) as line, pytest.raises(NoReplyError, match="3 of 8 bytes"):
-        Acutrol3000(line, reply_timeout_s=0.02).identify()
+    with (
+        serve(scripted(reply("A table"), b"\x00\x00\x00")) as line,
+        pytest.raises(NoReplyError, match="3 of 8 bytes"),
+    ):
+        met(line, reply_timeout_s=0.02).identify()
 
 
 def test_a_text_shorter_than_its_length_is_no_reply(serve, scripted):
-    with serve(scripted(reply("10.0001")[:-2])) as line, pytest.raises(NoReplyError, match="5 of 7 bytes"):
-        Acutrol3000(line, reply_timeout_s=0.02).identify()
+    with (
+        serve(scripted(reply("A table"), reply("10.0001")[:-2])) as line,
+        pytest.raises(NoReplyError, match="5 of 7 bytes"),
+    ):
+        met(line, reply_timeout_s=0.02).identify()
 
 
 def test_an_absurd_length_is_a_wrong_reply(serve, scripted):
     with (
-        serve(scripted(b"\x00\x00\x00\x00\xff\xff\xff\xff")) as line,
+        serve(scripted(reply("A table"), b"\x00\x00\x00\x00\xff\xff\xff\xff")) as line,
         pytest.raises(ReplyError, match="ff ff"),
     ):
-        Acutrol3000(line, reply_timeout_s=0.02).identify()
+        met(line, reply_timeout_s=0.02).identify()
 
 
 def test_an_error_code_without_text_is_a_refusal(serve, scripted):
-    with serve(scripted(reply("", code=7))) as line, pytest.raises(RefusedError, match="error 7"):
-        Acutrol3000(line).stop()
+    with (
+        serve(scripted(reply("A table"), reply("", code=7))) as line,
+        pytest.raises(RefusedError, match="error 7"),
+    ):
+        met(line).stop()
 
 
 @pytest.mark.parametrize("text", ["", "OK", "1.0;2.0;3.0", "1.0;2.0;3.0;4.0;5.0", "1;2;3;nan", "1;2;3;x"])
 def test_a_reading_that_is_not_two_numbers_an_axis_is_a_wrong_reply(serve, scripted, text):
-    with serve(scripted(reply(text))) as line, pytest.raises(ReplyError, match=":Read:"):
-        Acutrol3000(line).read()
+    with serve(scripted(reply("A table"), reply(text))) as line, pytest.raises(ReplyError, match=":Read:"):
+        met(line).read()
 
 
 @pytest.mark.parametrize("text", ["", "OK", "16", "16;x", "16;256;16;-1", "16;256;16;" + "9" * 5000])
 def test_registers_that_are_no_registers_are_a_wrong_reply(serve, scripted, text):
-    with serve(scripted(reply(text))) as line, pytest.raises(ReplyError, match=":Status:"):
-        Acutrol3000(line).in_position()
+    with serve(scripted(reply("A table"), reply(text))) as line, pytest.raises(ReplyError, match=":Status:"):
+        met(line).in_position()
 
 
 def test_a_command_answered_by_a_number_is_a_wrong_reply(serve, scripted):
-    with serve(scripted(reply("10.0"))) as line, pytest.raises(ReplyError, match=":Mode:Off 1;Off 2"):
-        Acutrol3000(line).stop()
+    replies = scripted(reply("A table"), reply("10.0"))
+    with serve(replies) as line, pytest.raises(ReplyError, match=":Mode:Off 1;Off 2"):
+        met(line).stop()
 
 
 def test_firmware_that_answers_commands_with_an_empty_line_is_understood(serve, scripted):
@@ -252,19 +297,22 @@ def test_a_late_reply_is_not_taken_for_the_next_one(serve):
 
         def feed(self, data, now_s):
             self.count += 1
-            if self.count == 1:
+            if self.count == 2:
                 time.sleep(0.12)
             return reply(f"answer {self.count}")
 
     with serve(Late()) as line:
-        table = Acutrol3000(line, reply_timeout_s=0.1)
+        table = met(line, reply_timeout_s=0.1)
         with pytest.raises(NoReplyError):
             table.identify()
-        assert table.identify() == "answer 2"
+        # the third is to the line that ends what the controller may still hold
+        assert table.identify() == "answer 4"
 
 
 def test_a_change_of_byte_order_is_noticed_and_then_accepted(serve, scripted):
-    with serve(scripted(reply("OK"), reply("OK", order=">"), reply("OK", order=">"))) as line:
+    of_no_message = reply("Syntax", code=100, order=">")
+    replies = scripted(reply("OK"), reply("OK", order=">"), of_no_message, reply("OK", order=">"))
+    with serve(replies) as line:
         table = Acutrol3000(line, reply_timeout_s=0.05)
         table.stop()
         with pytest.raises(ReplyError):

@@ -39,6 +39,7 @@ ROW = DwellRow(
 numbers = st.floats(-1e6, 1e6)
 maybe = numbers | st.just(math.nan)
 texts = st.text(st.characters(exclude_categories=["Cc", "Cs", "Z"]), max_size=8)
+names = texts.filter(lambda text: not text.startswith(("=", "+", "-", "@")))
 
 
 def triples(values):
@@ -47,8 +48,8 @@ def triples(values):
 
 dwell_rows = st.builds(
     DwellRow,
-    unit=texts,
-    run=texts,
+    unit=names,
+    run=names,
     dwell=st.integers(0, 10**9),
     cycle=st.integers(0, 1000),
     position=st.sampled_from(list(POSITIONS)),
@@ -216,3 +217,11 @@ def test_names_a_file_that_cannot_be_read_or_written(tmp_path):
     (tmp_path / "latin.csv").write_bytes(b"\xb0C")
     with pytest.raises(DocumentError, match="is not UTF-8 text"):
         read_dwells(tmp_path / "latin.csv")
+
+
+@pytest.mark.parametrize("name", ["=1+1", "@SUM(A1)", "+1", "-A1"])
+@pytest.mark.parametrize("column", ["unit", "run"])
+def test_a_name_that_a_spreadsheet_takes_for_a_formula_is_refused(column, name):
+    text = format_dwells([replace(ROW, **{column: name})])
+    with pytest.raises(DocumentError, match=f"table:2: column {column}: a name can't begin with"):
+        parse_dwells(text, "table")

@@ -130,3 +130,14 @@ def test_what_the_resolution_hides_is_summed_up_as_a_limit(tmp_path):
     told = json.loads((tmp_path / "noise.json").read_text())["summary"]["angle_random_walk_deg_per_sqrt_h"]
     limit = noise.angle_random_walk.limit / DEG_PER_SQRT_H_TO_SI
     assert told == {"below": pytest.approx(limit, rel=1e-3), "hidden_by_resolution": True}
+
+
+@pytest.mark.parametrize("key", ["variance", "counts"])
+def test_an_averaging_time_without_its_value_is_no_noise_estimate(tmp_path, key):
+    path = tmp_path / "noise.json"
+    write_noise(path, noise_of())
+    data = json.loads(path.read_text())
+    data["heading"]["allan"][key].pop()
+    path.write_text(json.dumps(data))
+    with pytest.raises(DocumentError, match="every averaging time needs one value of each kind"):
+        read_noise(path)

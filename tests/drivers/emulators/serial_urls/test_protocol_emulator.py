@@ -180,9 +180,9 @@ def test_a_wrong_address_is_a_serial_exception(address, words):
 
 def test_an_address_says_which_bench():
     assert parse_address("emulator://table") == ("table", BenchAddress())
-    assert parse_address("emulator://chamber?seed=7&world=a/b.yaml&clock=clock-1") == (
+    assert parse_address("emulator://chamber?seed=7&world=a/b.yaml&clock=clock-1&faults=c/d.yaml") == (
         "chamber",
-        BenchAddress("clock-1", "a/b.yaml", 7),
+        BenchAddress("clock-1", "a/b.yaml", 7, "c/d.yaml"),
     )
 
 

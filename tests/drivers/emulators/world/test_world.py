@@ -9,7 +9,7 @@ from drivers.emulators.world.compensation import Number
 from drivers.emulators.world.inertial_unit import Alignment, Mode
 from drivers.emulators.world.sensor_errors import DPH
 from drivers.emulators.world.strapdown import matrix_of
-from drivers.emulators.world.world import INNER, OUTER
+from drivers.emulators.world.world import INNER, OUTER, World
 
 QUICK = {"boot_s": 1.0, "levelling_s": 2.0, "coarse_alignment_s": 5.0, "fine_alignment_s": 10.0}
 
@@ -219,3 +219,44 @@ def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
     assert abs(heading_drift_dph(world, 120.0, 100.0)) < 0.01
     assert world.unit.mode is Mode.NAVIGATE
     np.testing.assert_allclose(world.true_gyro_bias() / DPH, [0.0, 0.0, 0.5], atol=1e-12)
+
+
+def test_a_world_that_begins_later_is_switched_off_and_in_the_present(make_world_file):
+    file = make_world_file("gyro_a")
+    world = World(file, 0, start_s=150_000)
+    spoken = []
+    world.on_epochs = spoken.append
+    world.power_unit(True)
+    world.advance(150_100.0)
+    assert world.thermal.case_c == pytest.approx(file.chamber.ambient_c, abs=5.0)
+    samples = np.concatenate([epochs.sample for epochs in spoken])
+    assert samples[-1] == 15_010_000
+    assert samples[0] > 15_000_000
+
+
+def test_a_world_that_begins_later_has_other_noise(make_world_file):
+    file = make_world_file("gyro_a")
+    first, anew, again = World(file, 0), World(file, 0, start_s=1000), World(file, 0, start_s=1000)
+    for world, time_s in ((first, 100.0), (anew, 1100.0), (again, 1100.0)):
+        world.power_unit(True)
+        world.advance(time_s)
+    assert (first.temperatures_c() != (temperatures_c := anew.temperatures_c())).any()
+    assert (temperatures_c == again.temperatures_c()).all()
+    assert (first.true_gyro_bias() != anew.true_gyro_bias()).any()
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"kind": "time_drift", "drift_dph_per_day": [0.01, 0.0, 0.0]},
+        {"kind": "bias_jump", "bias_dph": [0.01, 0.0, 0.0], "at_h": 1.5},
+        {"kind": "supply_ripple", "amplitude_dph": [0.01, 0.0, 0.0], "period_h": 3.0},
+    ],
+)
+def test_effects_of_time_go_by_the_time_since_zero_wherever_the_world_begins(make_world_file, effect):
+    file = make_world_file("ideal", undeclared_effects=[effect])
+    whole, anew = World(file, 0), World(file, 0, start_s=5000)
+    for world in (whole, anew):
+        world.advance(7200.0)
+    assert whole.undeclared_bias()[0] != 0.0
+    assert (whole.undeclared_bias() == anew.undeclared_bias()).all()

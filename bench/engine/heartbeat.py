@@ -1,0 +1,61 @@
+"""What happens at every tick of a run, whatever the procedure does."""
+
+from __future__ import annotations
+
+from bench.engine.live_bench import LiveBench
+from bench.engine.orders import GivenOrder, Order
+from bench.engine.people import People
+from bench.errors import RunStoppedError
+from bench.guard.link import Guard
+from bench.run_store.journal import Journal
+
+
+class Heartbeat:
+    """Lets ticks pass: the bench is polled, the guard gets a sign of life, orders are taken.
+
+    Parameters
+    ----------
+    bench, journal, people, guard
+        Those of the run.
+    """
+
+    def __init__(self, bench: LiveBench, journal: Journal, people: People, guard: Guard) -> None:
+        self._bench = bench
+        self._journal = journal
+        self._people = people
+        self._guard = guard
+
+    def beat(self) -> None:
+        """Let one tick pass."""
+        self._bench.tick()
+        self.tell_guard()
+
+    def tell_guard(self) -> None:
+        """Say to the guard that the engine is alive."""
+        note = self._guard.beat()
+        if note:
+            self.note(note)
+
+    def ordered(self) -> GivenOrder | None:
+        """What somebody orders; it is in the journal when this returns.
+
+        Raises
+        ------
+        RunStoppedError
+            The order is to abort.
+        """
+        typed = self._people.operator.order()
+        if typed:
+            self._people.orders.give(typed, "the terminal")
+        given = self._people.orders.take()
+        if given is None:
+            return None
+        self._journal.record("ordered", order=given.order, by=given.by)
+        if given.order is Order.ABORT:
+            raise RunStoppedError(f"stopped by {given.by}")
+        return given
+
+    def note(self, text: str) -> None:
+        """Tell something that a person should know, in the journal and to who watches."""
+        self._journal.record("note", text=text)
+        self._people.progress.told(text)

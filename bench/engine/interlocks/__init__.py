@@ -1,0 +1,11 @@
+"""Interlocks: the station's limits, watched at every tick whatever the procedure does.
+
+``watch`` asks the checks of ``table_checks``, ``chamber_checks`` and ``ins_checks``. They look at
+levels, never at changes: what is wrong already when a run begins trips at once, and goes on to trip
+until it is good again.
+"""
+
+from bench.engine.interlocks.expected import Expected
+from bench.engine.interlocks.watch import InterlockWatch, Trip
+
+__all__ = ["Expected", "InterlockWatch", "Trip"]

@@ -1,0 +1,164 @@
+"""The way back into a plan that was left: what has to be done again before a step can begin.
+
+After a power cut, a trip or a pause the bench is not as the plan has it: the INS is off or cold, the chamber
+is elsewhere or came from the other side, the table stands anywhere. The way back is made of the plan's own
+steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from bench.procedure.climate_steps import Chamber, ChamberOff, Soak
+from bench.procedure.plan import Plan, PlannedStep
+from bench.procedure.steps import GoTo, PowerOff, PowerOn, Step, Wait
+
+#: A soak begins with the air this near to its set point, however early the chamber's step ends otherwise.
+_NEAR_C = 1.0
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What of the bench is still as it was when the plan was left.
+
+    Attributes
+    ----------
+    is_unit_on : bool
+        Whether the INS has been on all the time.
+    is_tempered : bool
+        Whether the chamber has held its set point all the time.
+    chamber_c : float
+        Air of the chamber now.
+    """
+
+    is_unit_on: bool
+    is_tempered: bool
+    chamber_c: float
+
+
+def restart_of(plan: Plan, index: int) -> int:
+    """Index of the step to begin again with: a dwell is done whole, from its alignment."""
+    dwell = plan.steps[index].dwell
+    if dwell is None:
+        return index
+    return next(i for i, planned in enumerate(plan.steps) if planned.dwell == dwell)
+
+
+def end_of_dwell(plan: Plan, dwell: int) -> int:
+    """Index of the first step after a dwell."""
+    return 1 + max(i for i, planned in enumerate(plan.steps) if planned.dwell == dwell)
+
+
+def approach(plan: Plan, index: int, standing: Standing) -> list[PlannedStep]:
+    """Steps that bring the bench to what the plan expects before one of its steps.
+
+    The INS is switched off and on, so that the time since power-on is known; its temperature is reached from
+    the side from which the plan comes, with the soaks of the plan; a dwell on a ramp has its ramp repeated
+    from the temperature before.
+
+    Parameters
+    ----------
+    index : int
+        The step that is to begin, see :func:`restart_of`.
+
+    Returns
+    -------
+    list of PlannedStep
+        With their number in the plan; durations and time limits are those of the way from here.
+    """
+    target = plan.steps[index]
+    is_cold = target.before.powered and not standing.is_unit_on
+    steps = _latest(plan, index, PowerOn) if is_cold else []
+    if is_cold or not standing.is_tempered:
+        steps += _tempering(plan, index, standing.chamber_c)
+    if target.before.position is not None and target.in_position and not isinstance(target.step, GoTo):
+        steps += _position(plan, index)
+    return list(_timed(steps, target, standing.chamber_c))
+
+
+def _latest(plan: Plan, index: int, *kinds: type[Step]) -> list[PlannedStep]:
+    """The last step of these kinds before one, in a list; empty where there is none."""
+    earlier = (planned for planned in reversed(plan.steps[:index]) if isinstance(planned.step, kinds))
+    return [planned for planned in (next(earlier, None),) if planned is not None]
+
+
+def _tempering(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
+    """Bring temperatures to what they are when the step at ``index`` begins."""
+    target = plan.steps[index]
+    if isinstance(target.step, ChamberOff):
+        return []
+    if isinstance(target.step, Chamber) and _is_on_its_way(target, chamber_c):
+        return [] if _soaks_before_dwells(plan, index) else _history(plan, index, chamber_c)
+    return _history(plan, index, chamber_c)
+
+
+def _history(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
+    """The chamber's last command before a step with its soaks, and what has to come before it."""
+    command = _latest(plan, index, Chamber, ChamberOff)
+    if not command or isinstance(command[0].step, ChamberOff):
+        return command
+    (chamber,) = command
+    at, target = chamber.number - 1, plan.steps[index]
+    soaks = [each for each in plan.steps[at + 1 : index] if _is_soak(each)]
+    if target.in_position and not soaks:
+        return [*_history(plan, at, chamber_c), chamber, *_ride(plan, index, chamber)]
+    before = [] if _is_on_its_way(chamber, chamber_c) else _history(plan, at, chamber_c)
+    return [*before, _waiting_for_the_air(chamber), *soaks]
+
+
+def _ride(plan: Plan, index: int, chamber: PlannedStep) -> list[PlannedStep]:
+    """Wait on a ramp until it is as far as where the plan has the stay in a position begin."""
+    stay = [each for each in _latest(plan, index + 1, GoTo) if each.number > chamber.number]
+    wait_s = (stay[0] if stay else plan.steps[index]).start_s - chamber.end_s
+    return [replace(chamber, step=Wait(duration_s=wait_s))] if wait_s > 0.0 else []
+
+
+def _is_soak(planned: PlannedStep) -> bool:
+    return planned.dwell is None and isinstance(planned.step, Soak | Wait)
+
+
+def _soaks_before_dwells(plan: Plan, index: int) -> bool:
+    """Whether nothing is measured between the chamber's step at ``index`` and the soak after it."""
+    for planned in plan.steps[index + 1 :]:
+        if _is_soak(planned) or isinstance(planned.step, Chamber | ChamberOff):
+            return True
+        if planned.in_position:
+            return False
+    return True
+
+
+def _is_on_its_way(chamber: PlannedStep, chamber_c: float) -> bool:
+    """Whether the air is still on the side of the set point from which the plan comes."""
+    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers look
+    to_go_c = chamber.step.temperature_c - chamber_c
+    planned_c = chamber.step.temperature_c - chamber.before.chamber_c
+    return abs(to_go_c) <= chamber.step.within_c or to_go_c * planned_c >= 0.0
+
+
+def _waiting_for_the_air(chamber: PlannedStep) -> PlannedStep:
+    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers look
+    near_c = min(chamber.step.within_c, _NEAR_C)
+    return replace(chamber, step=chamber.step.model_copy(update={"within_c": near_c}))
+
+
+def _position(plan: Plan, index: int) -> list[PlannedStep]:
+    """Go to where the plan has the table at that step, the turns since its last go_to included."""
+    before = plan.steps[index].before
+    return [
+        replace(planned, step=planned.step.model_copy(update={"azimuth_deg": before.azimuth_deg}))
+        for planned in _latest(plan, index, GoTo)
+    ]
+
+
+def _timed(steps: list[PlannedStep], target: PlannedStep, chamber_c: float) -> Iterator[PlannedStep]:
+    """Give the steps the durations and time limits of the way from the present temperature."""
+    thermal = target.before.thermal
+    bench = replace(target.before, chamber_c=chamber_c, gyro_c=chamber_c, set_point_c=None, powered=False)
+    if not any(isinstance(each.step, PowerOn | PowerOff) for each in steps):
+        bench = replace(bench, powered=target.before.powered, gyro_c=chamber_c + thermal.self_heating_c)
+    for planned in steps:
+        duration_s = planned.step.expected_s(bench)
+        limit_s = max(planned.timeout_s, planned.step.usual_time_limit_s(duration_s))
+        yield replace(planned, duration_s=duration_s, timeout_s=limit_s, before=bench, dwell=None)
+        bench = planned.step.after(bench, duration_s)

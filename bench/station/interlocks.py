@@ -1,0 +1,258 @@
+"""The station file's section `interlocks`: what trips, and what becomes of the run then.
+
+Every interlock has a default, so a station file names only what it wants otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bench.documents import StrictModel
+
+_Positive = Annotated[float, Field(gt=0.0)]
+_NotNegative = Annotated[float, Field(ge=0.0)]
+
+#: Defaults that follow from other limits of the station.
+_AIR_MARGIN_C = 5.0
+_ANGLE_MARGIN_DEG = 1.0
+_TABLE_RATE_SHARE, _TABLE_RATE_MARGIN_DPS = 1.1, 0.5
+_ACCELERATION_SHARE = 1.5
+_RAMP_SHARE, _RAMP_MARGIN_C_PER_MIN = 1.5, 2.0
+_SILENCE_S, _SILENT_READINGS = 30.0, 4
+
+_WIDEN = "widen it, or narrow the limits"
+_NEEDS = "person: somebody has to say that the run may go on; nobody: it goes on by itself"
+_RESUME_AFTER = "how long the value must have been good again before the run may go on, s"
+_MOST_RESUMES = "how often in a run it may go on by itself after this trip; then a person is needed"
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _check_order(unit: str, low: float | None, high: float | None) -> None:
+    if low is not None and high is not None and low >= high:
+        raise ValueError(f"low_{unit} ({low:g}) must be below high_{unit} ({high:g})")
+
+
+class InterlockRule(StrictModel):
+    """What becomes of the run after a trip; a person is needed."""
+
+    needs: Literal["person", "nobody"] = Field(default="person", description=_NEEDS)
+    resume_after_s: _NotNegative = Field(default=60.0, description=_RESUME_AFTER)
+    most_resumes: int = Field(default=5, ge=0, description=_MOST_RESUMES)
+
+
+class PassingRule(InterlockRule):
+    """What becomes of the run after a trip that may pass by itself."""
+
+    needs: Literal["person", "nobody"] = Field(default="nobody", description=_NEEDS)
+    resume_after_s: _NotNegative = Field(default=300.0, description=_RESUME_AFTER)
+
+
+class TemperatureInterlock(InterlockRule):
+    """Range of a temperature of the unit."""
+
+    low_c: float = Field(default=-60.0, description="lowest temperature, degC")
+    high_c: float = Field(default=95.0, description="highest temperature, degC")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        _check_order("c", self.low_c, self.high_c)
+        return self
+
+
+class ChamberAirInterlock(InterlockRule):
+    """Range of the chamber's air."""
+
+    low_c: float | None = Field(
+        default=None, description="lowest air temperature, degC; by default 5 K below the chamber's limit"
+    )
+    high_c: float | None = Field(
+        default=None, description="highest air temperature, degC; by default 5 K above the chamber's limit"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        _check_order("c", self.low_c, self.high_c)
+        return self
+
+    def range_c(self, limits_c: Sequence[float]) -> tuple[float, float]:
+        """Allowed range, where the chamber has these limits."""
+        low_c, high_c = limits_c
+        return _given(self.low_c, low_c - _AIR_MARGIN_C), _given(self.high_c, high_c + _AIR_MARGIN_C)
+
+
+class TemperatureRateInterlock(PassingRule):
+    """How fast a temperature may change, up or down."""
+
+    limit_c_per_min: _Positive | None = Field(
+        default=None,
+        description="fastest change, degC/min; by default 2 beyond 1.5 times the chamber's fastest ramp",
+    )
+    window_s: _Positive = Field(default=60.0, description="time over which the change is taken, s")
+
+    def limit_or_default_c_per_min(self, ramp_c_per_min: float) -> float:
+        """Fastest change, where ``ramp_c_per_min`` is the chamber's fastest ramp."""
+        return _given(self.limit_c_per_min, ramp_c_per_min * _RAMP_SHARE + _RAMP_MARGIN_C_PER_MIN)
+
+
+class TableRateInterlock(InterlockRule):
+    """How fast an axis of the table may turn."""
+
+    limit_dps: _Positive | None = Field(
+        default=None, description="fastest turn, deg/s; by default a tenth and 0.5 deg/s beyond the limit"
+    )
+
+    def limit_or_default_dps(self, rate_dps: float) -> float:
+        """Fastest turn, where the table has this limit."""
+        return _given(self.limit_dps, rate_dps * _TABLE_RATE_SHARE + _TABLE_RATE_MARGIN_DPS)
+
+
+class TableAccelerationInterlock(InterlockRule):
+    """How fast the rate of an axis may change between two readings."""
+
+    limit_dps2: _Positive | None = Field(
+        default=None, description="largest acceleration, deg/s2; by default half as much again as the limit"
+    )
+
+    def limit_or_default_dps2(self, acceleration_dps2: float) -> float:
+        """Largest acceleration, where the table has this limit."""
+        return _given(self.limit_dps2, acceleration_dps2 * _ACCELERATION_SHARE)
+
+
+class AngleInterlock(InterlockRule):
+    """Range of an axis of the table."""
+
+    low_deg: float | None = Field(
+        default=None, description="lowest angle, deg; by default 1 deg below the axis's limit"
+    )
+    high_deg: float | None = Field(
+        default=None, description="highest angle, deg; by default 1 deg above the axis's limit"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        _check_order("deg", self.low_deg, self.high_deg)
+        return self
+
+    def range_deg(self, limits_deg: Sequence[float]) -> tuple[float, float]:
+        """Allowed range, where the axis has these limits."""
+        low_deg, high_deg = limits_deg
+        return _given(self.low_deg, low_deg - _ANGLE_MARGIN_DEG), _given(
+            self.high_deg, high_deg + _ANGLE_MARGIN_DEG
+        )
+
+
+class SilenceInterlock(PassingRule):
+    """How old the last answer of an instrument may be; older values tell nothing."""
+
+    limit_s: _Positive | None = Field(
+        default=None,
+        description="oldest answer, s; by default 30 s, or four readings where these take longer",
+    )
+
+    def limit_or_default_s(self, period_s: float) -> float:
+        """Oldest answer, where the instrument is asked every ``period_s``."""
+        return _given(self.limit_s, max(_SILENCE_S, _SILENT_READINGS * period_s))
+
+
+class InsSilenceInterlock(PassingRule):
+    """How long the INS may send nothing while it is on."""
+
+    limit_s: _Positive = Field(default=5.0, description="longest silence, s")
+
+
+class ChamberCommandInterlock(InterlockRule):
+    """Whether the chamber still holds what the bench told it: set point, on or off."""
+
+    tolerance_c: _Positive = Field(
+        default=0.6,
+        description="allowed difference of the set point, K; a controller of whole degrees rounds by 0.5 K",
+    )
+
+
+class Interlocks(StrictModel):
+    """What is watched at every tick, whatever the procedure does."""
+
+    longest_hold_s: _Positive = Field(default=86_400.0, description="a hold longer than this ends the run, s")
+    chamber_air: ChamberAirInterlock = Field(
+        default=ChamberAirInterlock(), description="temperature of the chamber's air"
+    )
+    chamber_air_rate: TemperatureRateInterlock = Field(
+        default=TemperatureRateInterlock(), description="its rate; an opened door shows here"
+    )
+    case_temperature: TemperatureInterlock = Field(
+        default=TemperatureInterlock(), description="temperature of the unit's case"
+    )
+    case_rate: TemperatureRateInterlock = Field(default=TemperatureRateInterlock(), description="its rate")
+    gyro_temperature: TemperatureInterlock = Field(
+        default=TemperatureInterlock(), description="temperatures of the gyros, optics and electronics"
+    )
+    gyro_rate: TemperatureRateInterlock = Field(default=TemperatureRateInterlock(), description="their rates")
+    table_rate: TableRateInterlock = Field(
+        default=TableRateInterlock(), description="rate of either axis of the table"
+    )
+    table_acceleration: TableAccelerationInterlock = Field(
+        default=TableAccelerationInterlock(), description="acceleration of either axis"
+    )
+    outer_angle: AngleInterlock = Field(default=AngleInterlock(), description="angle of the outer axis")
+    inner_angle: AngleInterlock = Field(default=AngleInterlock(), description="angle of the inner axis")
+    table_silence: SilenceInterlock = Field(
+        default=SilenceInterlock(), description="the table does not answer"
+    )
+    chamber_silence: SilenceInterlock = Field(
+        default=SilenceInterlock(), description="the chamber does not answer"
+    )
+    ins_silence: InsSilenceInterlock = Field(
+        default=InsSilenceInterlock(), description="the INS is on and sends nothing"
+    )
+    chamber_command: ChamberCommandInterlock = Field(
+        default=ChamberCommandInterlock(),
+        description="the chamber is not as the bench told it: another set point, switched off at its panel",
+    )
+    table_fault: InterlockRule = Field(
+        default=InterlockRule(),
+        description="the table reports a fault, or an axis is not under servo control",
+    )
+    chamber_alarm: InterlockRule = Field(
+        default=InterlockRule(), description="the chamber reports an alarm or a broken sensor"
+    )
+    ins_fault: InterlockRule = Field(default=InterlockRule(), description="the INS reports a fault")
+
+    def rules(self) -> dict[str, InterlockRule]:
+        """Every interlock by its key."""
+        found = ((name, getattr(self, name)) for name in type(self).model_fields)
+        return {name: rule for name, rule in found if isinstance(rule, InterlockRule)}
+
+    def inside_limits(
+        self,
+        chamber_c: Sequence[float],
+        ramp_c_per_min: float,
+        rate_dps: float,
+        outer_deg: Sequence[float],
+        inner_deg: Sequence[float],
+    ) -> list[str]:
+        """Say which interlocks would trip within the limits that chamber and table are given."""
+        ranges = (
+            ("chamber_air", self.chamber_air.range_c(chamber_c), chamber_c, "degC"),
+            ("outer_angle", self.outer_angle.range_deg(outer_deg), outer_deg, "deg"),
+            ("inner_angle", self.inner_angle.range_deg(inner_deg), inner_deg, "deg"),
+        )
+        highest = (
+            ("chamber_air_rate", self.chamber_air_rate.limit_c_per_min, ramp_c_per_min, "degC/min"),
+            ("table_rate", self.table_rate.limit_dps, rate_dps, "deg/s"),
+        )
+        return [
+            f"interlocks.{name} trips outside {low:g} to {high:g} {unit}, inside the limits, which are "
+            f"{limits[0]:g} to {limits[1]:g} {unit}; {_WIDEN}"
+            for name, (low, high), limits, unit in ranges
+            if low > limits[0] or high < limits[1]
+        ] + [
+            f"interlocks.{name} trips above {trips:g} {unit}, inside the limit of {limit:g} {unit}; {_WIDEN}"
+            for name, trips, limit, unit in highest
+            if trips is not None and trips < limit
+        ]

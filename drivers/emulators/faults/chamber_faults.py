@@ -1,0 +1,147 @@
+"""Faults of the thermal chamber."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+from typing_extensions import override
+
+from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from drivers.emulators.faults.timing import Lasting
+from drivers.emulators.world.chamber_air import ChamberAir
+from drivers.emulators.world.quantities import Positive
+
+
+class ControlFault(Fault):
+    """The air is held beside its set point."""
+
+    by_c: Positive
+
+    def direction(self, air: ChamberAir) -> float:
+        """Sign of the error."""
+        raise NotImplementedError
+
+    @override
+    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        faults = bench.world.air.faults
+        faults.error_c = math.copysign(self.by_c, self.direction(bench.world.air))
+        occurrence.record()
+
+        def end() -> None:
+            faults.error_c = 0.0
+
+        return end
+
+
+class TemperatureNotReached(ControlFault):
+    """The air stays ``by_c`` short of its set point, on the side of the room."""
+
+    fault: Literal["temperature_not_reached"]
+
+    @override
+    def direction(self, air: ChamberAir) -> float:
+        return air.parameters.ambient_c - air.set_point_c
+
+
+class TemperatureOvershoots(ControlFault):
+    """The air goes ``by_c`` beyond its set point, in the direction in which it is on its way."""
+
+    fault: Literal["temperature_overshoots"]
+
+    @override
+    def direction(self, air: ChamberAir) -> float:
+        return air.set_point_c - air.air_c
+
+
+class ChamberSensorError(Fault):
+    """The controller's sensor fails for ``for_s`` and it stops; the error is latched until it is cleared."""
+
+    fault: Literal["chamber_sensor_error"]
+    error: Annotated[int, Field(ge=1, le=10)] = Field(1, description="number in register 101")
+
+    @override
+    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        bench.chamber.break_sensor(self.error)
+        occurrence.record()
+        return bench.chamber.mend_sensor
+
+
+class ChamberAlarm(Fault):
+    """An alarm of the controller; its cause lasts ``for_s``, the alarm until it is cleared after that."""
+
+    fault: Literal["chamber_alarm"]
+    alarm: Literal[1, 2] = 1
+    state: Literal["high", "low"] = "high"
+
+    @override
+    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        bench.chamber.raise_alarm(self.alarm, self.state == "high")
+        occurrence.record()
+        return partial(bench.chamber.end_alarm, self.alarm)
+
+
+class DoorOpened(Fault):
+    """The door is opened for ``for_s``: the air jumps towards the room's temperature and drifts there."""
+
+    fault: Literal["door_opened"]
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        0.3, description="part of the way it jumps at once"
+    )
+
+    @override
+    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        air = bench.world.air
+        air.disturb(self.share * (air.parameters.ambient_c - air.air_c))
+        air.faults.door_open = True
+        occurrence.record()
+
+        def end() -> None:
+            air.faults.door_open = False
+
+        return end
+
+
+class SwitchedOffAtPanel(Fault):
+    """Somebody switches the machinery off at the chamber; the controller goes on as if it ran."""
+
+    fault: Literal["switched_off_at_panel"]
+
+    @override
+    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        faults = bench.world.air.faults
+        faults.stopped = True
+        occurrence.record()
+
+        def end() -> None:
+            faults.stopped = False
+
+        return end
+
+
+class SetPointChangedAtPanel(Fault):
+    """Somebody enters another set point at the chamber's controller."""
+
+    lasting: ClassVar[Lasting] = Lasting.MOMENT
+
+    fault: Literal["set_point_changed_at_panel"]
+    to_c: Annotated[float, Field(ge=-60.0, le=100.0)]
+
+    @override
+    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        bench.world.air.set_point_c = self.to_c
+        occurrence.record()
+        return None
+
+
+ChamberFault = (
+    TemperatureNotReached
+    | TemperatureOvershoots
+    | ChamberSensorError
+    | ChamberAlarm
+    | DoorOpened
+    | SwitchedOffAtPanel
+    | SetPointChangedAtPanel
+)

@@ -1,0 +1,41 @@
+"""The list of faults as a file: checked like a procedure, read by the emulators alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from bench.documents import StrictModel, read_document, validate
+from drivers.emulators.faults.can_faults import CanFault
+from drivers.emulators.faults.chamber_faults import ChamberFault
+from drivers.emulators.faults.ins_faults import InsFault
+from drivers.emulators.faults.serial_faults import SerialFault
+from drivers.emulators.faults.table_faults import TableFault
+
+#: One entry; the key ``fault`` tells its kind.
+AnyFault = Annotated[
+    SerialFault | CanFault | InsFault | TableFault | ChamberFault, Field(discriminator="fault")
+]
+
+
+class FaultList(StrictModel):
+    """What fails, and when."""
+
+    description: str = ""
+    log: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")] | None = Field(
+        None, description="name of a file beside this one to which each injection is added as a line of JSON"
+    )
+    faults: list[AnyFault]
+
+
+def load_faults(path: Path) -> FaultList:
+    """Read a list of faults.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read, or something in it is wrong; the message lists all of it.
+    """
+    return validate(read_document(path), FaultList)

@@ -1,0 +1,247 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.engine.interlocks import Expected
+from bench.station.station import Station
+from drivers.chamber import ChamberReading
+from drivers.ins.readout import InsMode
+from drivers.rate_table import TableReading
+from tests.bench.engine.interlocks.watched_bench import ALL_WELL, WatchedBench
+
+
+def spoil(thing, **values):
+    for name, value in values.items():
+        setattr(thing, name, value)
+
+
+def optics(axis, value_c):
+    values = np.full(3, 30.0)
+    values[axis] = value_c
+    return values
+
+
+def _bench(**values):
+    return lambda bench: spoil(bench, **values)
+
+
+def _chamber(*values):
+    return _bench(chamber=ChamberReading(*values))
+
+
+def _table(*values):
+    return _bench(table=TableReading(*values))
+
+
+def _ins(**values):
+    return lambda bench: spoil(bench.ins, **values)
+
+
+WRONG = {
+    "air too warm": (_chamber(80.2, 20.0, True), "chamber_air", ["80.2", "80 degC"]),
+    "air too cold": (_chamber(-55.3, 20.0, True), "chamber_air", ["-55.3", "-55 degC"]),
+    "air not a number": (_chamber(math.nan, 20.0, True), "chamber_air", ["not known", "-55 to 80"]),
+    "case too warm": (_ins(case_c=95.5), "case_temperature", ["95.5", "95 degC"]),
+    "gyro too cold": (_ins(optics_c=optics(1, -61.0)), "gyro_temperature", ["gyro y", "-61.0", "-60"]),
+    "board too warm": (_ins(electronics_c=optics(2, 120.0)), "gyro_temperature", ["gyro z", "120.0", "95"]),
+    "outer angle": (_table((201.5, 0.0), (0.0, 0.0)), "outer_angle", ["201.5", "201 deg"]),
+    "inner angle": (_table((0.0, -390.0), (0.0, 0.0)), "inner_angle", ["-390.0", "-381 deg"]),
+    "angle not a number": (_table((math.nan, 0.0), (0.0, 0.0)), "outer_angle", ["not known", "201"]),
+    "rate": (_table((0.0, 0.0), (0.0, -34.0)), "table_rate", ["-34.0", "-33.5"]),
+    "fault": (_bench(table_faults=("axis 1: rate trip",)), "table_fault", ["axis 1: rate trip"]),
+    "servos open": (_table((0.0, 0.0), (0.0, 0.0), False), "table_fault", ["servo control"]),
+    "alarm": (_bench(chamber_alarms=("alarm 1",)), "chamber_alarm", ["alarm 1"]),
+    "switched off": (_chamber(20.0, 20.0, False), "chamber_command", ["is off", "switched it on"]),
+    "other set point": (_chamber(20.0, 25.0, True), "chamber_command", ["25 degC", "20 degC", "0.6 K"]),
+    "fault of the INS": (_ins(mode=InsMode.FAULT), "ins_fault", ["reports a fault"]),
+    "silent INS": (_ins(age_s=5.5), "ins_silence", ["6 s (limit 5 s)"]),
+    "INS that never spoke": (_ins(age_s=math.inf), "ins_silence", ["10 s (limit 5 s)"]),
+}
+
+
+@pytest.mark.parametrize(("make_wrong", "name", "words"), WRONG.values(), ids=WRONG)
+def test_each_interlock_trips_alone_and_names_value_and_limit_until_it_is_good_again(
+    watched, make_wrong, name, words
+):
+    bench = watched()
+    assert bench.poll() == {}
+    good = {key: getattr(bench, key) for key in ("table", "chamber", "table_faults", "chamber_alarms")}
+    good["ins"] = replace(bench.ins)
+    make_wrong(bench)
+    trips = bench.poll()
+    assert list(trips) == [name]
+    assert all(word in trips[name].text for word in words), trips[name].text
+    assert list(bench.trips()) == [name], "it trips at every tick"
+    spoil(bench, **good)
+    assert bench.poll() == {}
+
+
+@pytest.mark.parametrize("case", [case for case in WRONG if WRONG[case][1] != "ins_silence"])
+def test_what_is_wrong_before_the_first_step_trips_at_once(watched, case):
+    make_wrong, name, _ = WRONG[case]
+    bench = watched()
+    bench.expected = replace(bench.expected, chamber_set_c=None, chamber_on=None, table_prepared=False)
+    make_wrong(bench)
+    of_command = name in ("chamber_command", "table_fault")
+    assert list(bench.poll(0.0)) == ([] if of_command else [name])
+    bench.expected = ALL_WELL
+    bench.poll(1.0)
+    assert list(bench.poll(1.0)) == [name]
+
+
+def test_an_ins_that_was_off_may_have_been_silent_until_now(watched):
+    bench = watched()
+    bench.expected, bench.ins.age_s = replace(bench.expected, ins_on=False), math.inf
+    assert bench.poll() == {}
+    bench.expected = ALL_WELL
+    bench.clock.sleep(8.0)
+    assert bench.trips() == {}
+    assert bench.poll(4.0) == {}
+    assert list(bench.poll(2.0)) == ["ins_silence"]
+    bench.ins.age_s = 0.1
+    assert bench.poll(1.0) == {}
+
+
+def test_what_was_not_commanded_yet_trips_nothing(watched):
+    bench = watched()
+    bench.expected = Expected()
+    bench.chamber, bench.table = ChamberReading(20.0, -40.0, False), TableReading((0, 0), (0, 0), False)
+    bench.table_faults, bench.ins.age_s = ("axis 1: interlock 1",), math.inf
+    assert bench.poll() == {}
+
+
+def test_an_instrument_is_held_to_a_command_only_by_readings_that_came_after_it(watched):
+    bench = watched()
+    bench.poll()
+    bench.expected = replace(bench.expected, chamber_set_c=60.0)
+    assert bench.trips() == {}
+    bench.clock.sleep(1.0)
+    assert bench.trips() == {}
+    assert "chamber_command" in bench.poll()
+    bench.chamber = ChamberReading(20.5, 60.0, True)
+    assert bench.poll() == {}
+
+
+@pytest.mark.parametrize("silent", ["table", "chamber"])
+def test_values_that_are_too_old_to_tell_trip(watched, silent):
+    bench = watched()
+    bench.poll()
+    others = [name for name in ("table", "chamber") if name != silent]
+    assert bench.poll(40.0, others) == {}
+    trips = bench.poll(1.0, others)
+    assert list(trips) == [f"{silent}_silence"]
+    assert "41 s (limit 40 s), too old to tell" in trips[f"{silent}_silence"].text
+    assert bench.poll(1.0) == {}
+
+
+def test_everything_trips_when_nobody_polls_any_more(watched):
+    bench = watched()
+    bench.poll()
+    bench.clock.sleep(60.0)
+    assert list(bench.trips()) == ["table_silence", "chamber_silence", "ins_silence"]
+
+
+def test_an_ins_that_is_off_trips_nothing(watched):
+    bench = watched()
+    bench.expected = replace(bench.expected, ins_on=False)
+    bench.ins.age_s, bench.ins.case_c, bench.ins.optics_c = 1e4, math.nan, np.full(3, math.nan)
+    assert bench.poll_for(300.0) == {}
+
+
+def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(watched):
+    bench = watched()
+    bench.ins.case_c = math.nan
+    assert bench.poll(1.0) == {}
+    trips = bench.poll(10.0)
+    assert list(trips) == ["case_temperature"]
+    assert "not known" in trips["case_temperature"].text
+    assert "-60 to 95 degC" in trips["case_temperature"].text
+
+
+def test_temperatures_that_the_signal_map_has_not_trip_nothing(watched):
+    bench = watched(name="example_bench")
+    bench.ins.electronics_c, bench.ins.case_c = np.full(3, math.nan), math.nan
+    assert bench.poll_for(300.0) == {}
+
+
+def test_an_opened_door_trips_and_is_good_again_a_window_after_the_air_is_steady(watched):
+    bench = watched()
+    bench.poll_for(120.0)
+    bench.chamber = ChamberReading(35.0, 20.0, True)
+    trips = bench.poll()
+    assert list(trips) == ["chamber_air_rate"]
+    assert "15.0 degC/min; the limit is 8 degC/min" in trips["chamber_air_rate"].text
+    assert trips["chamber_air_rate"].rule.needs == "nobody"
+    assert bench.poll_for(70.0) == {}
+
+
+@pytest.mark.parametrize("what", ["case", "gyro"])
+def test_a_unit_that_warms_too_fast_trips(watched, what):
+    bench = watched(f"\ninterlocks:\n  {what}_rate: {{limit_c_per_min: 2}}\n")
+    trips = {}
+    for minute in range(5):
+        bench.ins.case_c, bench.ins.optics_c = 28.0 + 2.5 * minute, np.full(3, 30.0 + 2.5 * minute)
+        trips = bench.poll_for(60.0, 60.0)
+    assert list(trips) == [f"{what}_rate"]
+    assert "limit is 2 degC/min" in trips[f"{what}_rate"].text
+
+
+def test_resolution_and_noise_of_the_sensors_trip_nothing(watched):
+    bench = watched(
+        "\ninterlocks:\n  chamber_air_rate: {limit_c_per_min: 5}\n  gyro_rate: {limit_c_per_min: 0.5}\n"
+    )
+    generator = np.random.default_rng(5)
+    for index in range(500):
+        bench.chamber = ChamberReading(20.0 + 0.1 * (index % 2), 20.0, True)
+        bench.ins.optics_c = 30.0 + 0.003 * generator.standard_normal(3)
+        assert bench.poll(1.0) == {}
+
+
+def test_a_table_that_is_torn_from_its_rate_trips(watched):
+    bench = watched()
+    bench.table = TableReading((0.0, 0.0), (30.0, 0.0))
+    bench.poll(1.0)
+    bench.table = TableReading((0.0, 0.0), (-30.0, 0.0))
+    trips = bench.poll(1.0)
+    assert list(trips) == ["table_acceleration"]
+    assert "-60.0 deg/s2, below the limit of -45 deg/s2" in trips["table_acceleration"].text
+
+
+def test_the_axes_are_told_apart_by_the_controllers_numbers(station_of, tmp_path):
+    straight = station_of()
+    text = straight.path.read_text()
+    for axis, number in (("outer", 2), ("inner", 1)):
+        text = text.replace(f"{axis}_axis_number: {3 - number}", f"{axis}_axis_number: {number}")
+    (tmp_path / "crossed.yaml").write_text(text)
+    for station, tripped in ((straight, ["outer_angle"]), (Station(tmp_path / "crossed.yaml"), [])):
+        bench = WatchedBench(station)
+        bench.table = TableReading((300.0, 0.0), (0.0, 0.0))
+        assert list(bench.poll()) == tripped
+
+
+def test_it_tells_since_when_an_interlock_is_good(watched):
+    bench = watched()
+    bench.poll(10.0)
+    assert bench.watch.good_since_s("chamber_alarm") == 10.0
+    bench.chamber_alarms = ("alarm 1",)
+    bench.poll(10.0)
+    assert bench.watch.good_since_s("chamber_alarm") is None
+    bench.chamber_alarms = ()
+    bench.poll(10.0)
+    bench.poll(10.0)
+    assert bench.watch.good_since_s("chamber_alarm") == 30.0
+
+
+def test_the_station_file_says_what_becomes_of_the_run(watched):
+    bench = watched(
+        "\ninterlocks:\n  chamber_alarm: {needs: nobody, resume_after_s: 900, most_resumes: 2}\n"
+        "  chamber_air: {high_c: 76}\n"
+    )
+    bench.chamber, bench.chamber_alarms = ChamberReading(76.5, 20.0, True), ("alarm 1",)
+    trips = bench.poll()
+    rule = trips["chamber_alarm"].rule
+    assert (rule.needs, rule.resume_after_s, rule.most_resumes) == ("nobody", 900.0, 2)
+    assert "above the limit of 76 degC" in trips["chamber_air"].text
+    assert trips["chamber_air"].rule.needs == "person"

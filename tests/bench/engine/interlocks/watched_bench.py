@@ -1,0 +1,65 @@
+"""A watched bench whose readings a test makes up."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bench.clock import VirtualClock
+from bench.engine.interlocks import Expected, InterlockWatch
+from bench.engine.readings import Readings
+from drivers.chamber import ChamberReading
+from drivers.ins.readout import InsMode
+from drivers.rate_table import TableReading
+
+
+@dataclass
+class Said:
+    """What an INS says of itself, as :class:`drivers.ins.ins_status.InsStatus` gives it."""
+
+    age_s: float = 0.5
+    mode: InsMode = InsMode.NAVIGATE
+    optics_c: np.ndarray = field(default_factory=lambda: np.full(3, 30.0))
+    electronics_c: np.ndarray = field(default_factory=lambda: np.full(3, 32.0))
+    case_c: float = 28.0
+
+
+ALL_WELL = Expected(chamber_set_c=20.0, chamber_on=True, ins_on=True, table_prepared=True)
+
+
+class WatchedBench:
+    """An interlock watch, the clock that it lives on, and the readings that come next."""
+
+    def __init__(self, station):
+        self.clock = VirtualClock()
+        self.watch = InterlockWatch(station, self.clock)
+        self.expected = ALL_WELL
+        self.table = TableReading((0.0, 0.0), (0.0, 0.0))
+        self.chamber = ChamberReading(20.0, 20.0, True)
+        self.ins = Said()
+        self.table_faults = self.chamber_alarms = ()
+        self._table_s = self._chamber_s = 0.0
+
+    def poll(self, after_s=10.0, answering=("table", "chamber")):
+        """Let time pass and give the readings of those that answer; returns the trips by name."""
+        self.clock.sleep(after_s)
+        now_s = self.clock.now()
+        self._table_s = now_s if "table" in answering else self._table_s
+        self._chamber_s = now_s if "chamber" in answering else self._chamber_s
+        self.watch.observe(
+            Readings(
+                self.table, self._table_s, self.table_faults, self.chamber, self._chamber_s,
+                self.chamber_alarms, replace(self.ins), now_s,
+            )
+        )  # fmt: skip
+        return self.trips()
+
+    def trips(self):
+        """Trips by name, as the engine asks for them at a tick."""
+        return {trip.name: trip for trip in self.watch.trips(self.clock.now(), self.expected)}
+
+    def poll_for(self, duration_s, period_s=10.0):
+        """Poll over some time; returns the trips of the last poll."""
+        trips = {}
+        for _ in range(round(duration_s / period_s)):
+            trips = self.poll(period_s)
+        return trips

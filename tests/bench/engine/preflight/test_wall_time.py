@@ -1,0 +1,34 @@
+"""A preflight in real time, the emulators in a process of their own behind real ports."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.clock import WallClock
+from bench.engine.preflight.session import check_bench
+from bench.errors import BenchInUseError
+from bench.station.bench_lock import BenchLock
+from bench.station.check import Verdict
+from bench.station.instruments import Emulation
+from bench.station.station import Station
+from tests.bench.engine.test_wall_time import station_of
+
+
+@pytest.mark.wall_time
+def test_a_bench_behind_real_ports_passes_and_one_that_a_run_holds_is_refused(tmp_path):
+    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", "ideal", "--for-s", "120"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        path = tmp_path / "station.yaml"
+        path.write_text(station_of(json.loads(server.stdout.readline())))
+        with (
+            BenchLock(Station(path), Path("runs/night"), WallClock()),
+            pytest.raises(BenchInUseError, match="night"),
+        ):
+            check_bench(str(path), None, Emulation(), tmp_path)
+        checks = check_bench(str(path), "ten_minute_check", Emulation(), tmp_path)
+        server.terminate()
+    assert [each for each in checks if each.verdict is not Verdict.PASS] == []
+    assert {each.subject for each in checks} == {"procedure", "rate table", "chamber", "INS", "disk"}

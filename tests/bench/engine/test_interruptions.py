@@ -1,0 +1,259 @@
+"""What trips, fails or is ordered takes the run out of its step, and back into it."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from bench.bias.tables.dwell_table import read_dwells
+from bench.engine.operator import ConsentingOperator
+from bench.engine.orders import Order
+from bench.engine.session import prepare_job, run_job
+from bench.run_store.journal import read_journal
+from bench.station.instruments import Emulation
+from drivers.emulators.acl_axis import SoftwareFault
+from drivers.modbus_rtu import framed
+from tests.bench.engine.meddler import Meddler, run_with
+
+FLAG = """procedure: flag_only
+disturbed_dwell: flag
+steps:
+  - power_on
+  - go_to: {position: z_up, rate_dps: 10}
+  - align: {duration_s: 60}
+  - navigate: {duration_s: 61}
+  - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+  - navigate: {duration_s: 61}
+"""
+TWO = """procedure: two
+steps:
+  - power_on
+  - repeat:
+      over: {position: [z_up, z_down]}
+      steps:
+        - go_to: {position: $position, rate_dps: 30}
+        - align: {duration_s: 60}
+        - navigate: {duration_s: 61}
+        - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+        - navigate: {duration_s: 61}
+"""
+
+
+@pytest.fixture
+def flag_only(tmp_path):
+    path = tmp_path / "flag_only.yaml"
+    path.write_text(FLAG)
+    return path
+
+
+@pytest.fixture
+def two(tmp_path):
+    path = tmp_path / "two.yaml"
+    path.write_text(TWO)
+    return path
+
+
+def consent(tmp_path, kind, deed, procedure="ten_minute_check", nth=1):
+    return run_with(tmp_path, kind, deed, procedure, nth, ConsentingOperator())
+
+
+def events(folder, *names):
+    return [entry for entry in read_journal(folder.journal) if entry["event"] in names]
+
+
+def names(folder, *wanted):
+    return [entry["event"] for entry in events(folder, *wanted)]
+
+
+def trip_table(bench, clock):
+    bench.serial["table"].trip(1, SoftwareFault.RATE_TRIP, clock.now())
+
+
+def switch_unit_off(bench, clock):
+    bench.world.power_unit(False)
+
+
+def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tmp_path):
+    folder, outcome, _ = consent(tmp_path, "navigate", trip_table)
+    assert outcome.ended == "finished", outcome.reason
+    story = names(folder, "tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished")
+    assert story == [
+        "made_safe", "tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished"
+    ]  # fmt: skip
+    (tripped,) = events(folder, "tripped")
+    assert tripped["interlocks"] == ["table_fault"]
+    assert "rate trip" in tripped["why"]
+    (row,) = read_dwells(folder.dwells)
+    assert row.flags == ""
+
+
+def test_a_trip_that_needs_a_person_says_so(tmp_path):
+    folder, _, _ = consent(tmp_path, "navigate", trip_table)
+    (held,) = events(folder, "held")
+    assert held["waits_for"] == "a person"
+
+
+def test_an_ins_that_falls_silent_is_switched_off_and_on_and_the_run_goes_on_by_itself(tmp_path):
+    folder, outcome, _ = consent(tmp_path, "navigate", switch_unit_off, nth=2)
+    assert outcome.ended == "finished", outcome.reason
+    (tripped,) = events(folder, "tripped")
+    assert tripped["interlocks"] == ["ins_silence"]
+    (continued,) = events(folder, "continued")
+    assert continued["by"] == "itself"
+    assert [entry["run"] for entry in events(folder, "powered_on")] == [1, 2]
+    (row,) = read_dwells(folder.dwells)
+    assert row.flags == ""
+    assert row.run.endswith("-2")
+
+
+def test_an_ins_that_falls_back_to_alignment_has_its_dwell_repeated(tmp_path):
+    folder, outcome, _ = consent(tmp_path, "navigate", lambda bench, clock: bench.world.unit.align(), nth=2)
+    assert outcome.ended == "finished", outcome.reason
+    (given_up,) = events(folder, "dwell_given_up")
+    assert given_up["counts"]
+    assert "the INS left navigation" in given_up["why"]
+    (row,) = read_dwells(folder.dwells)
+    assert row.flags == ""
+
+
+def test_an_ins_that_falls_back_to_alignment_gives_a_flag_and_no_number_where_nothing_is_repeated(
+    tmp_path, flag_only
+):
+    folder, outcome, _ = consent(
+        tmp_path, "navigate", lambda bench, clock: bench.world.unit.align(), flag_only, nth=2
+    )
+    assert outcome.ended == "finished", outcome.reason
+    (row,) = read_dwells(folder.dwells)
+    assert "the INS left navigation" in row.flags
+    assert np.isnan([row.bias_dph, row.sigma_dph, row.paper_bias_dph, row.paper_sigma_dph]).all()
+    assert (outcome.results.bins, outcome.results.joint, outcome.results.noise) == ([], [], None)
+
+
+def test_an_ins_that_aligns_anew_in_the_turn_gives_a_flag_and_no_number(tmp_path, flag_only):
+    """Its new heading hides the East gyro's bias, and nothing in the two windows shows it."""
+    folder, outcome, _ = consent(tmp_path, "turn", lambda bench, clock: bench.world.unit.align(), flag_only)
+    assert outcome.ended == "finished", outcome.reason
+    (row,) = read_dwells(folder.dwells)
+    assert "the INS left navigation in the turn" in row.flags
+    assert np.isnan([row.bias_dph, row.sigma_dph, row.paper_bias_dph]).all()
+
+
+def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_path, flag_only):
+    def nudge(bench, clock):
+        axis = bench.world.axes[1]
+        axis.move_to(axis.encoder(clock.now()).position_deg + 5.0, clock.now())
+
+    class Nudger(Meddler):
+        def ticked(self, live, left_s):
+            was_done = self.done
+            super().ticked(live, left_s)
+            if self.done and not was_done:
+                self.back_s = live.clock.now() + 30.0
+            elif self.done and self.back_s and live.clock.now() >= self.back_s:
+                axis = self.bench.world.axes[1]
+                axis.move_to(axis.encoder(live.clock.now()).position_deg - 5.0, live.clock.now())
+                self.back_s = 0.0
+
+    meddler = Nudger("navigate", nudge)
+    job = prepare_job(str(flag_only), "emulated", Emulation("ideal", 0))
+    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    (row,) = read_dwells(folder.dwells)
+    assert "the table moved by 5.0" in row.flags
+    assert "in window 1 the unit turned by 5.0 deg" in row.flags
+    assert np.isnan(row.bias_dph).all()
+
+
+def test_a_dwell_that_stays_spoilt_is_flagged_after_its_repeats_and_the_run_goes_on(tmp_path, two):
+    text = two.read_text()
+    two.write_text(text.replace("align: {duration_s: 60}", "align: {until_fine: true, at_most_s: 100}"))
+    folder, outcome, _ = consent(tmp_path, "align", lambda bench, clock: None, two)
+    assert outcome.ended == "finished", outcome.reason
+    assert len(events(folder, "dwell_given_up")) == 4
+    rows = read_dwells(folder.dwells)
+    assert [row.dwell for row in rows] == [1, 2]
+    assert all("was not over after 100 s" in row.flags for row in rows)
+
+
+def test_a_chamber_switched_off_at_its_panel_trips(tmp_path):
+    path = tmp_path / "hot.yaml"
+    path.write_text("procedure: hot\nsteps:\n  - chamber: {temperature_c: 40, ramp_c_per_min: 4}\n")
+
+    def switch_off(bench, clock):
+        bench.serial["chamber"].feed(framed(bytes.fromhex("010607d00000")), clock.now())
+
+    folder, outcome, _ = run_with(tmp_path, "chamber", switch_off, path)
+    assert outcome.ended == "stopped"
+    (tripped,) = events(folder, "tripped")
+    assert tripped["interlocks"] == ["chamber_command"]
+    assert "off although the bench switched it on" in tripped["why"]
+
+
+def test_a_pause_gives_the_dwell_up_and_repeats_it(tmp_path):
+    folder, outcome, _ = consent(
+        tmp_path, "navigate", lambda bench, clock: os.kill(os.getpid(), signal.SIGTSTP), nth=2
+    )
+    assert outcome.ended == "finished", outcome.reason
+    story = names(folder, "ordered", "dwell_given_up", "held", "continued", "dwell_finished")
+    assert story == ["ordered", "dwell_given_up", "held", "continued", "dwell_finished"]
+    (ordered,) = events(folder, "ordered")
+    assert (ordered["order"], ordered["by"]) == ("pause", "SIGTSTP")
+    (row,) = read_dwells(folder.dwells)
+    assert row.flags == ""
+    assert row.run.endswith("-1")  # the INS stayed on
+
+
+def test_a_hold_lets_the_dwell_end_first(tmp_path, two):
+    folder, outcome, _ = consent(
+        tmp_path, "align", lambda bench, clock: os.kill(os.getpid(), signal.SIGUSR1), two
+    )
+    assert outcome.ended == "finished", outcome.reason
+    story = names(folder, "ordered", "dwell_finished", "held", "continued")
+    assert story == ["ordered", "dwell_finished", "held", "continued", "dwell_finished"]
+
+
+def test_a_skipped_dwell_is_left_out(tmp_path, two):
+    folder, outcome, _ = consent(
+        tmp_path, "navigate", lambda bench, clock: os.kill(os.getpid(), signal.SIGUSR2), two
+    )
+    assert outcome.ended == "finished", outcome.reason
+    assert [entry["dwell"] for entry in events(folder, "dwell_skipped")] == [1]
+    assert [row.dwell for row in read_dwells(folder.dwells)] == [2]
+
+
+def test_orders_can_be_typed(tmp_path, two):
+    class Typist(ConsentingOperator):
+        typed = [None] * 100 + [Order.SKIP]
+
+        def order(self):
+            return self.typed.pop(0) if self.typed else None
+
+    job = prepare_job(str(two), "emulated", Emulation("ideal", 0))
+    folder, outcome = run_job(job, tmp_path / "run", Meddler("nothing", None), Typist())
+    assert outcome.ended == "finished", outcome.reason
+    (ordered,) = events(folder, "ordered")
+    assert (ordered["order"], ordered["by"]) == ("skip", "the terminal")
+
+
+def test_a_lost_reply_is_asked_for_again_and_the_retry_is_in_the_journal(tmp_path):
+    def forget(bench, clock):
+        table = bench.serial["table"]
+        answer, lost = table.feed, []
+
+        def feed(data, now_s):
+            reply = answer(data, now_s)
+            if lost:
+                return reply
+            lost.append(reply)
+            return b""
+
+        table.feed = feed
+
+    folder, outcome, _ = consent(tmp_path, "go_to", forget)
+    assert outcome.ended == "finished", outcome.reason
+    retries = events(folder, "retry")
+    assert retries
+    assert retries[0]["instrument"] == "rate table"
+    (row,) = read_dwells(folder.dwells)
+    assert row.flags == ""

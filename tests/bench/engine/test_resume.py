@@ -1,0 +1,240 @@
+"""A run that was killed goes on: what was finished stays, what was under way is done again."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bench.bias.tables.dwell_table import read_dwells
+from bench.clock import VirtualClock
+from bench.engine.operator import ConsentingOperator
+from bench.engine.orders import Order
+from bench.engine.session import (
+    MOST_RESUMED_IN_VAIN,
+    describe_resumption,
+    prepare_job,
+    prepare_resumption,
+    resume_run,
+    run_job,
+)
+from bench.errors import BenchInUseError, RunFolderError
+from bench.run_store.folder import open_run_folder
+from bench.run_store.journal import read_journal
+from bench.station.bench_lock import RunLock
+from bench.station.instruments import Emulation
+from tests.bench.engine.meddler import RefusingOperator
+
+PROCEDURE = """procedure: two_temperatures
+steps:
+  - power_on: {settle_s: 20}
+  - repeat:
+      over: {temperature_c: [35, 25]}
+      steps:
+        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
+        - soak: {for_s: 600}
+        - repeat:
+            over: {position: [z_up, y_down]}
+            steps:
+              - go_to: {position: $position, rate_dps: 30}
+              - align: {duration_s: 16}
+              - navigate: {duration_s: 61}
+              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+              - navigate: {duration_s: 61}
+  - power_off
+  - chamber_off
+"""
+
+
+class KilledError(BaseException):
+    """Stands for a kill where a process of its own would cost seconds."""
+
+
+class Watcher:
+    """Ends the run in the nth step of a kind by an exception that nothing catches."""
+
+    def __init__(self, kind="", nth=1):
+        self.kind, self.left, self.told_texts = kind, nth, []
+
+    def told(self, text):
+        self.told_texts.append(text)
+
+    def step_started(self, planned, bench):
+        if planned.step.name == self.kind:
+            self.left -= 1
+
+    def ticked(self, bench, left_s):
+        if self.kind and self.left == 0:
+            self.left = -1
+            raise KilledError
+
+    def estimated(self, estimate):
+        pass
+
+    def dwell_measured(self, row):
+        pass
+
+
+@pytest.fixture(scope="module")
+def procedure(tmp_path_factory):
+    path = tmp_path_factory.mktemp("procedure") / "two_temperatures.yaml"
+    path.write_text(PROCEDURE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed(procedure, tmp_path_factory):
+    job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
+    folder, outcome = run_job(
+        job, tmp_path_factory.mktemp("undisturbed") / "run", Watcher(), ConsentingOperator()
+    )
+    assert outcome.ended == "finished"
+    return read_dwells(folder.dwells)
+
+
+def broken_off(procedure, path, kind, nth=1):
+    job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
+    with pytest.raises(KilledError):
+        run_job(job, path, Watcher(kind, nth), ConsentingOperator())
+    return path
+
+
+def resumed(path):
+    watcher = Watcher()
+    folder, outcome = resume_run(prepare_resumption(path), watcher, ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    return folder, outcome, watcher
+
+
+def assert_agree(rows, others):
+    assert [(row.dwell, row.position) for row in rows] == [(row.dwell, row.position) for row in others]
+    for row, other in zip(rows, others, strict=True):
+        assert row.flags == ""
+        for bias, sigma, bias_2, sigma_2 in zip(
+            row.bias_dph, row.sigma_dph, other.bias_dph, other.sigma_dph, strict=True
+        ):
+            # Each power-on has biases a little different, beside the noise of both.
+            assert abs(bias - bias_2) < 4.5 * (sigma**2 + sigma_2**2 + 2e-6) ** 0.5
+
+
+def wait_for(path, event, process):
+    """Wait until a run has written an event."""
+    while process.poll() is None:
+        if (path / "journal.jsonl").exists() and any(
+            entry["event"] == event for entry in read_journal(path / "journal.jsonl")
+        ):
+            return
+        time.sleep(0.02)
+
+
+def test_a_killed_process_is_gone_on_with_by_another(procedure, undisturbed, tmp_path):
+    path = tmp_path / "run"
+    program = "from bench.cli import main; main()"
+    command = [sys.executable, "-c", program, "run", str(procedure), "--station", "quick"]
+    with subprocess.Popen(
+        [*command, "--world", "quick", "--out", str(path)], stdout=subprocess.DEVNULL
+    ) as process:
+        wait_for(path, "dwell_finished", process)
+        process.send_signal(signal.SIGKILL)
+    before = [entry for entry in read_journal(path / "journal.jsonl") if entry["event"] == "dwell_finished"]
+    assert 1 <= len(before) < 4
+    folder, _, _ = resumed(path)
+    rows = read_dwells(folder.dwells)
+    assert_agree(rows, undisturbed)
+    assert rows[0].run.endswith("-1")
+    assert rows[-1].run.endswith("-2")
+
+
+@pytest.mark.parametrize(
+    ("kind", "nth"), [("power_on", 1), ("chamber", 2), ("soak", 1), ("go_to", 2), ("align", 3), ("turn", 4)]
+)
+def test_a_run_goes_on_from_any_kind_of_step(procedure, undisturbed, tmp_path, kind, nth):
+    folder, _, _ = resumed(broken_off(procedure, tmp_path / "run", kind, nth))
+    assert_agree(read_dwells(folder.dwells), undisturbed)
+
+
+def test_a_run_broken_off_on_its_way_back_goes_on_as_well(procedure, undisturbed, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "navigate", 3)
+    with pytest.raises(KilledError):
+        resume_run(prepare_resumption(path), Watcher("soak"), ConsentingOperator())
+    folder, _, _ = resumed(path)
+    assert_agree(read_dwells(folder.dwells), undisturbed)
+
+
+def test_times_go_on_and_power_ons_are_counted_on(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "align", 3)
+    resumed(path)
+    entries = list(read_journal(path / "journal.jsonl"))
+    times_s = [entry["time_s"] for entry in entries]
+    assert times_s == sorted(times_s)
+    assert [entry["run"] for entry in entries if entry["event"] == "powered_on"] == [1, 2]
+    rows = read_dwells(path / "dwells.csv")
+    assert [row.start_s for row in rows] == sorted(row.start_s for row in rows)
+
+
+def test_it_says_in_words_what_it_found_and_what_it_will_do(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "turn", 3)
+    words = describe_resumption(prepare_resumption(path))
+    assert "2 of 4 dwells are finished and stay" in words
+    assert "dwell 3 (25 degC, z_up), whole" in words
+    assert "unit 1003" in words
+
+
+def test_the_way_back_is_told_as_it_begins(procedure, tmp_path):
+    _, _, watcher = resumed(broken_off(procedure, tmp_path / "run", "turn", 3))
+    (way,) = [text for text in watcher.told_texts if text.startswith("going back to step")]
+    assert "power on" in way
+    assert "chamber to 25 degC" in way
+    assert "soak 10 min" in way
+    assert "go to z_up" in way
+
+
+def test_an_aborted_run_can_be_gone_on_with(procedure, undisturbed, tmp_path):
+    job = prepare_job(str(procedure), "quick", Emulation("quick", 0))
+
+    class Aborter(ConsentingOperator):
+        left = 500
+
+        def order(self):
+            self.left -= 1
+            return Order.ABORT if self.left == 0 else None
+
+    folder, outcome = run_job(job, tmp_path / "run", Watcher(), Aborter())
+    assert outcome.ended == "stopped"
+    folder, _, _ = resumed(folder.path)
+    assert_agree(read_dwells(folder.dwells), undisturbed)
+
+
+def test_a_finished_run_is_not_gone_on_with(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "chamber_off")
+    resumed(path)
+    with pytest.raises(RunFolderError, match="finished"):
+        prepare_resumption(path)
+
+
+def test_a_run_under_way_is_not_resumed(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "soak")
+    resumption = prepare_resumption(path)
+    with RunLock(path, VirtualClock()), pytest.raises(BenchInUseError, match="run folder"):
+        resume_run(resumption, Watcher(), ConsentingOperator())
+
+
+def test_a_run_that_never_gets_on_has_to_be_looked_at(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "soak")
+    for _ in range(MOST_RESUMED_IN_VAIN):
+        with pytest.raises(KilledError):
+            resume_run(prepare_resumption(path), Watcher("soak"), ConsentingOperator())
+    with pytest.raises(RunFolderError, match="--anyway"):
+        prepare_resumption(path)
+    assert prepare_resumption(path, anyway=True)
+
+
+def test_a_run_of_another_unit_is_not_gone_on_with_by_itself(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "align")
+    journal = path / "journal.jsonl"
+    journal.write_text(journal.read_text().replace('"unit": "1003"', '"unit": "77"'))
+    _, outcome = resume_run(prepare_resumption(path), Watcher(), RefusingOperator())
+    assert outcome.ended == "stopped"
+    assert "is unit 1003, and this run is of 77" in outcome.reason
+    assert open_run_folder(path).journal.exists()

@@ -1,0 +1,145 @@
+"""Emulators in a process of their own, a station file for them, and an engine in small."""
+
+import contextlib
+import json
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import serial
+
+from bench.clock import WallClock
+from bench.documents import find_document
+from bench.station.instruments import Outputs
+from bench.station.station import Station
+
+WORLD = """
+world: quick
+latitude_deg: 36.4
+thermal:
+  x: {heat_path: [0.0, -0.8, 0.6]}
+  y: {heat_path: [0.6, 0.8, 0.0]}
+  z: {heat_path: [0.8, 0.0, -0.6]}
+ins: {boot_s: 0.2}
+"""
+
+#: Opens the bench, sets the table turning and the chamber heating, and beats until it is ended.
+ENGINE = """
+import sys
+from pathlib import Path
+
+import serial
+
+from bench.clock import WallClock
+from bench.guard.link import guard_for
+from bench.station.bench_lock import BenchLock
+from bench.station.instruments import Outputs
+from bench.station.station import Station
+
+station, folder, clock = Station(Path(sys.argv[1])), Path(sys.argv[2]), WallClock()
+with BenchLock(station, folder, clock), guard_for(station, folder, clock) as guard:
+    with Outputs(station, clock) as outputs:
+        outputs.table.prepare()
+        outputs.table.turn_at(2, 10.0)
+        outputs.chamber.set_temperature(60.0, None)
+        print(guard.pid, flush=True)
+        while True:
+            if note := guard.beat():
+                print(note, guard.pid, flush=True)
+            clock.sleep(0.1)
+"""
+
+
+def station_file(path, table, chamber, ins="/dev/does-not-matter"):
+    """The shipped station with these ports, on a wall clock, its guard impatient."""
+    text = find_document("stations", "emulated").read_text()
+    for old, new in {
+        "clock: virtual": "clock: wall",
+        "emulator://table": table,
+        "emulator://chamber": chamber,
+        "interface: emulator": "interface: slcan",
+        "channel: ins": f"channel: {ins}",
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text + "\nguard: {silence_s: 5}\n")
+    return path
+
+
+class ServedBench:
+    """The emulators of one bench over pseudo-terminals."""
+
+    def __init__(self, folder):
+        world = folder / "world.yaml"
+        world.write_text(WORLD)
+        command = [sys.executable, "-m", "drivers.emulators.serve", "--world", str(world), "--for-s", "200"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.urls = json.loads(self.process.stdout.readline())
+        path = station_file(
+            folder / "station.yaml", self.urls["table"], self.urls["chamber"], self.urls["ins"]
+        )
+        self.station = Station(path)
+
+    def close(self):
+        self.process.kill()
+        self.process.communicate()
+
+    def disturb(self):
+        """Set the table turning and the chamber heating."""
+        with Outputs(self.station, WallClock()) as outputs:
+            outputs.table.prepare()
+            outputs.table.turn_at(2, 10.0)
+            outputs.chamber.set_temperature(60.0, None)
+
+    def state(self):
+        """What the bench itself says: rates of the table, its interlocks, set point of the chamber."""
+        with Outputs(self.station, WallClock()) as outputs:
+            rate_dps = outputs.table.read().rate_dps
+            set_point_c = outputs.chamber.set_point_c()
+        return rate_dps, [self._interlock(axis) for axis in (1, 2)], set_point_c
+
+    def _interlock(self, axis):
+        """What the controller itself answers: error word, length, text."""
+        with serial.Serial(self.urls["table"], timeout=10.0, exclusive=True) as port:
+            port.write(f":Interlock? {axis}\r\n".encode())
+            error, length = struct.unpack("<II", port.read(8))
+            assert error == 0
+            return port.read(length).decode().strip()
+
+
+class SmallEngine:
+    """A process that holds the bench and has a guard."""
+
+    def __init__(self, station_path, folder):
+        self.folder = folder
+        folder.mkdir(exist_ok=True)
+        command = [sys.executable, "-c", ENGINE, str(station_path), str(folder)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.guard_pid = int(self.process.stdout.readline())
+
+    def close(self):
+        self.process.kill()
+        self.process.communicate()
+        with contextlib.suppress(FileNotFoundError):
+            wait_for(lambda: "in its safe state" in self.log() or "leaves" in self.log())
+
+    def log(self):
+        return (self.folder / "guard.log").read_text()
+
+
+def wait_for(condition, limit_s=60.0):
+    """Wait until a condition is true; fails if it never is."""
+    end_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end_s, "did not come about"
+        time.sleep(0.05)
+
+
+def is_running(pid):
+    """Whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False

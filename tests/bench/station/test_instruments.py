@@ -1,0 +1,119 @@
+import gc
+import os
+import socket
+import struct
+import threading
+import tty
+from contextlib import closing
+
+import pytest
+
+from bench.clock import VirtualClock, WallClock
+from bench.documents import find_document
+from bench.errors import ConnectionFailedError
+from bench.station.instruments import CHAMBER, INS, RATE_TABLE, Emulation, Instruments, Outputs, open_ins
+from bench.station.station import Station
+
+
+@pytest.fixture
+def station():
+    return Station(find_document("stations", "emulated"))
+
+
+def test_one_port_that_can_not_be_opened_leaves_the_other_in_use(changed):
+    path = changed(("port: emulator://table", "port: /dev/does-not-exist"), ("clock: virtual", "clock: wall"))
+    with Outputs(Station(path), VirtualClock()) as outputs:
+        with pytest.raises(ConnectionFailedError, match="/dev/does-not-exist"):
+            outputs.table.stop()
+        outputs.chamber.set_temperature(30.0, None)
+        assert outputs.chamber.set_point_c() == 30.0
+
+
+@pytest.mark.parametrize("instrument", [RATE_TABLE, CHAMBER, INS])
+def test_a_closed_port_is_opened_anew_and_works(station, instrument):
+    clock = VirtualClock()
+    with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
+        {RATE_TABLE: instruments.table, CHAMBER: instruments.chamber, INS: instruments.ins}[
+            instrument
+        ].close()
+        instruments.reopen(instrument)
+        instruments.power_unit(True)
+        clock.sleep(20.0)
+        assert instruments.table.read().rate_dps == (0.0, 0.0)
+        assert instruments.ins.identity()["serial_number"] == 1000
+
+
+def test_the_frames_of_a_reopened_ins_go_to_whom_they_went_before(station):
+    clock, frames = VirtualClock(), []
+    with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
+        instruments.ins.on_frames = frames.extend
+        instruments.power_unit(True)
+        instruments.reopen(INS)
+        clock.sleep(20.0)
+        instruments.ins.poll()
+        assert frames
+
+
+def test_an_instrument_that_is_gone_can_not_be_reopened_until_it_is_back(changed, tmp_path):
+    port = tmp_path / "port"
+    path = changed(("port: emulator://table", f"port: {port}"), ("clock: virtual", "clock: wall"))
+    controller, line = os.openpty()
+    tty.setraw(line)
+    with Outputs(Station(path), WallClock()) as outputs:
+        with pytest.raises(ConnectionFailedError, match="rate table: can't open"):
+            outputs.reopen(RATE_TABLE)
+        port.symlink_to(os.ttyname(line))
+        answer = threading.Thread(target=answer_once, args=(controller,))
+        answer.start()
+        outputs.reopen(RATE_TABLE)
+        answer.join()
+    os.close(controller)
+    os.close(line)
+
+
+def answer_once(controller):
+    """Say what the table says to a message that it takes."""
+    received = b""
+    while not received.endswith(b"\r\n"):
+        received += os.read(controller, 1000)
+    os.write(controller, OK)
+
+
+#: A reply without error and with the text OK, as the controller frames it.
+OK = struct.pack("<II", 0, 2) + b"OK"
+
+
+def test_a_name_that_no_instrument_has_is_refused(station):
+    with Outputs(station, VirtualClock()) as outputs, pytest.raises(ValueError, match="oven"):
+        outputs.reopen("oven")
+
+
+def socketcand_station(changed, port):
+    options = f"options: {{host: 127.0.0.1, port: {port}}}"
+    return Station(
+        changed(
+            ("clock: virtual", "clock: wall"),
+            ("interface: emulator", "interface: socketcand"),
+            ("bitrate: 500000", options),
+        )
+    )
+
+
+def test_a_socketcand_server_that_is_not_there_is_told_at_once(changed):
+    with closing(socket.create_server(("127.0.0.1", 0))) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(ConnectionFailedError, match=f"INS: no socketcand server at 127.0.0.1:{port}"):
+        open_ins(socketcand_station(changed, port), WallClock(), Emulation())
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # python-can leaves it open
+def test_a_socketcand_server_that_says_nothing_is_given_up(changed, monkeypatch):
+    monkeypatch.setattr("bench.station.instruments._OPENING_TIME_S", 3.0)
+    with closing(socket.create_server(("127.0.0.1", 0))) as listener:
+        station = socketcand_station(changed, listener.getsockname()[1])
+        with pytest.raises(ConnectionFailedError, match="INS: its port hangs"):
+            Instruments(station, WallClock(), Emulation("ideal", 0))
+    for thread in threading.enumerate():
+        if thread.name == "limited: INS":
+            thread.join(20)
+    gc.collect()

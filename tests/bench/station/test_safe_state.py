@@ -1,0 +1,135 @@
+import threading
+
+import pytest
+
+from bench.clock import VirtualClock, WallClock
+from bench.documents import find_document
+from bench.errors import NoReplyError
+from bench.station.instruments import Emulation, Instruments, Outputs
+from bench.station.safe_state import SafeAction, make_safe
+from bench.station.station import Station
+from drivers.emulators.bench import BenchAddress, emulated_bench
+from drivers.serial_line import SerialLine
+
+
+@pytest.fixture
+def opened(request, tmp_path):
+    """A station whose safe state the test chooses, its instruments and the emulated bench behind them."""
+    text = find_document("stations", "emulated").read_text()
+    for old, new in getattr(request, "param", ()):
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "station.yaml"
+    path.write_text(text)
+    station, clock = Station(path), VirtualClock()
+    with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
+        world = str(find_document("worlds", "ideal"))
+        yield station, instruments, emulated_bench(BenchAddress(clock.name, world, 0))
+
+
+def problems(actions):
+    return {action.what: action.problem for action in actions}
+
+
+def test_a_turning_table_is_stopped_and_opened_and_the_chamber_set(opened):
+    station, instruments, bench = opened
+    instruments.table.prepare()
+    instruments.table.turn_at(2, 10.0)
+    instruments.chamber.set_temperature(60.0, None)
+    bench.clock.sleep(5.0)
+    assert set(problems(make_safe(station, instruments)).values()) == {""}
+    assert not any(axis.is_moving(bench.clock.now() + 1.0) for axis in bench.world.axes.values())
+    assert bench.serial["table"].feed(b":Interlock? 2\r\n", bench.clock.now()).endswith(b"Open")
+    assert instruments.chamber.set_point_c() == 23.0
+
+
+def test_a_port_that_went_away_is_opened_anew(opened):
+    station, instruments, bench = opened
+    instruments.table.prepare()
+    instruments.table.turn_at(2, 10.0)
+    instruments.table.close()
+    instruments.chamber.set_temperature(60.0, None)
+    instruments.chamber.close()
+    actions = make_safe(station, instruments)
+    assert set(problems(actions).values()) == {""}
+    assert [bool(action.first_problem) for action in actions] == [True, True, False, False]
+    assert not any(axis.is_moving(bench.clock.now() + 1.0) for axis in bench.world.axes.values())
+    assert bench.world.air.set_point_c == 23.0
+
+
+@pytest.mark.parametrize("broken", [RuntimeError("driver bug"), NoReplyError("rate table", "says nothing")])
+def test_one_dead_instrument_does_not_keep_the_others_from_their_safe_state(opened, monkeypatch, broken):
+    station, instruments, bench = opened
+    instruments.chamber.set_temperature(60.0, None)
+
+    def fails(line, data):
+        if line.instrument == "rate table":
+            raise broken
+        write(line, data)
+
+    write = SerialLine.write
+    monkeypatch.setattr(SerialLine, "write", fails)
+    found = problems(make_safe(station, instruments))
+    assert str(broken) in found["rate table stopped"]
+    assert str(broken) in found["rate table's interlocks opened"]
+    assert found["chamber's set point at 23 degC"] == ""
+    assert bench.world.air.set_point_c == 23.0
+
+
+def test_one_lost_reply_is_asked_again(opened, monkeypatch):
+    station, instruments, bench = opened
+    instruments.chamber.set_temperature(60.0, None)
+    lost = iter([True])
+
+    def loses_one(line, data):
+        if line.instrument == "chamber" and next(lost, False):
+            raise NoReplyError("chamber", "lost")
+        write(line, data)
+
+    write = SerialLine.write
+    monkeypatch.setattr(SerialLine, "write", loses_one)
+    assert set(problems(make_safe(station, instruments)).values()) == {""}
+    assert bench.world.air.set_point_c == 23.0
+
+
+def test_before_the_first_step_the_table_is_stopped_and_its_servos_stay(opened):
+    station, instruments, bench = opened
+    instruments.table.prepare()
+    actions = make_safe(station, instruments, release_table=False)
+    assert [action.what for action in actions] == [
+        "rate table stopped", "chamber's set point at 23 degC", "INS left as it is"
+    ]  # fmt: skip
+    assert bench.serial["table"].feed(b":Interlock? 2\r\n", bench.clock.now()).endswith(b"Close")
+
+
+def test_what_failed_can_be_tried_alone(opened):
+    station, instruments, _ = opened
+    (action,) = make_safe(station, instruments, only=["rate table stopped"])
+    assert action == SafeAction("rate table stopped")
+
+
+def test_a_table_that_hangs_does_not_keep_the_chamber_waiting_for_ever(changed, monkeypatch):
+    station = Station(changed(("clock: virtual", "clock: wall")))
+    monkeypatch.setattr("bench.station.safe_state._EXCHANGE_TIME_S", 0.5)
+    monkeypatch.setattr("bench.station.safe_state._RELEASE_TIME_S", 0.5)
+    hangs, beats = threading.Event(), []
+    monkeypatch.setattr("bench.station.instruments.open_table", lambda *_: hangs.wait(60))
+    with Outputs(station, WallClock()) as outputs:
+        found = problems(make_safe(station, outputs, meanwhile=lambda: beats.append(1)))
+        assert "its port hangs" in found["rate table stopped"]
+        assert found["chamber's set point at 23 degC"] == ""
+        assert outputs.chamber.set_point_c() == 23.0
+        assert beats
+        hangs.set()
+
+
+@pytest.mark.parametrize(
+    "opened", [[("chamber_c: 23", "chamber_c: off"), ("unit: keep", "unit: off")]], indirect=True
+)
+def test_a_station_may_switch_chamber_and_unit_off(opened):
+    station, instruments, bench = opened
+    instruments.power_unit(True)
+    instruments.chamber.switch(True)
+    assert set(problems(make_safe(station, instruments)).values()) == {""}
+    assert not bench.world.air.running
+    assert not bench.world.thermal.powered

@@ -1,0 +1,45 @@
+"""The command `check`: what it prints and its exit codes."""
+
+import pytest
+from typer.testing import CliRunner
+
+from bench.cli import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, app
+from bench.documents import find_document
+
+
+@pytest.fixture
+def check():
+    """Run the command; returns exit code and output."""
+
+    def run(*arguments):
+        result = CliRunner().invoke(app, ["check", *map(str, arguments)])
+        return result.exit_code, result.output
+
+    return run
+
+
+def test_a_bench_that_is_fit_for_a_run_ends_with_zero(check, tmp_path):
+    code, text = check("emulated", "--procedure", "ten_minute_check", "--out", tmp_path)
+    assert code == 0
+    assert "nothing speaks against a run" in text
+
+
+def test_a_fault_that_is_there_ends_with_one(check, tmp_path):
+    (tmp_path / "faults.yaml").write_text("faults:\n  - {fault: chamber_alarm, at_s: 0}\n")
+    code, text = check("emulated", "--faults", tmp_path / "faults.yaml", "--out", tmp_path)
+    assert code == EXIT_NOT_FINISHED
+    assert "not ready for a run" in text
+
+
+def test_a_bench_of_which_nothing_answers_ends_with_three(check, tmp_path):
+    text = find_document("stations", "emulated").read_text()
+    for old, new in {
+        "emulator://table": "/dev/no_table", "emulator://chamber": "/dev/no_chamber",
+        "interface: emulator": "interface: socketcan", "channel: ins": "channel: no_can",
+        "clock: virtual": "clock: wall",
+    }.items():  # fmt: skip
+        text = text.replace(old, new)
+    (tmp_path / "station.yaml").write_text(text)
+    code, text = check(tmp_path / "station.yaml", "--out", tmp_path)
+    assert code == EXIT_INSTRUMENT
+    assert "/dev/no_chamber" in text

@@ -1,0 +1,231 @@
+"""Run folders: what is in them, and going on with a run that was cut short."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from bench.bias.bins import read_bins
+from bench.bias.tables.dwell_table import read_dwells
+from bench.bias.tables.joint_table import read_joint_biases, read_joint_stops
+from bench.bias.tables.noise_file import read_noise
+from bench.bias.tables.verification_table import COLUMNS as VERIFICATION_COLUMNS
+from bench.bias.tables.verification_table import read_verification
+from bench.closure.files import read_held_out_cycles
+from bench.engine.operator import ConsentingOperator
+from bench.engine.session import measure_again, prepare_job, prepare_resumption, resume_run, run_job
+from bench.engine.verify import new_emulation
+from bench.measurement.campaign import read_campaign
+from bench.procedure.plan import Plan
+from bench.progress_view import PatientConsole, ProgressView
+from bench.report.content import read_run
+from bench.report.noise_section import noise_section
+from bench.report.verification_section import verification_section
+from bench.run_store.folder import RunFolder, open_run_folder
+from bench.run_store.telemetry import COLUMNS, read_telemetry
+from bench.station.instruments import Emulation
+from tests.fuzz.checks import WrongResultError, cells_of, check_cell, written
+
+_RUN = Path(__file__).parent / "run.yaml"
+
+
+def finished_run(shared: Path, calibration: bytes) -> Path:
+    """Make a run with a verification in a folder, unless it is there."""
+    path = shared / "finished"
+    if not path.exists():
+        shared.mkdir(parents=True, exist_ok=True)
+        table = written(shared, "calibration.csv", calibration)
+        job = prepare_job(str(_RUN), "quick", Emulation("quick"), table)
+        with Path(os.devnull).open("w") as nowhere, _unseen(nowhere, job.plan) as view:
+            run_job(job, shared / "begun", view, ConsentingOperator())
+        (shared / "begun").rename(path)
+    return path
+
+
+def _unseen(nowhere: TextIO, plan: Plan) -> ProgressView:
+    return ProgressView(PatientConsole(file=nowhere), plan)
+
+
+def _copied(run: Path, folder: Path) -> Path:
+    copy = folder / "run"
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("figures", "report.html"))
+    return copy
+
+
+#: A part of the CAN log that holds a dwell.
+PART = "can/part-00002.blf"
+
+
+def use_journal(run: Path) -> Callable[[Path, bytes], None]:
+    def use(folder: Path, data: bytes) -> None:
+        copy = _copied(run, folder)
+        (copy / "journal.jsonl").write_bytes(data)
+        read_run(RunFolder(copy))
+        new_emulation(open_run_folder(copy))
+        measure_again(copy)
+
+    return use
+
+
+def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
+    expected = read_dwells(run / "dwells.csv")
+
+    def use(folder: Path, data: bytes) -> None:
+        copy = _copied(run, folder)
+        (copy / PART).write_bytes(data)
+        measure_again(copy)
+        for row, sound in zip(read_dwells(copy / "dwells.csv"), expected, strict=True):
+            if not row.flags and not np.allclose(
+                row.bias_dph, sound.bias_dph, rtol=0.0, atol=5.0 * max(sound.sigma_dph)
+            ):
+                raise WrongResultError(f"bias {row.bias_dph} without a flag, not {sound.bias_dph}")
+
+    return use
+
+
+def use_telemetry(run: Path) -> Callable[[Path, bytes], None]:
+    expected = read_telemetry(run / "telemetry")
+
+    def use(folder: Path, data: bytes) -> None:
+        copy = _copied(run, folder)
+        (copy / "telemetry/part-00001.parquet").write_bytes(data)
+        read_run(RunFolder(copy))
+        readings = read_telemetry(copy / "telemetry")
+        if any(len(readings[name]) != len(expected[name]) for name in COLUMNS):
+            raise WrongResultError("the telemetry has another length")
+        read_campaign(copy)
+
+    return use
+
+
+def use_provenance(run: Path) -> Callable[[Path, bytes], None]:
+    def use(folder: Path, data: bytes) -> None:
+        copy = RunFolder(_copied(run, folder))
+        copy.provenance.write_bytes(data)
+        read_run(copy)
+        emulation = new_emulation(copy)
+        told = json.loads(data).get("options", {})
+        if "seed" in told and emulation.seed != told["seed"] + 1:
+            raise WrongResultError(f"the next seed after {told['seed']!r} is {emulation.seed!r}")
+
+    return use
+
+
+def cut_journals(run: Path) -> tuple[bytes, ...]:
+    """The journal as it was at some instants of the run, with half a line in one case."""
+    whole = (run / "journal.jsonl").read_bytes()
+    lines = whole.splitlines(keepends=True)
+    parts = [b"".join(lines[:count]) for count in range(3, len(lines), 6)]
+    return (*parts, whole[: len(whole) // 2])
+
+
+def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
+    """Resume the run to its end: each dwell is there once, none is passed over."""
+
+    def use(folder: Path, data: bytes) -> None:
+        copy = _copied(run, folder)
+        (copy / "journal.jsonl").write_bytes(data)
+        resumption = prepare_resumption(copy)
+        resumption.describe()
+        told = _whole_entries(data)
+        finished = {each["marks"]["dwell"] for each in told if each.get("event") == "dwell_finished"}
+        if resumption.done.finished != finished:
+            raise WrongResultError(
+                f"dwells {resumption.done.finished} are finished, the journal says {finished}"
+            )
+        plan = resumption.job.plan
+        with Path(os.devnull).open("w") as nowhere, _unseen(nowhere, plan) as view:
+            resumed, outcome = resume_run(resumption, view, ConsentingOperator())
+        if outcome.ended != "finished":
+            raise WrongResultError(f"resumed, the run {outcome.ended}: {outcome.reason}")
+        measured = {row.dwell for row in read_dwells(resumed.dwells)}
+        verified = {each.marks.dwell for each in outcome.verifications}
+        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.done.skipped
+        if missing:
+            raise WrongResultError(f"the dwells {missing} are lost")
+
+    return use
+
+
+def _whole_entries(data: bytes) -> list[dict[str, Any]]:
+    """Entries of a sound journal; a last line without its end was never finished."""
+    lines = data.split(b"\n")[:-1]
+    return [json.loads(line) for line in lines[:-1]] + [_parsed(line) for line in lines[-1:]]
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return entry if isinstance(entry, dict) else {}
+
+
+def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
+    """Read verification.csv as the report does."""
+
+    def use(folder: Path, data: bytes) -> None:
+        copy = RunFolder(_copied(run, folder))
+        copy.verification.write_bytes(data)
+        read_run(copy)
+        rows = read_verification(copy.verification)
+        cells = cells_of(data)
+        if len(rows) != len(cells):
+            raise WrongResultError(f"{len(rows)} rows instead of {len(cells)}")
+        for row, line in zip(rows, cells, strict=True):
+            for name, cell in line.items():
+                if name in VERIFICATION_COLUMNS:
+                    check_cell(getattr(row, name), cell)
+        verification_section(rows)
+
+    return use
+
+
+def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
+    """Measure a verification again against a damaged calibration.csv."""
+
+    def use(folder: Path, data: bytes) -> None:
+        copy = RunFolder(_copied(run, folder))
+        copy.calibration.write_bytes(data)
+        measure_again(copy.path)
+        for row in read_verification(copy.verification):
+            difference_dph = row.bias_dph - row.calibrated_dph
+            if row.is_compared and not math.isclose(
+                row.difference_dph, difference_dph, rel_tol=1e-6, abs_tol=1e-8
+            ):
+                raise WrongResultError(f"the difference is {row.difference_dph}, not {difference_dph}")
+
+    return use
+
+
+CLOSURE = '{"verdict": "explained", "held_out_cycles": [3, 4], "effects": [], "dwells_searched": 40}'
+
+
+def use_closure(folder: Path, data: bytes) -> None:
+    written(folder, "closure.json", data)
+    cycles = read_held_out_cycles(folder)
+    if cycles != json.loads(data)["held_out_cycles"]:
+        raise WrongResultError(f"cycles {cycles}")
+
+
+def use_noise(run: Path) -> Callable[[Path, bytes], None]:
+    def use(folder: Path, data: bytes) -> None:
+        copy = RunFolder(_copied(run, folder))
+        copy.noise.write_bytes(data)
+        for path, read in (
+            (copy.bias_bins, read_bins),
+            (copy.joint, read_joint_stops),
+            (copy.joint_biases, read_joint_biases),
+        ):
+            read(path)
+        noise = read_noise(copy.noise)
+        noise_section(noise, {})
+
+    return use
