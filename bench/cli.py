@@ -141,7 +141,10 @@ def tell(
     if holder is None:
         raise RunFolderError(f"{run_folder}: no run is under way there on this machine")
     number = next(number for number, each in SIGNALS.items() if each is order)
-    os.kill(holder.pid, number)
+    try:
+        os.kill(holder.pid, number)
+    except OSError as error:
+        raise RunFolderError(f"{run_folder}: process {holder.pid} can't be told: {error.strerror}") from error
     typer.echo(f"Told process {holder.pid} to {order}: {MEANINGS[order]}.")
 
 

@@ -9,6 +9,9 @@ from bench.errors import RunStoppedError
 from bench.guard.link import Guard
 from bench.run_store.journal import Journal
 
+#: A calendar that differs by so much more than before has been set, or was corrected for long.
+_CALENDAR_SET_S = 1.0
+
 
 class Heartbeat:
     """Lets ticks pass: the bench is polled, the guard gets a sign of life, orders are taken.
@@ -24,11 +27,20 @@ class Heartbeat:
         self._journal = journal
         self._people = people
         self._guard = guard
+        self._calendar_offset_s = 0.0
 
     def beat(self) -> None:
         """Let one tick pass."""
         self._bench.tick()
         self.tell_guard()
+        self._notice_calendar()
+
+    def _notice_calendar(self) -> None:
+        """Note a calendar that was set: the run's times go on as before, other logs of the host do not."""
+        offset_s = self._bench.clock.calendar_offset_s()
+        if abs(offset_s - self._calendar_offset_s) > _CALENDAR_SET_S:
+            self._calendar_offset_s = offset_s
+            self.note(f"this machine's calendar is now {offset_s:+.1f} s from the run's time, which goes on")
 
     def tell_guard(self) -> None:
         """Say to the guard that the engine is alive."""

@@ -73,7 +73,8 @@ def _fuzz(count: int, seed: int) -> PartResult:
         "Fuzz",
         {"inputs": inputs, "refused with a clear error": refused, "accepted with a right result": accepted,
          "problems": problems},
-        f"Mutated files of every kind that the bench reads. Took {(time.monotonic() - begin_s) / 60.0:.0f} min.",
+        "Mutated files of every kind that the bench reads. "
+        f"Took {(time.monotonic() - begin_s) / 60.0:.0f} min.",
         [PartTable(lines[head].split(), rows)],
         lines[:head],
         machine(),

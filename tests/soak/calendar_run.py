@@ -90,7 +90,7 @@ def _run(folder: Path, kind: str, count: int, seed: int) -> dict[str, object]:
         text = text.replace(old, new)
     station.write_text(text)
     job = prepare_job(str(procedure), str(station), Emulation(str(WORLD), 0))
-    calendar = _Calendar(job, 1 if "forward" in kind else -1, count, Random(f"{seed}/{kind}"))
+    calendar = _Calendar(job, 1 if "forward" in kind else -1, count, Random(f"{seed}/{kind}"))  # noqa: S311
     problems = []
     with mock.patch("bench.clock._calendar", calendar.now):
         run, outcome = run_job(job, folder / "run", calendar, ConsentingOperator())

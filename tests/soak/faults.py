@@ -209,7 +209,7 @@ class FaultyRun:
         return outcome
 
     def _inspect(self, outcome: RunOutcome | None) -> None:
-        """The table is at rest and the chamber at its safe set point, or somebody is told that they are not."""
+        """The table is at rest and the chamber at its safe set point, or it is told that they are not."""
         bench = self.watcher.bench
         if bench is None:
             return
@@ -381,9 +381,10 @@ def _result(tallies: Sequence[KindTally], took_s: float) -> PartResult:
             f"temperatures off by more than {WRONG_C:g} K without a flag": str(len(of("wrong_temperature"))),
             "ends with the bench not safe and nobody told": str(len(of("unsafe"))),
         },
-        "One kind in a run, at random times; half of the injections under a procedure that repeats disturbed dwells, "
-        "half under one that flags them. A run that ended was resumed. An injection's outcome is the gravest thing "
-        "that the journal tells before the next one; a retry inside a driver's exchange leaves no trace there. "
+        "One kind in a run, at random times; half of the injections under a procedure that repeats "
+        "disturbed dwells, half under one that flags them. A run that ended was resumed. An injection's "
+        "outcome is the gravest thing that the journal tells before the next one; a retry inside a "
+        "driver's exchange leaves no trace there. "
         f"Took {took_s / 60.0:.0f} min.",
         [PartTable(["kind", "injected", *reversed(OUTCOMES), "dwells", "of them flagged", "wrong"], rows)],
         [

@@ -199,7 +199,8 @@ class HostRun(FaultyRun):
 
 
 def _in_process(folder: Path, kind: str, count: int, seed: int) -> KindTally:
-    random, whole = Random(f"{seed}/{kind}"), KindTally(kind)
+    whole = KindTally(kind)
+    random = Random(f"{seed}/{kind}")  # noqa: S311
     for rule, share in (("repeat", count - count // 2), ("flag", count // 2)):
         if share:
             whole.merge(_host_run(folder / f"{kind.replace(' ', '_')}_{rule}", kind, rule, share, random))
@@ -240,7 +241,7 @@ def _small_disk(folder: Path, mounted: contextlib.ExitStack) -> Path | None:
 
 def _terminal_closed(folder: Path, kind: str, count: int, seed: int) -> KindTally:
     """Real processes on a pseudo-terminal that goes away under them."""
-    random = Random(f"{seed}/{kind}")
+    random = Random(f"{seed}/{kind}")  # noqa: S311
     run = FaultyRun(folder / "terminal_closed", kind, "repeat")
     path = run.run.path
     for _ in range(count):
@@ -266,7 +267,7 @@ def _run_command(run: FaultyRun) -> list[str]:
 
 
 def _on_terminal(arguments: Sequence[str], journal: Path, begun: int, random: Random) -> float | None:
-    """Take the terminal away; the time of the journal's last entry then, or None if the run was over before."""
+    """Take the terminal away; the time of the journal's last entry then, None if the run was over before."""
     pid, terminal = pty.fork()
     if pid == 0:
         os.environ["OPENBLAS_NUM_THREADS"] = "1"

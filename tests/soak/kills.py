@@ -325,7 +325,8 @@ def kill_runs(folder: Path, count: int, seed: int, procedure: Path = PROCEDURE) 
     tally = Tally()
 
     def one(number: int) -> None:
-        run = KilledRun(folder / f"run_{number:02d}", Random(f"{seed}/{number}"), tally, job)
+        random = Random(f"{seed}/{number}")  # noqa: S311
+        run = KilledRun(folder / f"run_{number:02d}", random, tally, job)
         if run.go(min(_KILLS_PER_RUN, count)):
             run.judge(undisturbed)
 
@@ -366,11 +367,13 @@ def _result(tally: Tally, took_s: float) -> PartResult:
             "the same against an undisturbed run": _chi2(beside),
             "gyro temperatures beside the undisturbed run": f"at most {tally.largest_difference_c:.2f} K apart",
         },
-        f"Runs of {tally.dwells // max(tally.runs, 1)} dwells on ramps and after soaks, in processes of their own on "
-        f"virtual time, killed with SIGKILL up to {_KILLS_PER_RUN} times each, then left to finish. After each kill "
-        "journal, raw log, telemetry and dwell table were read, the finished dwells measured again from the raw "
-        f"log, and what `resume --look` says was looked at ({tally.looks} times by a process of its own). The guard "
-        f"against resuming in vain asked for `--anyway` {tally.guarded} times. Took {took_s / 60.0:.0f} min.",
+        f"Runs of {tally.dwells // max(tally.runs, 1)} dwells on ramps and after soaks, in processes of "
+        f"their own on virtual time, killed with SIGKILL up to {_KILLS_PER_RUN} times each, then left to "
+        "finish. After each kill journal, raw log, telemetry and dwell table were read, the finished dwells "
+        "measured again from the raw log, and what `resume --look` says was looked at "
+        f"({tally.looks} times by a process of its own). The guard against resuming in vain asked for "
+        f"`--anyway` {tally.guarded} times. "
+        f"Took {took_s / 60.0:.0f} min.",
         [counts("under way at the kill", by_kind)],
         problems,
         machine(),

@@ -1,4 +1,4 @@
-"""One run of a thousand hours with a fault every few minutes: does it go on, and does the program stay small?"""
+"""One run of a thousand hours with a fault every few minutes: it goes on, and the program stays small."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def open_descriptors() -> int:
 
 
 def slope(samples: np.ndarray) -> tuple[float, float]:
-    """Growth of memory in MB per 100 h after the warm-up, and the spread about it, from rows of (h, MB, ...)."""
+    """Growth of memory in MB per 100 h after the warm-up, and the spread about it; rows begin with h, MB."""
     settled = samples[samples[:, 0] >= _WARM_UP * samples[-1, 0]]
     growth, offset = np.polyfit(settled[:, 0], settled[:, 1], 1)
     return 100.0 * growth, float(np.std(settled[:, 1] - growth * settled[:, 0] - offset))
@@ -115,6 +115,7 @@ def long_run(folder: Path, hours: float, seed: int) -> PartResult:
     growth_mb, spread_mb = slope(samples)
     rss, descriptors, threads = samples[:, 1], samples[:, 2], samples[:, 3]
     settled = samples[:, 0] >= _WARM_UP * samples[-1, 0]
+    every_min = 60.0 * samples[-1, 0] / max(tally.injected, 1)
     problems = [*tally.wrong, *tally.wrong_temperature, *tally.unsafe, *tally.problems]
     if tally.lost:
         problems.append(f"{tally.lost} dwells lost")
@@ -124,7 +125,7 @@ def long_run(folder: Path, hours: float, seed: int) -> PartResult:
         "Long run",
         {
             "bench time": f"{samples[-1, 0]:.0f} h",
-            "faults injected": f"{tally.injected}, one in {samples[-1, 0] * 60.0 / max(tally.injected, 1):.1f} min",
+            "faults injected": f"{tally.injected}, one in {every_min:.1f} min",
             "dwells finished": str(tally.dwells),
             "dwells flagged": str(tally.flagged),
             "dwells lost": str(tally.lost),

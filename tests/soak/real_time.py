@@ -1,4 +1,4 @@
-"""Whole runs in real time, the emulators in processes of their own, over slcan and socketcand at the same time.
+"""Whole runs in real time, the emulators in processes of their own, over slcan and socketcand side by side.
 
 Table and chamber are on pseudo-terminals, or on TCP ports where the CAN bus is a socketcand server.
 """
@@ -92,10 +92,10 @@ def real_time(folder: Path, minutes: float, seed: int) -> PartResult:
             for name in names
             if not name.startswith("processor")
         },
-        f"Two benches of the world `{_WORLD}` side by side, an epoch of the INS every 0.1 s: `gyrobench run` with its "
-        "guard, and the emulators in a process of their own. A tick's lateness is told by every run at the end of its "
-        "journal. Frames are compared one by one with what the emulated INS sent. Processor load is that of one core, "
-        "from the first step on.",
+        f"Two benches of the world `{_WORLD}` side by side, an epoch of the INS every 0.1 s: "
+        "`gyrobench run` with its guard, and the emulators in a process of their own. A tick's lateness is "
+        "told by every run at the end of its journal. Frames are compared one by one with what the emulated "
+        "INS sent. Processor load is that of one core, from the first step on.",
         [PartTable(["", *_BUSES], [[name, *(figures[name] for figures, _ in runs)] for name in names])],
         [problem for _, problems in runs for problem in problems],
         machine(),

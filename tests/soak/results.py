@@ -114,8 +114,10 @@ def told(result: PartResult) -> str:
     lines = [result.title, *(f"  {name:42}{value}" for name, value in result.figures.items())]
     for table in result.tables:
         widths = [max(len(row[i]) for row in (table.head, *table.rows)) for i in range(len(table.head))]
-        for row in (table.head, *table.rows):
-            lines.append("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)))
+        lines.extend(
+            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+            for row in (table.head, *table.rows)
+        )
     return "\n".join([*lines, *(f"  PROBLEM: {each}" for each in result.problems)])
 
 

@@ -86,7 +86,8 @@ def test_an_injection_is_told_by_the_gravest_thing_before_the_next():
 def row(bias_dph, flags=""):
     return DwellRow(
         unit="1", run="1", dwell=1, cycle=1, position="z_up", start_s=0.0, end_s=1.0, since_power_on_s=0.0,
-        gyro_c=(20.0,) * 3, gyro_rate_c_per_h=(0.0,) * 3, bias_dph=bias_dph, sigma_dph=(0.001,) * 3, flags=flags,
+        gyro_c=(20.0,) * 3, gyro_rate_c_per_h=(0.0,) * 3,
+        bias_dph=bias_dph, sigma_dph=(0.001,) * 3, flags=flags,
     )  # fmt: skip
 
 
