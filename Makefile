@@ -16,9 +16,9 @@ run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
 	$(BIN)/gyrobench close "$$(ls -td runs/six_position_fig7-* | head -n 1)"
 
-# Three workers on two cores: one of them waits in real time for most of the run.
+# Four workers on two cores: two of them begin with tests that wait in real time.
 test: install
-	$(BIN)/python -m pytest -n 3 --dist loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 soak: install
 	$(BIN)/python -m tests.soak all --table docs/soak.md

@@ -1,20 +1,43 @@
 """Order of the tests, which of them one worker runs, and where their locks are."""
 
 import pytest
+from xdist.scheduler import LoadFileScheduling
 
 from bench.station.bench_lock import LOCK_DIR_VARIABLE
 
-SHIFT_RUNS = {"shift_runs", "watched_shift_runs"}
+#: These look at the same runs of a shift.
+SHIFT_RUNS = {
+    "tests/bench/engine/test_whole_procedure.py",
+    "tests/bench/engine/test_whole_procedure_results.py",
+    "tests/bench/measurement/test_replay.py",
+    "tests/bench/measurement/test_results.py",
+}
+#: What takes long comes first, so that no worker has it left over at the end.
+LONG = SHIFT_RUNS | {"tests/bench/closure/test_whole_campaigns.py"}
 
 
-@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
+class SharedRunsScheduling(LoadFileScheduling):
+    """One worker runs all tests of a file, and all files that share runs."""
+
+    def _split_scope(self, nodeid):
+        path = super()._split_scope(nodeid)
+        return "runs of a shift" if path in SHIFT_RUNS else path
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keep tests that share runs together with ``--dist loadfile``; other ways are xdist's own."""
+    return SharedRunsScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put tests that wait in real time first, and files that share runs into one worker."""
-    items.sort(key=lambda item: item.get_closest_marker("wall_time") is None)
-    sharing = {item.path for item in items if SHIFT_RUNS & set(getattr(item, "fixturenames", ()))}
-    for item in items:
-        group = "runs of a shift" if item.path in sharing else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
+    """Put tests that wait in real time first, then what takes long."""
+    items.sort(
+        key=lambda item: (
+            item.get_closest_marker("wall_time") is None,
+            item.nodeid.partition("::")[0] not in LONG,
+        )
+    )
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -161,19 +161,22 @@ def run_job(
     """
     clock: Clock = VirtualClock() if job.is_virtual else WallClock()
 
-    def make_folder(instruments: Instruments) -> RunFolder:
-        folder = create_run_folder(out, job.plan.procedure.procedure)
+    def write_inputs(folder: RunFolder, instruments: Instruments) -> None:
         _copy_inputs(folder, job)
-        options = {"clock": job.station.file.clock, **job.emulated_world()}
         identities = {
             "rate table": instruments.table.identify(),
             "chamber": instruments.chamber.identify(),
         }
+        options = {"clock": job.station.file.clock, **job.emulated_world()}
         write_provenance(folder, clock.epoch, identities, options)
-        return folder
+
+    def make_folder() -> RunFolder:
+        return create_run_folder(out, job.plan.procedure.procedure)
 
     lock_path = out or Path("runs") / job.plan.procedure.procedure
-    return _run(job, clock, lock_path, make_folder, RunProgress(), RunOutcome(), progress, operator)
+    return _run(
+        job, clock, lock_path, make_folder, write_inputs, RunProgress(), RunOutcome(), progress, operator
+    )
 
 
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
@@ -199,7 +202,10 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     except RunFolderError as error:
         raise RunFolderError(f"{folder.journal}: {error}") from error
     if done.is_over(job.plan) and done.ended == "finished":
-        raise RunFolderError(f"{path}: this run is finished, so there is nothing to resume")
+        raise RunFolderError(
+            f"{path}: this run is finished, so there is nothing to resume. If tables or report are missing, "
+            f"write them with: gyrobench bins {path}"
+        )
     if done.resumed_in_vain >= MOST_RESUMED_IN_VAIN and not anyway:
         raise RunFolderError(
             f"{path}: was resumed {done.resumed_in_vain} times without finishing a single step. "
@@ -234,14 +240,17 @@ def resume_run(
         clock = WallClock.resumed(started_utc(folder), last_s)
     dwells, verifications = replay(folder, measurement_setup(job.station))
     outcome = RunOutcome(dwells=dwells, verifications=verifications)
-    return _run(job, clock, folder.path, lambda _: folder, done, outcome, progress, operator)
+    return _run(
+        job, clock, folder.path, lambda: folder, lambda *_: None, done, outcome, progress, operator
+    )
 
 
 def _run(
     job: Job,
     clock: Clock,
     lock_path: Path,
-    folder_for: Callable[[Instruments], RunFolder],
+    folder_for: Callable[[], RunFolder],
+    write_inputs: Callable[[RunFolder, Instruments], None],
     done: RunProgress,
     outcome: RunOutcome,
     progress: Progress,
@@ -255,8 +264,9 @@ def _run(
         patience_s = _GUARD_TIME_S if done.last_s else 0.0
         bench_lock = held.enter_context(BenchLock(job.station, lock_path, clock, patience_s=patience_s))
         instruments = held.enter_context(Instruments(job.station, clock, job.emulation))
-        folder = folder_for(instruments)
+        folder = folder_for()
         run_lock = held.enter_context(RunLock(folder.path, clock))
+        write_inputs(folder, instruments)
         journal = held.enter_context(Journal(folder.journal, clock))
         _record_start(journal, job, done, setup, progress)
         for text in (*bench_lock.taken_over, *run_lock.taken_over):

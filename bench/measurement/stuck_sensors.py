@@ -2,7 +2,7 @@
 
 One dwell does not show them: soaked gyros hardly change. From dwell to dwell everything in the INS follows
 the chamber, so a sensor that stands still to the last bit in a dwell, and has not gone along with the
-others since an earlier dwell, is stuck.
+others since an earlier dwell, is stuck. Switching the INS off and on may not free it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[tuple[int, str]]:
         return
     for axis in range(3):
         since = _still_since(rows, axis)
-        earlier = [row for row in rows[max(since - 1, 0) : -1] if row.run == rows[-1].run]
-        apart_k = [_apart_k(row, rows[-1], axis) for row in earlier]
+        earlier = [row for row in rows[_last_told(rows, since, axis) : -1] if row.unit == rows[-1].unit]
+        apart_k = [_apart_k(row, rows[-1], axis) for row in earlier if np.isfinite(row.gyro_c[axis])]
         if since < len(rows) and max(apart_k, default=0.0) > 1.0:
             for index in range(since, len(rows)):
                 yield (
@@ -58,6 +58,14 @@ def _still_since(rows: Sequence[DwellRow], axis: int) -> int:
     while since and _is_still(rows[since - 1], axis) and _is_same(rows[since - 1], rows[-1], axis):
         since -= 1
     return since
+
+
+def _last_told(rows: Sequence[DwellRow], since: int, axis: int) -> int:
+    """Index of the last dwell before ``since`` in which a sensor told a temperature; 0 for none."""
+    before = max(since - 1, 0)
+    while before and not np.isfinite(rows[before].gyro_c[axis]):
+        before -= 1
+    return before
 
 
 def _apart_k(earlier: DwellRow, later: DwellRow, axis: int) -> float:
@@ -78,4 +86,4 @@ def _is_still(row: DwellRow, axis: int) -> bool:
 
 
 def _is_same(one: DwellRow, other: DwellRow, axis: int) -> bool:
-    return one.run == other.run and abs(one.gyro_c[axis] - other.gyro_c[axis]) < _SAME_C
+    return one.unit == other.unit and abs(one.gyro_c[axis] - other.gyro_c[axis]) < _SAME_C

@@ -10,6 +10,13 @@ from pathlib import Path
 from bench.errors import RunFolderError
 from bench.files import make_folder, make_new_folder
 
+#: The file by which a process holds a run folder; the first that is made in it.
+LOCK = ".lock"
+#: What a run writes before its journal.
+_BEFORE_THE_JOURNAL = re.compile(
+    r"(procedure|station|compensation)\.yaml|calibration\.csv|provenance\.json|.*\.dbc|\.lock|\..*\.part"
+)
+
 
 @dataclass(frozen=True)
 class RunFolder:
@@ -114,7 +121,8 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
     Parameters
     ----------
     out : Path or None
-        The folder, which must be absent or empty; None for a new one under ``runs/``.
+        The folder, which must be absent or empty, or hold no more than a run that was cut off before its
+        journal began; None for a new one under ``runs/``.
     name : str
         Name of the procedure, for a folder under ``runs/``.
 
@@ -126,10 +134,11 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
     if out is not None:
         make_folder(out)
         try:
-            is_empty = not any(out.iterdir())
+            held = [path.name for path in out.iterdir()]
         except OSError as error:
             raise RunFolderError(f"{out}: can't be read: {error.strerror}") from error
-        if not is_empty:
+        was_begun = LOCK in held and all(_BEFORE_THE_JOURNAL.fullmatch(name) for name in held)
+        if held and not was_begun:
             raise RunFolderError(f"{out}: is not empty. Give another --out, or none for a new folder.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
@@ -154,5 +163,8 @@ def open_run_folder(path: Path) -> RunFolder:
                 "Put a folder in the place of the link"
             )
     if not folder.journal.is_file():
-        raise RunFolderError(f"{path}: is no run folder (it has no {folder.journal.name})")
+        raise RunFolderError(
+            f"{path}: is no run folder (it has no {folder.journal.name}). A run that was cut off before it "
+            "began is started anew"
+        )
     return folder

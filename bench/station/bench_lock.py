@@ -29,6 +29,7 @@ from typing import Self
 
 from bench.clock import Clock, Deadline, WallClock
 from bench.errors import BenchInUseError, GyrobenchError
+from bench.run_store.folder import LOCK
 from bench.station.station import Station
 
 LOCK_DIR_VARIABLE = "GYROBENCH_LOCK_DIR"
@@ -40,7 +41,6 @@ _EVERYBODY_ADDS = stat.S_ISVTX | stat.S_IRWXO
 _MOST_BYTES = 16384
 _LONGEST_TEXT = 300
 _EMULATED = "emulator"
-_RUN_LOCK = ".lock"
 #: Others hold a lock for an instant when they look whether it is held.
 _LOOKERS_TIME_S = 0.3
 _LOOK_S = 0.05
@@ -213,7 +213,7 @@ class RunLock(_Lock):
     """Holds a run folder; a context manager with the same attributes and errors as :class:`BenchLock`."""
 
     def __init__(self, run_path: Path, clock: Clock, command: str | None = None) -> None:
-        paths = {f"the run folder {run_path}": run_path / _RUN_LOCK}
+        paths = {f"the run folder {run_path}": run_path / LOCK}
         super().__init__(paths, lambda: _identity(run_path, command), clock)
 
     def _advice(self, holder: Holder | None) -> str:  # noqa: ARG002
@@ -222,7 +222,7 @@ class RunLock(_Lock):
 
 def holder_of(run_path: Path) -> Holder | None:
     """Find the process that holds a run folder; None where nobody does."""
-    return _present_holder(run_path / _RUN_LOCK)
+    return _present_holder(run_path / LOCK)
 
 
 def bench_holders(station: Station) -> list[Holder]:

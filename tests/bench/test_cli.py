@@ -1,7 +1,6 @@
 """The commands as a technician types them."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -12,20 +11,14 @@ import pytest
 
 from bench.bias.tables.dwell_table import write_dwells
 from bench.cli import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 from tests.bench.report.made_up_closure import made_up_rows
-
-
-def gyrobench(*arguments, cwd):
-    command = [sys.executable, "-c", "from bench.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=cwd, capture_output=True, text=True, timeout=200, env={**os.environ, "COLUMNS": "80"}
-    )
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     cwd = tmp_path_factory.mktemp("bench")
-    return cwd, gyrobench("run", "ten_minute_check", "--world", "ideal", cwd=cwd)
+    return cwd, gyrobench_process("run", "ten_minute_check", "--world", "ideal", cwd=cwd)
 
 
 def test_a_shipped_procedure_runs_by_name_from_any_folder(finished):
@@ -157,7 +150,7 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
     (tmp_path / "wrong.yaml").write_text(
         "procedure: wrong\nsteps:\n  - sook: {for_s: 5}\n  - wait: {duration: 5}\n"
     )
-    result = gyrobench("run", "wrong.yaml", cwd=tmp_path)
+    result = gyrobench_process("run", "wrong.yaml", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
     assert "wrong.yaml:3:" in result.stderr
     assert "did you mean 'soak'?" in result.stderr
@@ -197,9 +190,9 @@ def test_an_instrument_that_can_not_be_reached_has_its_own_exit_code(tmp_path, p
 
 
 def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
-    command = [sys.executable, "-c", "from bench.cli import main; main()", "run", "three_temperature_shift"]
+    command = [*PROCESS, "run", "quick_campaign", "--station", "quick", "--world", "quick"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
-        journal = tmp_path / "runs/three_temperature_shift-001/journal.jsonl"
+        journal = tmp_path / "runs/quick_campaign-001/journal.jsonl"
         deadline = time.monotonic() + 60
         while not (journal.is_file() and "dwell_finished" in journal.read_text()):
             assert time.monotonic() < deadline

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import cantools
 import numpy as np
@@ -156,10 +157,18 @@ def _check_decoding(codec: DbcCodec) -> None:
                 expected = message.decode(payload.tobytes()[: message.length], decode_choices=False)
             except cantools.Error:
                 continue
-            for signal, value in expected.items():
-                ours = decoded[signal][index]
+            for signal, exact in expected.items():
+                ours, value = decoded[signal][index], _float(exact)
                 if not (
                     math.isclose(ours, value, rel_tol=1e-9, abs_tol=1e-300)
                     or math.isnan(ours) == math.isnan(value) is True
                 ):
                     raise WrongResultError(f"{name}.{signal} is {ours!r}, cantools says {value!r}")
+
+
+def _float(value: Any) -> float:
+    """The nearest float; cantools multiplies whole numbers without a limit."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf

@@ -51,8 +51,13 @@ class Sandbox:
         sys.addaudithook(self._noticed)
 
     @contextmanager
-    def inside(self, folder: Path, limit_s: int) -> Iterator[None]:
-        """Let nothing be written outside a folder, nor anything last longer than the limit.
+    def inside(self, folder: Path, work_s: float, wait_s: float) -> Iterator[None]:
+        """Let nothing be written outside a folder, nor anything last too long.
+
+        Parameters
+        ----------
+        work_s, wait_s : float
+            Limits of the processor's time, and of the time that passes.
 
         Raises
         ------
@@ -61,14 +66,17 @@ class Sandbox:
         """
         self.broken = []
         self._folder = os.path.realpath(folder) + os.sep
-        signal.signal(signal.SIGALRM, self._rang)
-        signal.alarm(limit_s)
+        for number in (signal.SIGPROF, signal.SIGALRM):
+            signal.signal(number, self._rang)
+        signal.setitimer(signal.ITIMER_PROF, work_s)
+        signal.setitimer(signal.ITIMER_REAL, wait_s)
         self._watching = True
         try:
             yield
         finally:
             self._watching = False
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _rang(self, number: int, frame: FrameType | None) -> None:
         raise HangError

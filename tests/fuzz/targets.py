@@ -23,7 +23,8 @@ from tests.fuzz.mutations import (
     damaged_yaml,
 )
 
-_YAML = r"\.yaml:\d+:\d+: |/input/fuzzed\.yaml: "
+#: A place in a document; a file that can't be taken for text has none.
+_YAML = r"\.yaml:\d+:\d+: |/input/fuzzed\.yaml: (is not UTF-8|\d+ bytes; at most)"
 _TABLE = r"/input/fuzzed\.csv:"
 
 

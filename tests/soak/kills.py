@@ -45,7 +45,9 @@ _LOOK_PERIOD_S = 0.0005
 _KILLS_PER_RUN = 12
 #: One kill in so many, the folder is looked at by a process of its own as well.
 _LOOKS_BY_PROCESS = 5
-_LONGEST_S = 300.0
+_LONGEST_S = 600.0
+#: So far ahead it is aimed, and so near the end at what comes after it.
+_NEXT_STEPS, _LAST_STEPS = 20, 8
 START, RESULTS, BETWEEN, BACK = "start-up", "results and report", "between two steps", "way back: "
 
 
@@ -144,20 +146,21 @@ class KilledRun:
 
     def _aim(self) -> str:
         """Where to hit: rather what has been hit less."""
-        done = self._progress_index()
-        horizon = {planned.step.name for planned in self._job.plan.steps[done : done + 20]}
-        aims = [START, *sorted(horizon)]
-        if done:
+        ahead = self._ahead()
+        aims = [START, *sorted(set(ahead))]
+        if len(ahead) < len(self._job.plan.steps):
             aims += [f"{BACK}{kind}" for kind in ("power_on", "chamber", "soak", "go_to")]
-        if done >= len(self._job.plan.steps) - 8:
+        if len(ahead) <= _LAST_STEPS:
             aims += [RESULTS]
         with self._tally.lock:
             weights = [1.0 / (1.0 + self._tally.under_way[aim]) for aim in aims]
         return self._random.choices(aims, weights)[0]
 
-    def _progress_index(self) -> int:
-        journal = self._path / "journal.jsonl"
-        return progress_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
+    def _ahead(self) -> list[str]:
+        """Kinds of the next steps; all of them where nothing is done yet."""
+        journal, steps = self._path / "journal.jsonl", self._job.plan.steps
+        done = progress_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
+        return [planned.step.name for planned in (steps[done : done + _NEXT_STEPS] if done else steps)]
 
     def _attempt(self, aim: str | None) -> int | None:
         """Start a process and kill it where aimed; its exit code if it was through before."""
@@ -194,7 +197,7 @@ class KilledRun:
     ) -> Iterator[str]:
         """New lines of the journal until it is time to kill the process, or until it ends by itself."""
         due_s = begin_s + (self._random.uniform(0.0, 1.2 * self._start_s) if aim == START else _LONGEST_S)
-        left = self._random.randint(1, 2) if aim not in (RESULTS, None) else 1
+        left = self._random.randint(1, max(1, min(2, self._ahead().count(aim or ""))))
         is_begun = False
         while process.poll() is None and time.monotonic() < due_s:
             for line in tail.new_lines():
@@ -365,10 +368,10 @@ def _result(tally: Tally, took_s: float) -> PartResult:
             "wrong results let through": str(len(truth.wrong)),
             "chi2 per degree of freedom against the truth": _chi2(truth),
             "the same against an undisturbed run": _chi2(beside),
-            "gyro temperatures beside the undisturbed run": f"at most {tally.largest_difference_c:.2f} K apart",
+            "gyro temperatures beside it": f"at most {tally.largest_difference_c:.2f} K apart",
         },
-        f"Runs of {tally.dwells // max(tally.runs, 1)} dwells on ramps and after soaks, in processes of "
-        f"their own on virtual time, killed with SIGKILL up to {_KILLS_PER_RUN} times each, then left to "
+        f"Runs of {tally.dwells // max(tally.runs, 1)} dwells on ramps and after soaks, in processes "
+        f"of their own on virtual time, killed with SIGKILL up to {_KILLS_PER_RUN} times each, then left to "
         "finish. After each kill journal, raw log, telemetry and dwell table were read, the finished dwells "
         "measured again from the raw log, and what `resume --look` says was looked at "
         f"({tally.looks} times by a process of its own). The guard against resuming in vain asked for "

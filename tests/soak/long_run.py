@@ -21,7 +21,7 @@ from tests.soak.truth import TruthWatcher
 PROCEDURE = Path(__file__).with_name("long.yaml")
 #: A cycle of the procedure lasts so long with soaks of this length; a run that is shorter has shorter soaks.
 _CYCLE_H, _SOAK_S = 9.2, 7200.0
-_SAMPLE_S = 3600.0
+_LONGEST_PERIOD_S, _FEWEST_SAMPLES = 3600.0, 20
 #: Share of the run in which the program still grows to its size.
 _WARM_UP = 0.1
 _SAMPLES_SHOWN = 10
@@ -56,10 +56,11 @@ FAULTS = (
 
 
 class Sampler(TruthWatcher):
-    """Looks at the size of this process each hour of bench time."""
+    """Looks at the size of this process now and then."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: Job, period_s: float) -> None:
         super().__init__(job)
+        self._period_s = period_s
         self.samples: list[tuple[float, float, int, int]] = []
         self._next_s = 0.0
 
@@ -68,7 +69,7 @@ class Sampler(TruthWatcher):
         super().ticked(bench, left_s)
         now_s = bench.clock.now()
         if now_s >= self._next_s:
-            self._next_s = now_s + _SAMPLE_S
+            self._next_s = now_s + self._period_s
             self.samples.append((now_s / 3600.0, rss_mb(), open_descriptors(), threading.active_count()))
             if len(self.samples) % 50 == 0:
                 h, mb, descriptors, threads = self.samples[-1]
@@ -109,7 +110,7 @@ def long_run(folder: Path, hours: float, seed: int) -> PartResult:
         .replace("instruments_period_s: 20.0", "instruments_period_s: 28.0")
     )
     run = FaultyRun(folder, "long", "repeat", FAULTS, procedure, str(station), seed)
-    run.watcher = sampler = Sampler(run.job)
+    run.watcher = sampler = Sampler(run.job, min(_LONGEST_PERIOD_S, 3600.0 * hours / _FEWEST_SAMPLES))
     tally = run.go(ConsentingOperator(patience=1_000_000))
     samples = np.array(sampler.samples)
     growth_mb, spread_mb = slope(samples)

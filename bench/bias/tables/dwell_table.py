@@ -43,6 +43,8 @@ def _columns(names: Iterable[str]) -> tuple[str, ...]:
 
 
 _NAMES = ("unit", "run", "dwell", "cycle", "position", *_SCALARS, *_TRIPLES, *_FIT)
+#: What no gyro reaches; temperatures far beyond would fill the memory with empty bins.
+_COLDEST_C, _HOTTEST_C = -273.15, 1000.0
 _REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
 #: Columns that a table is written with.
@@ -232,6 +234,13 @@ def _row(table: CsvTable, index: int) -> DwellRow:
         flags=table.text(index, "flags"),
     )
     _check(table, index, row)
+    for axis, gyro_c in zip(AXES, row.gyro_c, strict=True):
+        if not math.isnan(gyro_c) and not _COLDEST_C <= gyro_c <= _HOTTEST_C:
+            table.problem(
+                index,
+                _TRIPLES["gyro_c"].format(axis),
+                f"{gyro_c:g} degC is no temperature of a gyro; allowed: {_COLDEST_C:g} to {_HOTTEST_C:g}",
+            )
     return row
 
 

@@ -12,6 +12,8 @@ from bench.documents import StrictModel
 from drivers.emulators.world.quantities import NotNegative, Positive
 
 Count = Annotated[int, Field(ge=1)]
+#: Mean spacing in s: many faults a second would take the bench for ever to bring about.
+Spacing = Annotated[float, Field(ge=1.0)]
 #: What the emulated bench is doing, told from the world's own state.
 Phase = Literal["power_on", "align", "navigate", "turn", "ramp"]
 
@@ -30,7 +32,7 @@ class Timing(StrictModel):
     lasting: ClassVar[Lasting] = Lasting.FOR_GOOD
 
     at_s: NotNegative | None = Field(None, description="time on the bench's clock")
-    every_s: Positive | None = Field(None, description="mean spacing; the times are random, by the seed")
+    every_s: Spacing | None = Field(None, description="mean spacing; the times are random, by the seed")
     from_s: NotNegative = Field(0.0, description="with every_s: not before this time")
     during: Phase | None = Field(None, description="while the bench does this")
     after_s: NotNegative = Field(0.0, description="with during: so long after the phase began")

@@ -22,7 +22,7 @@ from bench.run_store.compensation_file import read_compensation
 from bench.run_store.journal import read_journal
 from bench.station.instruments import Emulation
 from tests.bench.closure.campaigns import EFFECTS, STATION, write_world
-from tests.bench.test_cli import gyrobench
+from tests.bench.command_line import gyrobench
 
 DWELL = """
               - align: {duration_s: 16}

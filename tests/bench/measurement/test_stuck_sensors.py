@@ -53,6 +53,12 @@ def test_a_sensor_that_got_stuck_in_the_ramp_is_told_in_the_next_dwell():
     assert "x gyro keeps still to the last bit at 50.00 degC" in found(rows)[1]
 
 
+def test_a_dwell_without_its_temperature_in_between_hides_no_stuck_sensor():
+    told, stuck = dwell(1, 60.0), [with_stuck_x(dwell(number, 20.0), 50.0) for number in (3, 4)]
+    rows = [told, with_stuck_x(dwell(2, 40.0), math.nan), *stuck]
+    assert list(found(rows)) == [2, 3]
+
+
 def test_one_that_got_stuck_at_a_stop_is_told_of_all_its_dwells_once_the_chamber_moves():
     stop = [dwell(1, 20.0), *(with_stuck_x(dwell(number, 20.0), 32.0) for number in (2, 3))]
     assert found(stop) == {}

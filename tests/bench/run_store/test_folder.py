@@ -53,3 +53,16 @@ def test_everything_in_a_folder_has_a_name_of_its_own(tmp_path):
     paths = [getattr(folder, name) for name, value in vars(RunFolder).items() if isinstance(value, property)]
     assert len(set(paths)) == len(paths)
     assert {path.parent for path in paths} == {tmp_path}
+
+
+def test_a_run_that_was_cut_off_before_its_journal_began_makes_way(tmp_path):
+    for name in ("procedure.yaml", "station.yaml", "ins.dbc", ".provenance.json.part", ".lock"):
+        (tmp_path / name).write_text("left behind")
+    assert create_run_folder(tmp_path, "run").path == tmp_path
+    (tmp_path / ".lock").unlink()  # files of somebody's own
+    with pytest.raises(RunFolderError, match="not empty"):
+        create_run_folder(tmp_path, "run")
+    (tmp_path / ".lock").touch()
+    (tmp_path / "journal.jsonl").write_text("")
+    with pytest.raises(RunFolderError, match="not empty"):
+        create_run_folder(tmp_path, "run")

@@ -1,15 +1,8 @@
 """``gyrobench import`` as an engineer types it."""
 
-import subprocess
-import sys
-
 from bench.bias.tables.dwell_table import read_dwells
 from bench.cli import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
-
-
-def gyrobench(*arguments, cwd):
-    command = [sys.executable, "-c", "from bench.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60)
+from tests.bench.command_line import gyrobench
 
 
 def test_import_writes_table_and_record_and_says_what_it_did(log, tmp_path):

@@ -1,0 +1,49 @@
+"""The command line as it is typed: in a process of its own, or without the seconds that it takes to start."""
+
+import os
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from bench.cli import main
+
+WIDTH = {"COLUMNS": "80"}
+PROCESS = (sys.executable, "-c", "from bench.cli import main; main()")
+
+
+def gyrobench_process(*arguments, cwd):
+    """Run a command in a process of its own."""
+    command = [*PROCESS, *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, timeout=200, env=os.environ | WIDTH
+    )
+
+
+def gyrobench(*arguments, cwd):
+    """Run a command in this process; exit code and output are those of a process of its own."""
+    printed, complained = StringIO(), StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        Path(os.devnull).open() as nothing_typed,
+        redirect_stdout(printed),
+        redirect_stderr(complained),
+    ):
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", ["gyrobench", *map(str, arguments)])
+        patch.setattr(sys, "stdin", nothing_typed)
+        for name, value in WIDTH.items():
+            patch.setenv(name, value)
+        code = _code_of(main)
+    return subprocess.CompletedProcess(arguments, code, printed.getvalue(), complained.getvalue())
+
+
+def _code_of(program):
+    try:
+        program()
+    except SystemExit as end:
+        return end.code or 0
+    return 0

@@ -1,0 +1,74 @@
+"""What trips while a run holds: everything is brought to its safe value again, and has to be good as well."""
+
+import pytest
+
+from bench.engine.operator import ConsentingOperator
+from bench.engine.orders import Order
+from bench.engine.session import prepare_job, run_job
+from bench.run_store.journal import read_journal
+from bench.station.instruments import Emulation
+from tests.bench.engine.test_resume import Watcher
+
+PROCEDURE = """procedure: one_dwell
+steps:
+  - power_on: {settle_s: 20}
+  - chamber: {temperature_c: 26, ramp_c_per_min: 10}
+  - soak: {for_s: 60}
+  - go_to: {position: z_up, rate_dps: 30}
+  - align: {duration_s: 16}
+  - navigate: {duration_s: 61}
+  - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+  - navigate: {duration_s: 61}
+"""
+
+
+class PausingOperator(ConsentingOperator):
+    """Pauses after some ticks, and continues after some more."""
+
+    def __init__(self, pause_tick, continue_tick):
+        super().__init__()
+        self.ticks, self.pause_tick, self.continue_tick = 0, pause_tick, continue_tick
+
+    def order(self):
+        self.ticks += 1
+        return Order.PAUSE if self.ticks == self.pause_tick else None
+
+    def answer(self):
+        return super().answer() if self.ticks >= self.continue_tick else None
+
+
+def run(tmp_path, fault, operator):
+    procedure, faults = tmp_path / "one_dwell.yaml", tmp_path / "faults.yaml"
+    procedure.write_text(PROCEDURE)
+    faults.write_text(f"faults:\n  - {{{fault}}}\n")
+    job = prepare_job(str(procedure), "quick", Emulation("quick", 0, str(faults)))
+    folder, outcome = run_job(job, tmp_path / "run", Watcher(), operator)
+    return list(read_journal(folder.journal)), outcome
+
+
+def test_a_chamber_that_was_restarted_is_commanded_anew_once_a_person_says_so(tmp_path):
+    entries, outcome = run(
+        tmp_path, "fault: instrument_restarts, target: chamber, at_s: 150, for_s: 15", ConsentingOperator()
+    )
+    assert outcome.ended == "finished", outcome.reason
+    trips = [entry["interlocks"] for entry in entries if entry["event"] == "tripped"]
+    assert trips[0] == ["ins_silence"]  # the chamber feeds it
+    assert trips[1] == ["ins_silence", "chamber_command"]
+    story = [
+        entry["event"] for entry in entries if entry["event"] in ("tripped", "made_safe", "held", "continued")
+    ]
+    assert story[1:8] == ["tripped", "made_safe", "held", "tripped", "made_safe", "held", "continued"]
+    assert [entry["by"] for entry in entries if entry["event"] == "continued"] == ["the operator"]
+    assert len(outcome.dwells) == 1
+    assert outcome.dwells[0].row.chamber_set_c == 26.0
+
+
+@pytest.mark.parametrize("kind", ["chamber_alarm, alarm: 2", "table_trips"])
+def test_what_trips_in_a_pause_makes_the_bench_safe(tmp_path, kind):
+    for_s = ", for_s: 30" if "alarm" in kind else ""
+    entries, outcome = run(tmp_path, f"fault: {kind}, at_s: 200{for_s}", PausingOperator(60, 200))
+    assert outcome.ended == "finished", outcome.reason
+    events = [entry["event"] for entry in entries]
+    paused = next(i for i, entry in enumerate(entries) if entry["event"] == "held")
+    assert entries[paused]["why"] == "paused by the terminal"
+    assert events[paused + 1 : paused + 4] == ["tripped", "made_safe", "held"]
