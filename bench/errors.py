@@ -11,14 +11,15 @@
     │   ├── RefusedError                  it answered that it won't
     │   └── FaultError                    it reports a fault: trip, interlock, broken sensor
     ├── InterlockError                    a limit of the station is broken, or a value too old to tell
-    ├── BenchInUseError                   another run holds the bench
+    ├── BenchInUseError                   another process holds the bench or the run folder
     ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
     ├── SpoiltDwellError                  a dwell under way can't give a result any more
     ├── RunStoppedError                   somebody asked the run to stop
     ├── MeasurementError (ValueError)     measured data that can't give a result
     └── RunFolderError (OSError)          a run folder that can't be written or read
 
-A message says what happened, where, and what to do about it.
+A message says what happened, where, and what to do about it. Kinds of these that only the engine
+tells apart are in ``bench/engine/interruptions.py``.
 """
 
 
@@ -75,7 +76,7 @@ class InterlockError(GyrobenchError):
 
 
 class BenchInUseError(GyrobenchError):
-    """Another run holds the bench; the message says which, by whom and since when."""
+    """Another process holds the bench or the run folder; the message says which, whose and since when."""
 
 
 class StepTimeoutError(GyrobenchError, TimeoutError):
@@ -87,7 +88,7 @@ class SpoiltDwellError(GyrobenchError):
 
 
 class RunStoppedError(GyrobenchError):
-    """The run was asked to stop: Ctrl-C, SIGTERM, SIGHUP or the operator's answer."""
+    """The run is to end: by an order or an answer, or because it was held for too long."""
 
 
 class MeasurementError(GyrobenchError, ValueError):

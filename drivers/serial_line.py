@@ -137,23 +137,6 @@ class SerialLine:
             )
         return data
 
-    def read_until(self, end: bytes, deadline: Deadline, limit: int = 4096) -> bytes:
-        """Read up to and including ``end``.
-
-        Raises
-        ------
-        NoReplyError
-            ``end`` did not come before the deadline or within ``limit`` bytes.
-        ConnectionFailedError
-            The port went away.
-        """
-        data = bytearray()
-        while not data.endswith(end) and len(data) < limit:
-            data += self.read(1, deadline)
-        if not data.endswith(end):
-            raise NoReplyError(self.instrument, f"no {end!r} within {limit} bytes on {self.url}")
-        return bytes(data)
-
     def discard_input(self) -> None:
         """Throw away what arrived and nobody read, so that the next reply is the next one read."""
         try:

@@ -211,7 +211,9 @@ def _align(step: Align, context: Context) -> Ticks:
 def _navigate(step: Navigate, context: Context) -> Ticks:
     instruments = context.bench.instruments
     status = instruments.ins.status()
-    if status.mode is not InsMode.NAVIGATE and not context.recorder.lost_navigation():
+    if status.mode is not InsMode.NAVIGATE and context.recorder.has_window:
+        context.recorder.disturb("the INS left navigation in the turn")
+    elif status.mode is not InsMode.NAVIGATE:
         if status.alignment is Alignment.NONE:
             raise SpoiltDwellError("the INS has not aligned, so it can't navigate. Give align more time.")
         yield from tried(context, lambda: instruments.ins.navigate())

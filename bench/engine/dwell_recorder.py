@@ -109,10 +109,9 @@ class DwellRecorder:
         """End it: the table has come to rest."""
         self._turn = (self._turn[0], self.bench.captured_frames())
 
-    def lost_navigation(self) -> bool:
-        """Note that the INS does not navigate; whether that spoils a dwell that has a window already."""
-        if self._windows:
-            self.disturb("the INS left navigation in the turn")
+    @property
+    def has_window(self) -> bool:
+        """Whether the INS has navigated in this dwell."""
         return bool(self._windows)
 
     def estimate_so_far(self) -> StateSpaceEstimate | None:

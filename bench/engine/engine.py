@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from bench.clock import Deadline
 from bench.documents import Document
@@ -18,7 +18,7 @@ from bench.engine.interruptions import OrderedError, TrippedError, trip_of
 from bench.engine.live_bench import LiveBench
 from bench.engine.orders import GivenOrder, Order
 from bench.engine.outcome import RunOutcome
-from bench.engine.outputs import SafeOutputs, told
+from bench.engine.outputs import SafeOutputs
 from bench.engine.people import People
 from bench.engine.progress import RunProgress
 from bench.errors import (
@@ -326,7 +326,7 @@ class Engine:
         """Pause or skip; returns where to go on."""
         dwell = self._plan.steps[index].dwell
         if given.order is Order.SKIP:
-            return self._skip(index), self._standing(True, True)
+            return self._skip(index), self._standing(is_unit_on=True, is_tempered=True)
         self._dwells.give_up(dwell, f"paused by {given.by}", counts=False)
         is_safe = self._bench.station.safe_state.on_pause == "safe"
         if is_safe:
@@ -354,14 +354,14 @@ class Engine:
             self._holding.hold("to hold at this temperature was ordered")
         if self._bench.has_unit_restarted:
             self._note("the INS has started anew by itself")
-            self._approach(planned.number - 1, self._standing(False, True))
+            self._approach(planned.number - 1, self._standing(is_unit_on=False, is_tempered=True))
             self._bench.has_unit_restarted = False
 
     # safe state
 
     def _make_safe(self, release_table: bool = True) -> None:
         actions = self._outputs.apply(release_table)
-        self._journal.record("made_safe", actions=told(actions))
+        self._journal.record("made_safe", actions=[asdict(action) for action in actions])
         for action in actions:
             if action.problem:
                 self._progress.told(f"FAILED: {action.what}: {action.problem}")
@@ -374,7 +374,10 @@ class Engine:
         try:
             self._journal.record("ticks", **self._bench.lateness.summary())
             self._journal.record(
-                "run_ended", ended=outcome.ended, reason=outcome.reason, safe_state=told(outcome.safe_state)
+                "run_ended",
+                ended=outcome.ended,
+                reason=outcome.reason,
+                safe_state=[asdict(action) for action in outcome.safe_state],
             )
         except RunFolderError as error:
             outcome.fail(str(error))

@@ -17,7 +17,7 @@ class RunOutcome:
     Attributes
     ----------
     ended : str
-        "finished", "stopped" (somebody asked) or "failed".
+        "finished", "stopped" (somebody asked, or a hold lasted too long) or "failed".
     reason : str
         Why it did not finish; empty where it did.
     dwells : list of MeasuredDwell

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 from bench.engine.heartbeat import Heartbeat
 from bench.engine.live_bench import LiveBench
@@ -59,8 +59,3 @@ class SafeOutputs:
         table.set_limits(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
         table.prepare()
         self._bench.expected = replace(self._bench.expected, table_prepared=True)
-
-
-def told(actions: list[SafeAction]) -> list[dict[str, str]]:
-    """What was done, for the journal."""
-    return [asdict(action) for action in actions]

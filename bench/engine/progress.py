@@ -83,7 +83,7 @@ def progress_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> RunProgress
     if lost := done - progress.finished - progress.skipped:
         raise RunFolderError(
             f"lacks the end of dwell {', '.join(map(str, sorted(lost)))}, although what comes after is done: "
-            "lines are missing. The run can't be resumed; `gyrobench report` still tells what it measured"
+            "lines are missing. The run can't be resumed; `gyrobench bins` still tells what it measured"
         )
     return progress
 

@@ -31,7 +31,7 @@ from bench.procedure.document import load_procedure
 from bench.procedure.plan import Plan
 from bench.run_store.can_log import CanLog
 from bench.run_store.compensation_file import read_compensation, write_compensation
-from bench.run_store.folder import RunFolder, create_run_folder, open_run_folder
+from bench.run_store.folder import RUNS, RunFolder, create_run_folder, open_run_folder
 from bench.run_store.journal import Journal, read_journal
 from bench.run_store.provenance import read_provenance, started_utc, write_provenance
 from bench.run_store.telemetry import Telemetry, last_reading_s
@@ -78,10 +78,6 @@ class Resumption:
     job: Job
     folder: RunFolder
     done: RunProgress
-
-    def describe(self) -> str:
-        """Say what was found and what will be done."""
-        return describe_resumption(self)
 
 
 def prepare_job(
@@ -173,10 +169,7 @@ def run_job(
     def make_folder() -> RunFolder:
         return create_run_folder(out, job.plan.procedure.procedure)
 
-    lock_path = out or Path("runs") / job.plan.procedure.procedure
-    return _run(
-        job, clock, lock_path, make_folder, write_inputs, RunProgress(), RunOutcome(), progress, operator
-    )
+    return _run(job, clock, make_folder, write_inputs, RunProgress(), RunOutcome(), progress, operator)
 
 
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
@@ -240,15 +233,12 @@ def resume_run(
         clock = WallClock.resumed(started_utc(folder), last_s)
     dwells, verifications = replay(folder, measurement_setup(job.station))
     outcome = RunOutcome(dwells=dwells, verifications=verifications)
-    return _run(
-        job, clock, folder.path, lambda: folder, lambda *_: None, done, outcome, progress, operator
-    )
+    return _run(job, clock, lambda: folder, lambda *_: None, done, outcome, progress, operator)
 
 
 def _run(
     job: Job,
     clock: Clock,
-    lock_path: Path,
     folder_for: Callable[[], RunFolder],
     write_inputs: Callable[[RunFolder, Instruments], None],
     done: RunProgress,
@@ -262,9 +252,10 @@ def _run(
     with ExitStack() as held:
         orders = held.enter_context(Orders())
         patience_s = _GUARD_TIME_S if done.last_s else 0.0
-        bench_lock = held.enter_context(BenchLock(job.station, lock_path, clock, patience_s=patience_s))
+        bench_lock = held.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
         instruments = held.enter_context(Instruments(job.station, clock, job.emulation))
         folder = folder_for()
+        bench_lock.sign(folder.path)
         run_lock = held.enter_context(RunLock(folder.path, clock))
         write_inputs(folder, instruments)
         journal = held.enter_context(Journal(folder.journal, clock))

@@ -123,10 +123,15 @@ class Verification:
             return True
         if not folder.path.exists():
             return False
-        if not _is_finished(folder) or not _is_run_of(folder, self.jobs[name]):
+        if not folder.journal.is_file() or not _is_run_of(folder, self.jobs[name]):
             raise RunFolderError(
-                f"{folder.path}: holds a run that is not finished, or of another model, procedure or "
-                "world. Remove it, or give another --out"
+                f"{folder.path}: holds a run of another model, procedure or world. Remove it, or give "
+                "another --out"
+            )
+        if not _is_finished(folder):
+            raise RunFolderError(
+                f"{folder.path}: holds a run that is not finished. Finish it with: gyrobench resume "
+                f"{folder.path}"
             )
         return True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 
 from bench.clock import Clock, Deadline
@@ -130,7 +131,7 @@ class Rescue:
                 journal.record(
                     "guard_acted",
                     reason=ending.value,
-                    safe_state=[{"what": action.what, "problem": action.problem} for action in actions],
+                    safe_state=[asdict(action) for action in actions],
                 )
             except GyrobenchError as error:
                 self._log.add(f"not in the journal: {error}")

@@ -10,6 +10,8 @@ from pathlib import Path
 from bench.errors import RunFolderError
 from bench.files import make_folder, make_new_folder
 
+#: Where runs go that nobody gave a folder.
+RUNS = Path("runs")
 #: The file by which a process holds a run folder; the first that is made in it.
 LOCK = ".lock"
 #: What a run writes before its journal.
@@ -142,7 +144,7 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
             raise RunFolderError(f"{out}: is not empty. Give another --out, or none for a new folder.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
-    candidates = (Path("runs") / f"{safe_name}-{number:03d}" for number in itertools.count(1))
+    candidates = (RUNS / f"{safe_name}-{number:03d}" for number in itertools.count(1))
     return RunFolder(next(candidate for candidate in candidates if make_new_folder(candidate)))
 
 

@@ -70,10 +70,6 @@ class Telemetry:
         self._written_rows = 0
         self._gap = bool(parts)
 
-    def mark_gap(self) -> None:
-        """Note that readings are missing between the last row and the next."""
-        self._gap = True
-
     def add(self, row: tuple[float, ...]) -> None:
         """Add one row with the values of :data:`COLUMNS`."""
         if self._gap:

@@ -122,6 +122,7 @@ class _Lock:
         self._paths = paths
         self._identity = identity
         self._clock = clock
+        self._files: list[_LockFile] = []
         self._patience_s = max(patience_s, _LOOKERS_TIME_S)
         self._taken = ExitStack()
         self.taken_over: list[str] = []
@@ -137,6 +138,7 @@ class _Lock:
                 if (former := file.holder()) is not None:
                     left_by.setdefault(former, []).append(what)
                 file.sign(identity)
+                self._files.append(file)
             self._taken = taken.pop_all()
         self.taken_over = [
             f"took over what {former.describe()} left locked without holding it any more: {', '.join(what)}"
@@ -172,7 +174,7 @@ class BenchLock(_Lock):
     station : Station
         The bench.
     run_path : Path
-        Run folder, told to whoever wants the bench as well.
+        Run folder, or where it will be, told to whoever wants the bench as well.
     clock : Clock
         The run's clock, to wait on.
     command : str, optional
@@ -202,6 +204,12 @@ class BenchLock(_Lock):
         patience_s: float = 0.0,
     ) -> None:
         super().__init__(_port_files(station), lambda: _identity(run_path, command), clock, patience_s)
+        self._command = command
+
+    def sign(self, run_path: Path) -> None:
+        """Write the run folder into the locks, once it is there."""
+        for file in self._files:
+            file.sign(_identity(run_path, self._command))
 
     def _advice(self, holder: Holder | None) -> str:
         if holder is not None and holder.command == GUARD_COMMAND:

@@ -78,17 +78,15 @@ class InterlockWatch:
         list of Trip
             In the order of the station file's model; one for each interlock, with all it finds.
         """
-        found: dict[str, list[str]] = {}
+        found: dict[str, list[str]] = {name: [] for name in self._rules}
         for interlock, text in self._findings(now_s, expected):
-            found.setdefault(interlock, []).append(text)
-        for name in self._rules:
-            if name in found:
+            found[interlock].append(text)
+        for name, texts in found.items():
+            if texts:
                 self._good_since_s.pop(name, None)
             else:
                 self._good_since_s.setdefault(name, now_s)
-        return [
-            Trip(name, " ".join(found[name]), rule) for name, rule in self._rules.items() if name in found
-        ]
+        return [Trip(name, " ".join(texts), self._rules[name]) for name, texts in found.items() if texts]
 
     def good_since_s(self, name: str) -> float | None:
         """Time of the call of :meth:`trips` since which an interlock is good; None while it is tripped."""

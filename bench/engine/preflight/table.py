@@ -24,14 +24,6 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
     """
     try:
         opened = table()
-    except RefusedError as error:
-        refused = str(error).removeprefix(f"{_SUBJECT}: ")
-        yield Check.of(_SUBJECT, _LIMITS, False, f"the controller does not take them: {refused}", _NARROW)
-        return
-    except InstrumentError as error:
-        yield unanswered(_SUBJECT, error)
-        return
-    try:
         yield answered(_SUBJECT, opened.identify(), station.file.rate_table.identity)
     except InstrumentError as error:
         yield unanswered(_SUBJECT, error)

@@ -79,17 +79,6 @@ def test_the_last_reading_tells_how_far_a_run_came(tmp_path):
     assert last_reading_s(tmp_path) == 999.0
 
 
-def test_a_gap_within_a_run_can_be_marked(tmp_path):
-    telemetry = Telemetry(tmp_path)
-    add(telemetry, [0, 10])
-    telemetry.mark_gap()
-    add(telemetry, [900, 910])
-    telemetry.flush()
-    readings = read_telemetry(tmp_path)
-    assert readings["time_s"].tolist() == [0, 10, 900, 900, 910]
-    assert np.isnan(readings["chamber_c"]).tolist() == [False, False, True, False, False]
-
-
 def test_what_was_written_stays_where_a_part_cant_be_written_anew(tmp_path, small_files):
     telemetry = Telemetry(tmp_path)
     add(telemetry, [0, 1])
