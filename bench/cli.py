@@ -134,12 +134,16 @@ def tell(
 
     Example: gyrobench tell runs/six_position_fig7-001 hold
     """
+    import socket
+
     from bench.engine.orders import MEANINGS, SIGNALS
     from bench.station.bench_lock import holder_of
 
     holder = holder_of(run_folder)
     if holder is None:
         raise RunFolderError(f"{run_folder}: no run is under way there on this machine")
+    if holder.host != socket.gethostname():
+        raise RunFolderError(f"{run_folder}: the run is on {holder.host}, not on this machine. Tell it there")
     number = next(number for number, each in SIGNALS.items() if each is order)
     try:
         os.kill(holder.pid, number)

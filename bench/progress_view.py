@@ -35,6 +35,15 @@ class PatientConsole(Console):
         with Path(os.devnull).open("w") as nowhere:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
+    def _write_buffer(self) -> None:
+        """Fall silent as well where the terminal has gone."""
+        try:
+            super()._write_buffer()
+        except BrokenPipeError:
+            raise
+        except OSError:
+            self.on_broken_pipe()
+
 
 class ProgressView:
     """Prints each dwell as soon as it is measured; on a terminal also a line that says where it is.

@@ -16,6 +16,8 @@ from bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.
 DEFAULT_WIDTH_C = 5.0
+#: Narrower ones would fill the memory with empty bins.
+_NARROWEST_C = 0.01
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,13 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     Raises
     ------
     MeasurementError
-        The width is not above zero, or the dwells are of several units.
+        The width is too small, or the dwells are of several units.
     """
     rows = list(rows)
-    if not (math.isfinite(width_c) and width_c > 0.0):
-        raise MeasurementError(f"temperature bins need a width above zero; found {width_c:g} K")
+    if not (math.isfinite(width_c) and width_c >= _NARROWEST_C):
+        raise MeasurementError(
+            f"temperature bins need a width of {_NARROWEST_C:g} K or more; found {width_c:g} K"
+        )
     units = sorted({row.unit for row in rows})
     if len(units) > 1:
         raise MeasurementError(
@@ -210,12 +214,12 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
         position=table.choice(index, "position", POSITIONS),
         bin_low_c=number("bin_low_c"),
         bin_high_c=number("bin_high_c"),
-        temperature_c=number("temperature_c"),
+        temperature_c=table.temperature(index, "temperature_c", may_be_empty=True),
         bias_dph=number("bias_dph"),
-        sigma_dph=number("sigma_dph"),
+        sigma_dph=table.uncertainty(index, "sigma_dph", may_be_empty=True),
         count=table.integer(index, "count"),
         chi2_reduced=number("chi2_reduced"),
         spread_p_value=number("spread_p_value"),
         paper_bias_dph=number("paper_bias_dph"),
-        paper_sigma_dph=number("paper_sigma_dph"),
+        paper_sigma_dph=table.uncertainty(index, "paper_sigma_dph", may_be_empty=True),
     )

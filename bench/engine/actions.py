@@ -54,6 +54,10 @@ _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
 _OVERSHOOT_S = 10.0
 _BOOT_FRAMES_AGE_S = 2.0
+#: A bus on which the INS has not been heard for so long is opened anew while it is waited for.
+_DEAF_S = 15.0
+#: The chamber's air has come to its set point.
+_REACHED_C = 2.0
 _POWER_CYCLE_S = 5.0
 #: How often the biases of the dwell under way are estimated.
 _ESTIMATE_EVERY_S = 30.0
@@ -117,9 +121,12 @@ def _power_on(step: PowerOn, context: Context) -> Ticks:
         yield from tried(context, lambda: bench.instruments.power_unit(False))
         yield from _lasting(bench, _POWER_CYCLE_S)
     yield from tried(context, lambda: bench.instruments.power_unit(True))
-    switched_s = bench.clock.now()
+    switched_s = reopened_s = bench.clock.now()
     yield
     while not _talks(bench):
+        if bench.clock.now() - reopened_s > _DEAF_S:
+            reopened_s = bench.clock.now()
+            bench.reopen("INS")
         yield
     bench.read_instruments()  # what was read before it spoke tells nothing of it
     bench.expected = replace(bench.expected, ins_on=True)
@@ -147,7 +154,9 @@ def _chamber(step: Chamber, context: Context) -> Ticks:
         lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min),
     )
     yield from tried(context, lambda: bench.instruments.chamber.switch(True))
-    bench.expected = replace(bench.expected, chamber_set_c=step.temperature_c, chamber_on=True)
+    bench.expected = replace(
+        bench.expected, chamber_set_c=step.temperature_c, chamber_on=True, chamber_reached=False
+    )
     commanded_s = bench.clock.now()
     yield
     while (
@@ -155,19 +164,24 @@ def _chamber(step: Chamber, context: Context) -> Ticks:
         or abs(bench.readings.chamber.temperature_c - step.temperature_c) > step.within_c
     ):
         yield
+    _note_reached(bench)
 
 
 @perform.register
 def _chamber_off(step: ChamberOff, context: Context) -> Ticks:  # noqa: ARG001
     bench = context.bench
     yield from tried(context, lambda: bench.instruments.chamber.switch(False))
-    bench.expected = replace(bench.expected, chamber_on=False)
+    bench.expected = replace(bench.expected, chamber_on=False, chamber_reached=False)
     yield
 
 
 @perform.register
 def _soak(step: Soak, context: Context) -> Ticks:
-    bench = context.bench
+    yield from _soaking(step, context.bench)
+    _note_reached(context.bench)
+
+
+def _soaking(step: Soak, bench: LiveBench) -> Ticks:
     if step.for_s is not None:
         yield from _lasting(bench, step.for_s)
         return
@@ -265,6 +279,13 @@ def _wait(step: Wait, context: Context) -> Ticks:
 @perform.register
 def _ask_operator(step: AskOperator, context: Context) -> Ticks:
     yield from _answered(context, step.question, step.answers)
+
+
+def _note_reached(bench: LiveBench) -> None:
+    """From here on the chamber's air should keep the set point that it has come to."""
+    set_c, air_c = bench.commanded_c, bench.readings.chamber.temperature_c
+    if set_c is not None and abs(air_c - set_c) <= _REACHED_C:
+        bench.expected = replace(bench.expected, chamber_reached=True)
 
 
 def _lasting(bench: LiveBench, duration_s: float) -> Ticks:

@@ -33,6 +33,8 @@ class CompensationWatch:
         Takes an event of the journal and what belongs to it.
     note : callable
         Takes what a person should know.
+    decided : dict of str to str
+        Answers of the run so far, by the compensation found; kept on here, so that nobody is asked again.
     """
 
     def __init__(
@@ -42,12 +44,14 @@ class CompensationWatch:
         operator: Operator,
         record: Callable[..., None],
         note: Callable[[str], None],
+        decided: dict[str, str],
     ) -> None:
         self._instruments = instruments
         self._wanted = wanted
         self._operator = operator
         self._record = record
         self._note = note
+        self._decided = decided
         self._agreed: InsStatus | None = None
 
     def settle(self, after_power_on: bool) -> Iterator[None]:
@@ -105,7 +109,11 @@ class CompensationWatch:
                 f"compensates its gyros already ({which}), and ins.commands has no clear_compensation. "
                 "Clear it by hand, or map the command",
             )
-        answer = yield from asked(self._operator, question, answers)
+        answer = self._decided.get(which, "")
+        if answer not in answers:
+            answer = yield from asked(self._operator, question, answers)
+            self._decided[which] = answer
+            self._record("compensation_decided", which=which, answer=answer)
         if answer == _STOP:
             raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
         if answer == _KEEP:

@@ -38,6 +38,7 @@ from bench.procedure.steps import Align, GoTo, PowerOn
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
 from bench.run_store.provenance import add_identity
+from bench.station.safe_state import SafeAction
 from drivers.ins.compensation import Compensation
 
 #: A dwell that was given up so often is tried with the INS switched off and on.
@@ -111,9 +112,11 @@ class Engine:
             bench, people.operator, self._recorder, people.progress.estimated, self._note, self._tell_retry
         )
         self._compensation = CompensationWatch(
-            bench.instruments, compensation, people.operator, journal.record, self._note
+            bench.instruments, compensation, people.operator, journal.record, self._note, done.decided
         )
         self._is_hold_ordered = False
+        self._unseen_faults: tuple[str, ...] = ()
+        self._under_way: PlannedStep | None = None
 
     def run(self) -> None:
         """Perform what is left of the plan, then go to the safe state, whatever happened.
@@ -139,6 +142,7 @@ class Engine:
     def _begin(self) -> None:
         """Ask all instruments, then give every output its safe value."""
         self._bench.start()
+        self._unseen_faults = self._bench.readings.table_faults
         self._make_safe(release_table=False)
 
     def _walk(self) -> None:
@@ -146,6 +150,7 @@ class Engine:
         index, standing = self._done.next_index, self._standing_at_start()
         while index < len(self._plan.steps):
             try:
+                self._look_before_moving()
                 self._outputs.prepare_table()
                 if standing is not None:
                     index = restart_of(self._plan, index)
@@ -165,7 +170,24 @@ class Engine:
             except InstrumentError as error:
                 standing = self._recover(index, [trip_of(error, self._bench.station)])
             except OrderedError as error:
-                index, standing = self._obey(index, error.given)
+                index, standing = self._obey(index, error.given, standing)
+
+    def _look_before_moving(self) -> None:
+        """Nothing is commanded while anything is tripped, and no fault of before the run is cleared unseen.
+
+        Raises
+        ------
+        TrippedError
+            An interlock is tripped, or the table reports faults that nobody has looked at.
+        """
+        trips = self._bench.trips()
+        faults, self._unseen_faults = self._unseen_faults, ()
+        if faults:
+            rule = self._bench.station.file.interlocks.table_fault
+            text = f"the table reported {', '.join(faults)} before the run began. Find the cause."
+            trips = [*trips, Trip("table_fault", text, rule)]
+        if trips:
+            raise TrippedError(trips)
 
     def _standing_at_start(self) -> Standing | None:
         """None for a new run: its plan begins with the bench as it is."""
@@ -196,6 +218,7 @@ class Engine:
     def _perform(self, planned: PlannedStep, is_approach: bool = False) -> None:
         bench, clock = self._bench, self._bench.clock
         begin_s = clock.now()
+        self._under_way = planned
         what, kind = planned.step.describe(), planned.step.name
         event = "approach" if is_approach else "step"
         self._journal.record(
@@ -276,8 +299,11 @@ class Engine:
         add_identity(self._folder, "INS", identity)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
+        deadline = Deadline(self._bench.clock, self._bench.station.file.interlocks.longest_hold_s)
         for _ in self._compensation.settle(after_power_on):
             self._tick()
+            if deadline.expired():
+                raise RunStoppedError("nobody said what is to become of the INS's own compensation")
 
     def _late(self, planned: PlannedStep) -> str:
         return (
@@ -298,7 +324,8 @@ class Engine:
         """Repeat the dwell whose step did not reach its end, or go on without; hold outside dwells."""
         planned = self._plan.steps[index]
         if planned.dwell is None or not self._bench.capture:
-            return index, self._recover(index, [trip_of(error, self._bench.station, planned.step)])
+            failed = self._under_way or planned
+            return index, self._recover(index, [trip_of(error, self._bench.station, failed.step)])
         if self._dwells.may_repeat(planned.dwell):
             self._dwells.give_up(planned.dwell, str(error), counts=True)
         else:
@@ -311,9 +338,10 @@ class Engine:
         """Make the bench safe and hold until it may go on."""
         why = "; ".join(trip.text for trip in trips)
         names = [trip.name for trip in trips]
+        actions = self._outputs.apply()  # before anything that a slow disk could hold up
         self._journal.record("tripped", interlocks=names, why=why)
         self._dwells.give_up(self._plan.steps[index].dwell, why, counts=False)
-        self._make_safe()
+        self._tell_safe(actions)
         if _UNIT_DOUBTFUL & set(names):  # it is switched off and on before it is used again
             self._bench.expected = replace(self._bench.expected, ins_on=False)
         try:
@@ -322,11 +350,15 @@ class Engine:
             return self._recover(index, [*trips, *error.trips])
         return self._standing(self._bench.expected.ins_on, is_tempered=False)
 
-    def _obey(self, index: int, given: GivenOrder) -> tuple[int, Standing]:
-        """Pause or skip; returns where to go on."""
+    def _obey(
+        self, index: int, given: GivenOrder, on_the_way: Standing | None
+    ) -> tuple[int, Standing | None]:
+        """Pause or skip; returns where to go on. A way back that was interrupted has to be gone anew."""
         dwell = self._plan.steps[index].dwell
+        is_unit_on = on_the_way is None or on_the_way.is_unit_on
+        is_tempered = on_the_way is None or on_the_way.is_tempered
         if given.order is Order.SKIP:
-            return self._skip(index), self._standing(is_unit_on=True, is_tempered=True)
+            return self._skip(index), self._standing(is_unit_on, is_tempered)
         self._dwells.give_up(dwell, f"paused by {given.by}", counts=False)
         is_safe = self._bench.station.safe_state.on_pause == "safe"
         if is_safe:
@@ -335,7 +367,8 @@ class Engine:
             self._holding.hold(f"paused by {given.by}")
         except TrippedError as error:
             return index, self._recover(index, error.trips)
-        return index, self._standing(self._bench.expected.ins_on, is_tempered=not is_safe)
+        is_unit_on = is_unit_on and self._bench.expected.ins_on
+        return index, self._standing(is_unit_on, is_tempered and not is_safe)
 
     def _skip(self, index: int) -> int:
         dwell = self._plan.steps[index].dwell
@@ -354,13 +387,16 @@ class Engine:
             self._holding.hold("to hold at this temperature was ordered")
         if self._bench.has_unit_restarted:
             self._note("the INS has started anew by itself")
-            self._approach(planned.number - 1, self._standing(is_unit_on=False, is_tempered=True))
+            standing = self._standing(is_unit_on=False, is_tempered=True)
             self._bench.has_unit_restarted = False
+            self._approach(planned.number - 1, standing)
 
     # safe state
 
     def _make_safe(self, release_table: bool = True) -> None:
-        actions = self._outputs.apply(release_table)
+        self._tell_safe(self._outputs.apply(release_table))
+
+    def _tell_safe(self, actions: list[SafeAction]) -> None:
         self._journal.record("made_safe", actions=[asdict(action) for action in actions])
         for action in actions:
             if action.problem:

@@ -15,7 +15,7 @@ from bench.engine.capture import Capture
 from bench.engine.interlocks import Expected, InterlockWatch, Trip
 from bench.engine.readings import Readings
 from bench.engine.tick_lateness import TickLateness
-from bench.errors import ConnectionFailedError, FaultError, InstrumentError
+from bench.errors import ConnectionFailedError, FaultError, InstrumentError, NoReplyError
 from bench.navigation.table_axes import Angles
 from bench.run_store.can_log import CanLog
 from bench.run_store.telemetry import Telemetry
@@ -26,6 +26,10 @@ from drivers.ins.readout import InsMode
 
 #: How often an instrument that does not answer at the start is asked again, and how long in between.
 _FIRST_ASKS, _FIRST_PAUSE_S = 5, 2.0
+#: An INS whose count of epochs is off by more than this has started anew, or lost its count.
+_COUNTS_ON_S = 3.0
+#: A bus on which nothing was heard for so long may be one that went away without a word.
+_DEAF_S = 4.0
 #: A port that went away is opened anew this often.
 _REOPEN_EVERY_S = 5.0
 
@@ -92,6 +96,7 @@ class LiveBench:
         self._next_reopen_s = 0.0
         self._next_reading_s = 0.0
         self._mode = InsMode.UNKNOWN
+        self._epochs: tuple[float, int] | None = None
         instruments.ins.on_frames = self._received
 
     def start(self) -> None:
@@ -201,7 +206,8 @@ class LiveBench:
             readings = replace(readings, chamber=of_chamber, chamber_s=self.clock.now())
         self.readings = readings
         self._watch.observe(readings)
-        self._notice_restart(readings.ins.mode)
+        self._notice_restart(readings)
+        self._notice_deaf_bus(readings)
         self._telemetry.add(self._telemetry_row(readings, asked_s))
         if self.capture and of_chamber is not None:
             self.capture.chamber_c.append(of_chamber.temperature_c)
@@ -214,13 +220,33 @@ class LiveBench:
         if of_table is not None:
             self.readings = replace(self.readings, table=of_table, table_s=self.clock.now())
 
-    def _notice_restart(self, mode: InsMode) -> None:
-        """An INS that has left alignment or navigation without being told has started anew."""
+    def _notice_restart(self, readings: Readings) -> None:
+        """See an INS that has started anew: left its work untold, or does not count on from before."""
+        mode, epochs = readings.ins.mode, readings.ins.epochs
         worked = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
-        if self.expected.ins_on and worked and mode in (InsMode.BOOT, InsMode.STANDBY):
+        has_left = worked and mode in (InsMode.BOOT, InsMode.STANDBY)
+        if self.expected.ins_on and (has_left or self._counts_anew(readings)):
             self.has_unit_restarted = True
         if mode is not InsMode.UNKNOWN:
             self._mode = mode
+        if epochs is not None:
+            self._epochs = (readings.asked_s, epochs)
+
+    def _counts_anew(self, readings: Readings) -> bool:
+        """Whether the count of epochs is another than the time since the last reading leads to expect."""
+        ins, before = readings.ins, self._epochs
+        if ins.epochs is None or before is None:
+            return False
+        passed_s = readings.asked_s - before[0]
+        counted_s = ((ins.epochs - before[1]) % ins.epoch_modulus) * ins.epoch_period_s
+        wrap_s = ins.epoch_modulus * ins.epoch_period_s
+        off_s = (counted_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
+        return abs(off_s) > _COUNTS_ON_S + ins.age_s
+
+    def _notice_deaf_bus(self, readings: Readings) -> None:
+        """Take a bus on which the INS has fallen silent for one that may need to be opened anew."""
+        if self.expected.ins_on and readings.ins.age_s > _DEAF_S:
+            self._failed(NoReplyError("INS", f"has sent nothing for {readings.ins.age_s:.0f} s"))
 
     def begin_capture(self) -> None:
         """Keep the frames from here on for a dwell; the raw log starts a new part."""

@@ -64,6 +64,9 @@ class ConsentingOperator:
 def asked(operator: Operator, question: str, answers: Sequence[str]) -> Generator[None, None, str]:
     """Put a question and yield once a tick until it is answered; returns the answer."""
     operator.ask(question, answers)
-    while (answer := operator.answer()) is None:
-        yield
+    try:
+        while (answer := operator.answer()) is None:
+            yield
+    finally:
+        operator.withdraw()  # also where something else ends the waiting
     return answer

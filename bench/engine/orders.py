@@ -47,6 +47,9 @@ SIGNALS: Mapping[signal.Signals, Order] = MappingProxyType(
 )
 
 
+_OF_THE_TERMINAL = (signal.SIGTTIN, signal.SIGTTOU)
+
+
 @dataclass(frozen=True)
 class GivenOrder:
     """An order and who gave it, for the journal."""
@@ -71,6 +74,9 @@ class Orders:
             # A signal that is ignored, as SIGHUP under nohup, stays ignored.
             heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
             self._previous = {number: signal.signal(number, self._caught) for number in heeded}
+            # A run in the background that finds somebody typing must not be stopped by that.
+            for number in _OF_THE_TERMINAL:
+                self._previous[number] = signal.signal(number, signal.SIG_IGN)
         return self
 
     def __exit__(

@@ -40,6 +40,7 @@ class SafeOutputs:
             expected,
             chamber_set_c=expected.chamber_set_c if is_off else safe.chamber_c,
             chamber_on=False if is_off else expected.chamber_on,
+            chamber_reached=False,
             ins_on=expected.ins_on and safe.unit == "keep",
             table_prepared=False,
         )

@@ -42,6 +42,8 @@ class RunProgress:
         The step that was under way at the last entry, in words; empty where none was.
     resumed_in_vain : int
         How often it was resumed since anything was finished.
+    decided : dict of str to str
+        What the operator decided about compensations that the INS had of its own.
     """
 
     next_index: int = 0
@@ -56,6 +58,7 @@ class RunProgress:
     reason: str = ""
     under_way: str = ""
     resumed_in_vain: int = 0
+    decided: dict[str, str] = field(default_factory=dict)
 
     def is_over(self, plan: Plan) -> bool:
         """Whether nothing is left to be done."""
@@ -112,6 +115,8 @@ def _take(progress: RunProgress, entry: Mapping[str, Any], plan: Plan) -> None:
             progress.repeats[_whole(entry["dwell"], plan.dwell_count)] += 1
         case "continued" if entry.get("by") == "itself":
             progress.resumes.update(map(str, entry["after"]))
+        case "compensation_decided":
+            progress.decided[str(entry["which"])] = str(entry["answer"])
         case "powered_on":
             progress.power_ons = _whole(entry["run"], _MOST_POWER_ONS)
         case "ins_identified":

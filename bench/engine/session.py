@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -233,14 +233,29 @@ def resume_run(
         clock = WallClock.resumed(started_utc(folder), last_s)
     dwells, verifications = replay(folder, measurement_setup(job.station))
     outcome = RunOutcome(dwells=dwells, verifications=verifications)
-    return _run(job, clock, lambda: folder, lambda *_: None, done, outcome, progress, operator)
+
+    def begin(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
+        _check_unchanged(resumption)
+        write_dwells(folder.dwells, [dwell.row for dwell in dwells])  # the journal may be ahead of it
+
+    return _run(job, clock, lambda: folder, begin, done, outcome, progress, operator)
+
+
+def _check_unchanged(resumption: Resumption) -> None:
+    """Refuse to go on with what another process has gone on with before this one held the run."""
+    done = resumption.done
+    now = progress_of(read_journal(resumption.folder.journal), resumption.job.plan)
+    if replace(now, last_s=done.last_s) != done:
+        raise RunFolderError(
+            f"{resumption.folder.path}: another process went on with this run meanwhile. Resume it again"
+        )
 
 
 def _run(
     job: Job,
     clock: Clock,
     folder_for: Callable[[], RunFolder],
-    write_inputs: Callable[[RunFolder, Instruments], None],
+    begin: Callable[[RunFolder, Instruments], None],
     done: RunProgress,
     outcome: RunOutcome,
     progress: Progress,
@@ -257,7 +272,7 @@ def _run(
         folder = folder_for()
         bench_lock.sign(folder.path)
         run_lock = held.enter_context(RunLock(folder.path, clock))
-        write_inputs(folder, instruments)
+        begin(folder, instruments)
         journal = held.enter_context(Journal(folder.journal, clock))
         _record_start(journal, job, done, setup, progress)
         for text in (*bench_lock.taken_over, *run_lock.taken_over):

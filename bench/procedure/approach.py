@@ -70,11 +70,42 @@ def approach(plan: Plan, index: int, standing: Standing) -> list[PlannedStep]:
     target = plan.steps[index]
     is_cold = target.before.powered and not standing.is_unit_on
     steps = _latest(plan, index, PowerOn) if is_cold else []
-    if is_cold or not standing.is_tempered:
+    if is_cold or not standing.is_tempered or _is_on_ramp(plan, index):
         steps += _tempering(plan, index, standing.chamber_c)
-    if target.before.position is not None and target.in_position and not isinstance(target.step, GoTo):
+    # In the order of the plan: temperatures that were soaked with the INS off are again.
+    steps.sort(key=lambda planned: planned.number)
+    if _is_to_be_off(plan, index, steps):
+        steps.insert(0, replace(target, step=PowerOff()))
+    if target.before.position is not None and _stands_in_position(plan, index):
         steps += _position(plan, index)
     return list(_timed(steps, target, standing.chamber_c))
+
+
+def _is_on_ramp(plan: Plan, index: int) -> bool:
+    """Whether the plan comes to a dwell straight from the chamber's command, without a soak."""
+    command = _latest(plan, index, Chamber, ChamberOff)
+    if plan.steps[index].dwell is None or not command or isinstance(command[0].step, ChamberOff):
+        return False
+    return not any(_is_soak(each) for each in plan.steps[command[0].number : index])
+
+
+def _is_to_be_off(plan: Plan, index: int, steps: list[PlannedStep]) -> bool:
+    """Whether the INS has to be off first, where the plan has switched it on before."""
+    if not _latest(plan, index, PowerOn):
+        return False
+    if not plan.steps[index].before.powered:
+        return True
+    return bool(steps) and any(isinstance(each.step, PowerOn) for each in steps[1:])
+
+
+def _stands_in_position(plan: Plan, index: int) -> bool:
+    """Whether something is done in the present position before the table goes to another."""
+    for planned in plan.steps[index:]:
+        if isinstance(planned.step, GoTo):
+            return False
+        if planned.in_position:
+            return True
+    return False
 
 
 def _latest(plan: Plan, index: int, *kinds: type[Step]) -> list[PlannedStep]:

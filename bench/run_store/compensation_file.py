@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 import yaml
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bench.documents import StrictModel, read_document, validate
-from bench.errors import DocumentError, MeasurementError
 from bench.files import write_whole
 from drivers.ins.compensation import Compensation
 
@@ -50,6 +49,17 @@ class CompensationFile(StrictModel):
     hysteresis_dph_per_k: _OfGyros | None = Field(default=None, description="per play of T, less T")
     half_width_k: _OfGyros | None = Field(default=None, description="half width of the play")
 
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if len({len(row) for row in self.polynomial_dph}) > 1:
+            raise ValueError("polynomial_dph must have as many coefficients for each gyro")
+        self.compensation()
+        return self
+
+    def compensation(self) -> Compensation:
+        """Give what the file describes."""
+        return Compensation(**{name: np.array(value) for name, value in self if value is not None})
+
 
 def write_compensation(path: Path, compensation: Compensation) -> None:
     """Write a compensation file; numbers that are zero for all gyros are left out where they may be.
@@ -73,11 +83,4 @@ def read_compensation(path: Path) -> Compensation:
     DocumentError
         Lists everything wrong with it, with places.
     """
-    file = validate(read_document(path), CompensationFile)
-    lengths = {len(row) for row in file.polynomial_dph}
-    if len(lengths) > 1:
-        raise DocumentError(f"{path}: polynomial_dph must have as many coefficients for each gyro")
-    try:
-        return Compensation(**{name: np.array(value) for name, value in file if value is not None})
-    except MeasurementError as error:
-        raise DocumentError(f"{path}: {error}") from error
+    return validate(read_document(path), CompensationFile).compensation()

@@ -7,13 +7,15 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from bench.bias.tables.csv_text import COLDEST_C, HOTTEST_C
 from bench.documents import StrictModel, read_document, validate
 from bench.navigation.positions import AXES
 
 #: Name of a column, or its number from 1.
 Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+#: Up to what a dwell table can hold and no log reaches.
+Positive = Annotated[float, Field(gt=0.0, le=1e12)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e12)]
 #: A spreadsheet that opens the table must not take it for a formula.
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n-]")]
 PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
@@ -111,7 +113,10 @@ class TemperatureColumns(StrictModel):
     gyro_y: Column | None = None
     gyro_z: Column | None = None
     constant_c: float | None = Field(
-        default=None, description="for a log without temperatures: the one that was noted, degC"
+        default=None,
+        ge=COLDEST_C,
+        le=HOTTEST_C,
+        description="for a log without temperatures: the one that was noted, degC",
     )
     boards: Column | None = Field(default=None, description="one temperature for all gyros' electronics")
     board_x: Column | None = None
@@ -187,7 +192,7 @@ class PositionRule(StrictModel):
 class CycleRule(StrictModel):
     """Which pass of the temperature profile a window belongs to."""
 
-    constant: int | None = Field(default=None, description="the same for all windows")
+    constant: int | None = Field(default=None, ge=0, le=10**9, description="the same for all windows")
     column: Column | None = Field(default=None, description="column with whole numbers")
     block_s: Positive | None = Field(default=None, description="blocks of this length are numbered from 1")
     alternate: int | None = Field(
@@ -213,6 +218,8 @@ class EarthRate(StrictModel):
     latitude_deg: float = Field(ge=-90.0, le=90.0, description="geodetic latitude, deg")
     azimuth_deg: float | None = Field(
         default=None,
+        ge=-360.0,
+        le=360.0,
         description="turn about Up from the position's azimuth 0; without it only the vertical axis is freed",
     )
 
@@ -238,7 +245,7 @@ class LogMap(StrictModel):
     earth_rate: EarthRate | None = Field(
         default=None, description="without it the Earth's rotation stays in the biases"
     )
-    window_s: Positive = Field(description="length of the windows that are averaged")
+    window_s: float = Field(ge=1e-3, le=1e12, description="length of the windows that are averaged")
     skip_s: NotNegative = Field(default=0.0, description="left out at the begin of each log")
     max_gap_s: Positive | None = Field(
         default=None,

@@ -6,7 +6,8 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,12 +94,12 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
             f"{', '.join(map(str, logs))}: no window of {log_map.window_s:g} s is good. "
             f"{reasons or 'The log ends before window and skip are over'}. Correct the log or the mapping"
         )
-    rows = dwell_rows(read, noise_of_means([log.good for log in read]), log_map)
+    with _named(logs):
+        noise_dph = noise_of_means([log.good for log in read])
+    rows = dwell_rows(read, noise_dph, log_map)
     warnings = [*_log_warnings(read), *_map_warnings(log_map, rows)]
-    try:
+    with _named(logs):
         warnings += temperature_warnings(rows, windows, log_map)
-    except MeasurementError as error:
-        raise MeasurementError(f"{', '.join(map(str, logs))}: {error}") from error
     return LogImport(rows, dict(left_out), warnings, _origin(read, windows, map_path, log_map))
 
 
@@ -115,6 +116,15 @@ def write_import(out: Path, imported: LogImport) -> Path:
     content = imported.origin | {"left_out": imported.left_out, "warnings": imported.warnings}
     write_text(record, json.dumps(content, indent=1) + "\n")
     return record
+
+
+@contextmanager
+def _named(logs: Sequence[Path]) -> Iterator[None]:
+    """Tell of which logs the measurements are that can't give a result."""
+    try:
+        yield
+    except MeasurementError as error:
+        raise MeasurementError(f"{', '.join(map(str, logs))}: {error}") from error
 
 
 def _log_warnings(logs: Sequence[ReadLog]) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.bias.tables.csv_text import COLDEST_C, HOTTEST_C
 from bench.errors import DocumentError, MeasurementError
 from bench.navigation.earth import RADPS_TO_DPH
 from bench.navigation.positions import AXES, POSITIONS
@@ -22,6 +23,9 @@ Samples = dict[str, NDArray[np.float64]]
 
 RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
+
+#: Beyond these nothing is measured, and no log is as long; what lies there counts as NaN does.
+_LARGEST, _LONGEST_S = 1e15, 1e12
 
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -88,8 +92,9 @@ class SampleReader:
                 if origin is None and np.isfinite(raw).any():
                     origin = float(raw[np.isfinite(raw)][0])
                     self.first_s = origin * _TO_SECONDS[self._map.time.unit]
-                time_s = (raw - (origin or 0.0)) * _TO_SECONDS[self._map.time.unit]
-            known = np.isfinite(time_s)
+                with np.errstate(over="ignore"):
+                    time_s = (raw - (origin or 0.0)) * _TO_SECONDS[self._map.time.unit]
+            known = np.abs(time_s) <= _LONGEST_S
             self.no_time += int(count - known.sum())
             self._read += count
             samples = {name: values[known] for name, values in samples.items()}
@@ -101,7 +106,8 @@ class SampleReader:
 
     def _samples(self, batch: Batch) -> Samples:
         samples = {
-            name: batch[column] * scale + offset for name, (column, scale, offset) in self._quantities.items()
+            name: _measured(name, batch[column], scale, offset)
+            for name, (column, scale, offset) in self._quantities.items()
         }
         status, position = self._map.status, self._map.position
         if status is not None:
@@ -157,6 +163,14 @@ def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
     if log_map.cycle.column is not None:
         quantities["cycle"] = (log_map.cycle.column, 1.0, 0.0)
     return quantities
+
+
+def _measured(name: str, raw: NDArray[np.float64], scale: float, offset: float) -> NDArray[np.float64]:
+    """Values of a quantity; NaN where it can't have what the log says."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = raw * scale + offset
+    low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_LARGEST, _LARGEST)
+    return np.where((values >= low) & (values <= high), values, np.nan)
 
 
 def full_scale_dph(log_map: LogMap) -> float:

@@ -166,6 +166,12 @@ class InsSilenceInterlock(PassingRule):
     limit_s: _Positive = Field(default=5.0, description="longest silence, s")
 
 
+class ChamberDeviationInterlock(PassingRule):
+    """Whether the chamber's air keeps a set point that it had reached."""
+
+    tolerance_c: _Positive = Field(default=5.0, description="allowed difference of the air, K")
+
+
 class ChamberCommandInterlock(InterlockRule):
     """Whether the chamber still holds what the bench told it: set point, on or off."""
 
@@ -213,6 +219,10 @@ class Interlocks(StrictModel):
     chamber_command: ChamberCommandInterlock = Field(
         default=ChamberCommandInterlock(),
         description="the chamber is not as the bench told it: another set point, switched off at its panel",
+    )
+    chamber_deviation: ChamberDeviationInterlock = Field(
+        default=ChamberDeviationInterlock(),
+        description="the chamber had reached its set point, and its air does not keep it",
     )
     table_fault: InterlockRule = Field(
         default=InterlockRule(),

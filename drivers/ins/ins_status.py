@@ -131,6 +131,21 @@ class InsStatus:
         return self._whole_number("compensation_loaded")
 
     @cached_property
+    def epochs(self) -> int | None:
+        """Count of epochs; None where the map has no counter, or it has not arrived."""
+        return self._whole_number("epoch_counter")
+
+    @property
+    def epoch_modulus(self) -> float:
+        """What the count of epochs wraps at."""
+        return self._readout.signals["epoch_counter"].modulus
+
+    @property
+    def epoch_period_s(self) -> float:
+        """Time from one epoch to the next."""
+        return self._readout.map.epoch_period_s
+
+    @cached_property
     def ins_time_s(self) -> float:
         """Time on the clock of the INS."""
         return float(self._readout.time_s(_NOW)[0])

@@ -175,8 +175,15 @@ class Acutrol3000:
     def _await_standstill(self) -> None:
         clock = self._line.clock
         deadline = Deadline(clock, _STANDSTILL_TIME_S)
-        while any(abs(rate) > _STANDSTILL_DPS for rate in self.read().rate_dps) and not deadline.expired():
+        while not self._is_at_rest() and not deadline.expired():
             clock.sleep(_POLL_S)
+
+    def _is_at_rest(self) -> bool:
+        """Whether every axis is known to rest: one whose rate can't be read may still turn."""
+        try:
+            return all(abs(rate) <= _STANDSTILL_DPS for rate in self.read().rate_dps)
+        except (NoReplyError, ReplyError):
+            return False
 
     def _no_servo(self) -> FaultError:
         causes = "; ".join(self.faults()) or "the controller names no fault"

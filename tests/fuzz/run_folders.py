@@ -28,6 +28,7 @@ from bench.progress_view import PatientConsole, ProgressView
 from bench.report.content import read_run
 from bench.report.noise_section import noise_section
 from bench.report.verification_section import verification_section
+from bench.run_store.can_log import read_can_log
 from bench.run_store.folder import RunFolder, open_run_folder
 from bench.run_store.telemetry import COLUMNS, read_telemetry
 from bench.station.instruments import Emulation
@@ -74,11 +75,28 @@ def use_journal(run: Path) -> Callable[[Path, bytes], None]:
     return use
 
 
+#: A part of frames between two dwells, as a kill leaves one of a dwell that was under way.
+_PART_OF_NO_DWELL = "can/part-00003.blf"
+
+
 def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
+    """Measure the run again, first with a part damaged that it does not need, then with one of a dwell.
+
+    Of either part no more is read than frames that it had, from the first on.
+    """
+    measured = RunFolder(run).dwells.read_bytes()
     expected = read_dwells(run / "dwells.csv")
+    sound_frames = _frames(run, PART)
 
     def use(folder: Path, data: bytes) -> None:
         copy = _copied(run, folder)
+        (copy / _PART_OF_NO_DWELL).write_bytes(data)
+        frames = _frames(copy, _PART_OF_NO_DWELL)
+        if frames != sound_frames[: len(frames)]:
+            raise WrongResultError("the damaged part gives frames that were not in it")
+        if measure_again(copy).dwells.read_bytes() != measured:
+            raise WrongResultError("a part of no dwell changed the dwells")
+        shutil.copy(run / _PART_OF_NO_DWELL, copy / _PART_OF_NO_DWELL)
         (copy / PART).write_bytes(data)
         measure_again(copy)
         for row, sound in zip(read_dwells(copy / "dwells.csv"), expected, strict=True):
@@ -88,6 +106,12 @@ def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
                 raise WrongResultError(f"bias {row.bias_dph} without a flag, not {sound.bias_dph}")
 
     return use
+
+
+def _frames(run: Path, part: str) -> list[tuple[int, bytes]]:
+    """Identifiers and bytes of the frames of one part."""
+    parts = {f"can/part-{number:05}.blf": frames for number, frames in read_can_log(run / "can")}
+    return [(frame.arbitration_id, bytes(frame.data)) for frame in parts[part]]
 
 
 def use_telemetry(run: Path) -> Callable[[Path, bytes], None]:

@@ -75,7 +75,7 @@ def do(work: Work, shared: Path) -> None:
                 kept.write_bytes(data)  # before it is read, which may be the end of this process
             outcome = _outcome(kinds[kind], home, data, sandbox)
             if kept and outcome["outcome"] != "problem":
-                kept.unlink()
+                kept.unlink(missing_ok=True)
             _tell(outcome)
 
 

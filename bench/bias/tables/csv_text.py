@@ -15,6 +15,10 @@ from bench.reading import read_limited
 
 #: Some hundred thousand dwells.
 MAX_TABLE_BYTES = 100_000_000
+#: Nothing that is measured reaches these: squares and sums of what lies between stay numbers.
+LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
+#: What no gyro reaches; temperatures far beyond would fill the memory with empty bins.
+COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -95,13 +99,33 @@ class CsvTable:
         return 0
 
     def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
-        """Read a finite number; NaN for an empty cell or ``nan``, which may be a mistake."""
+        """Read a number that may be measured; NaN for an empty cell or ``nan``, which may be a mistake."""
         text = self.text(index, column)
-        if _NUMBER.fullmatch(text) and math.isfinite(float(text)):
-            return float(text)
-        if not (may_be_empty and text.lower() in ("", "nan")):
+        if _NUMBER.fullmatch(text):
+            if abs(float(text)) <= LARGEST_NUMBER:
+                return float(text)
+            self.problem(index, column, f"{float(text):g} is beyond {LARGEST_NUMBER:g}, so nothing measured")
+        elif not (may_be_empty and text.lower() in ("", "nan")):
             self.problem(index, column, f"expected a number; found '{text}'")
         return math.nan
+
+    def uncertainty(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read a standard uncertainty, which is above zero."""
+        value = self.number(index, column, may_be_empty)
+        if value < SMALLEST_UNCERTAINTY:
+            self.problem(index, column, f"an uncertainty must be above zero; found {value:g}")
+        return value
+
+    def temperature(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read the temperature of a gyro, degC."""
+        value_c = self.number(index, column, may_be_empty)
+        if value_c < COLDEST_C or value_c > HOTTEST_C:
+            self.problem(
+                index,
+                column,
+                f"{value_c:g} degC is no temperature of a gyro; allowed: {COLDEST_C:g} to {HOTTEST_C:g}",
+            )
+        return value_c
 
     def problem(self, index: int, column: str, message: str) -> None:
         """Note that a cell is wrong."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -43,8 +43,6 @@ def _columns(names: Iterable[str]) -> tuple[str, ...]:
 
 
 _NAMES = ("unit", "run", "dwell", "cycle", "position", *_SCALARS, *_TRIPLES, *_FIT)
-#: What no gyro reaches; temperatures far beyond would fill the memory with empty bins.
-_COLDEST_C, _HOTTEST_C = -273.15, 1000.0
 _REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
 #: Columns that a table is written with.
@@ -197,11 +195,8 @@ def _cells(row: DwellRow) -> list[str]:
 def _row(table: CsvTable, index: int) -> DwellRow:
     failed = bool(table.text(index, "flags"))
 
-    def triple(name: str) -> Triple:
-        x, y, z = (
-            table.number(index, _TRIPLES[name].format(axis), may_be_empty=failed or name in _OPTIONAL)
-            for axis in AXES
-        )
+    def triple(name: str, read: Callable[[int, str, bool], float] = table.number) -> Triple:
+        x, y, z = (read(index, _TRIPLES[name].format(axis), failed or name in _OPTIONAL) for axis in AXES)
         return x, y, z
 
     def scalar(name: str) -> float:
@@ -220,37 +215,21 @@ def _row(table: CsvTable, index: int) -> DwellRow:
         chamber_set_c=scalar("chamber_set_c"),
         chamber_c=scalar("chamber_c"),
         case_c=scalar("case_c"),
-        gyro_c=triple("gyro_c"),
+        gyro_c=triple("gyro_c", table.temperature),
         gyro_rate_c_per_h=triple("gyro_rate_c_per_h"),
         board_c=triple("board_c"),
         bias_dph=triple("bias_dph"),
-        sigma_dph=triple("sigma_dph"),
+        sigma_dph=triple("sigma_dph", table.uncertainty),
         paper_bias_dph=triple("paper_bias_dph"),
-        paper_sigma_dph=triple("paper_sigma_dph"),
+        paper_sigma_dph=triple("paper_sigma_dph", table.uncertainty),
         accelerometer_ug=triple("accelerometer_ug"),
-        accelerometer_sigma_ug=triple("accelerometer_sigma_ug"),
+        accelerometer_sigma_ug=triple("accelerometer_sigma_ug", table.uncertainty),
         fit_ratio=scalar("fit_ratio"),
         fit_p_value=scalar("fit_p_value"),
         flags=table.text(index, "flags"),
     )
-    _check(table, index, row)
-    for axis, gyro_c in zip(AXES, row.gyro_c, strict=True):
-        if not math.isnan(gyro_c) and not _COLDEST_C <= gyro_c <= _HOTTEST_C:
-            table.problem(
-                index,
-                _TRIPLES["gyro_c"].format(axis),
-                f"{gyro_c:g} degC is no temperature of a gyro; allowed: {_COLDEST_C:g} to {_HOTTEST_C:g}",
-            )
-    return row
-
-
-def _check(table: CsvTable, index: int, row: DwellRow) -> None:
     if row.end_s < row.start_s:
         table.problem(
             index, "end_s", f"the dwell ends at {row.end_s:g} s, before it starts at {row.start_s:g} s"
         )
-    for name in ("sigma_dph", "paper_sigma_dph", "accelerometer_sigma_ug"):
-        for axis, sigma in zip(AXES, getattr(row, name), strict=True):
-            if sigma <= 0.0:
-                column = _TRIPLES[name].format(axis)
-                table.problem(index, column, f"an uncertainty must be above zero; found {sigma:g}")
+    return row

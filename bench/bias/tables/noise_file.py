@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from bench.bias.noise.allan import AllanVariance, RateNoise
 from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
@@ -70,10 +70,27 @@ class _Part(StrictModel):
     model_config = ConfigDict(allow_inf_nan=True)
 
 
+def _positive(value: float) -> float:
+    if value <= 0.0:
+        raise ValueError("must be above zero")
+    return value
+
+
+def _not_negative(value: float) -> float:
+    if value < 0.0:
+        raise ValueError("must not be below zero")
+    return value
+
+
+#: As pydantic's own limits, but NaN passes.
+_Positive = Annotated[float, AfterValidator(_positive)]
+_NotNegative = Annotated[float, AfterValidator(_not_negative)]
+
+
 class _Allan(_Part):
     interval_s: float = Field(gt=0.0)
     factors: list[Annotated[int, Field(ge=1, lt=2**53)]]
-    variance: list[float]
+    variance: list[_NotNegative]
     counts: list[Annotated[int, Field(ge=0, lt=2**53)]]
     lengths: list[Annotated[int, Field(ge=0, lt=2**53)]]
 
@@ -82,15 +99,21 @@ class _Fit(_Part):
     terms: _OfTerms
     unbounded: _OfTerms
     covariance: Annotated[list[_OfTerms], Field(min_length=3, max_length=3)]
-    expected: list[float]
+    expected: list[_NotNegative]
     used: list[bool]
-    edf: list[float]
+    edf: list[_Positive]
     misfit: float
+
+    @model_validator(mode="after")
+    def _variances(self) -> Self:
+        for index, row in enumerate(self.covariance):
+            _not_negative(row[index])
+        return self
 
 
 class _Channel(_Part):
     allan: _Allan
-    step: float
+    step: _NotNegative
     fit: _Fit | None
 
     @model_validator(mode="after")

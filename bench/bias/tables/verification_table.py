@@ -119,11 +119,7 @@ def _cells(row: VerificationRow) -> list[str]:
 
 
 def _row(table: CsvTable, index: int) -> VerificationRow:
-    row = VerificationRow(**{name: _value(table, index, name) for name in COLUMNS})
-    for name in _SIGMAS:
-        if getattr(row, name) <= 0.0:
-            table.problem(index, name, f"an uncertainty must be above zero; found {getattr(row, name):g}")
-    return row
+    return VerificationRow(**{name: _value(table, index, name) for name in COLUMNS})
 
 
 def _value(table: CsvTable, index: int, name: str) -> Any:
@@ -137,5 +133,9 @@ def _value(table: CsvTable, index: int, name: str) -> Any:
     if name == "turned_dwell":
         return None
     failed = bool(table.text(index, "flags"))
-    must_be_there = name == "azimuth_deg" or (name in _MEASURED and not failed)
-    return table.number(index, name, may_be_empty=not must_be_there)
+    may_be_empty = name != "azimuth_deg" and (name not in _MEASURED or failed)
+    if name == "temperature_c":
+        return table.temperature(index, name, may_be_empty)
+    if name in _SIGMAS:
+        return table.uncertainty(index, name, may_be_empty)
+    return table.number(index, name, may_be_empty)

@@ -29,6 +29,7 @@ class ChamberChecks:
         self._rate_c_per_min = rules.chamber_air_rate.limit_or_default_c_per_min(limits.ramp_c_per_min)
         self._rate = RateWindow.for_readings(rules.chamber_air_rate.window_s, station.instruments_period_s)
         self._tolerance_c = rules.chamber_command.tolerance_c
+        self._deviation_c = rules.chamber_deviation.tolerance_c
         self._silence_s = rules.chamber_silence.limit_or_default_s(station.instruments_period_s)
         self._told: tuple[float | None, bool | None] = (None, None)
         self._told_s = -math.inf
@@ -55,6 +56,14 @@ class ChamberChecks:
             )
         if readings.chamber_s > self._told_s:
             yield from self._not_as_told(readings)
+        if expected.chamber_reached and expected.chamber_set_c is not None:
+            off_c = air_c - expected.chamber_set_c
+            if not abs(off_c) <= self._deviation_c:
+                yield Finding(
+                    "chamber_deviation",
+                    f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point it had "
+                    f"reached; the limit is {self._deviation_c:g} K. Check machinery and door.",
+                )
 
     def _not_as_told(self, readings: Readings) -> Iterator[Finding]:
         chamber, (set_c, on) = readings.chamber, self._told

@@ -15,6 +15,8 @@ class Expected:
         Set point; None where none was commanded yet.
     chamber_on : bool or None
         Whether it was switched on or off; None where neither was commanded yet.
+    chamber_reached : bool
+        Whether the air had come to that set point, so that it should keep it.
     ins_on : bool
         Whether the INS is on and has spoken, so that its silence matters.
     table_prepared : bool
@@ -23,5 +25,6 @@ class Expected:
 
     chamber_set_c: float | None = None
     chamber_on: bool | None = None
+    chamber_reached: bool = False
     ins_on: bool = False
     table_prepared: bool = False

@@ -78,11 +78,12 @@ def test_spread_of_true_uncertainties_is_seldom_called_large():
     assert np.mean([each.chi2_reduced for each in bin_biases(rows)]) == pytest.approx(1.0, abs=0.07)
 
 
-def test_refuses_dwells_of_several_units_and_a_width_of_zero():
+def test_refuses_dwells_of_several_units_and_too_small_a_width():
     with pytest.raises(MeasurementError, match=r"several units \(A, B\)"):
         bin_biases([row(unit="A"), row(unit="B")])
-    with pytest.raises(MeasurementError, match="width above zero"):
-        bin_biases([row()], width_c=0.0)
+    for width_c in (0.0, -5.0, 1e-9, math.nan, math.inf):
+        with pytest.raises(MeasurementError, match=r"width of 0\.01 K or more"):
+            bin_biases([row()], width_c=width_c)
 
 
 def test_dwells_without_result_are_left_out():
@@ -144,6 +145,21 @@ def test_reading_and_writing_again_gives_the_same_file(tmp_path):
     read = read_bins(first)
     assert [each.count for each in read] == [each.count for each in bins]
     np.testing.assert_allclose([e.bias_dph for e in read], [e.bias_dph for e in bins], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"temperature_c": 1500.0}, "column temperature_c: 1500 degC is no temperature of a gyro"),
+        ({"sigma_dph": 0.0}, "column sigma_dph: an uncertainty must be above zero; found 0"),
+        ({"paper_sigma_dph": -1.0}, "column paper_sigma_dph: an uncertainty must be above zero; found -1"),
+    ],
+)
+def test_numbers_that_no_bin_can_have_are_refused(tmp_path, change, message):
+    path = tmp_path / "bias_bins.csv"
+    write_bins(path, [replace(bin_biases([row()])[0], **change)])
+    with pytest.raises(DocumentError, match=rf"bias_bins\.csv:2: {message}"):
+        read_bins(path)
 
 
 def test_says_which_cell_is_wrong(tmp_path):

@@ -26,9 +26,9 @@ steps:
         - wait: {duration_s: 10}
         - go_to: {position: z_up}
         - align: {duration_s: 120}
-        - navigate: {duration_s: 150}
+        - navigate: {duration_s: 200}
         - turn: {angle_deg: 180}
-        - navigate: {duration_s: 150}
+        - navigate: {duration_s: 200}
 """
 WHOLE = Compensation(BIAS_DPH[:, np.newaxis], np.full(3, -40.0), np.full(3, 80.0))
 

@@ -1,3 +1,4 @@
+import re
 from dataclasses import fields
 
 import numpy as np
@@ -48,6 +49,14 @@ def test_terms_that_are_not_used_are_left_out(tmp_path, written):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            f"{POLYNOMIAL}difference_low_k: [5, 5, 5]\ndifference_high_k: [6, 4, 6]\n",
+            "difference_low_k must not be above difference_high_k",
+        ),
+        (
+            POLYNOMIAL + "warm_up_dph: [1, 2, 3]\nwarm_up_s: [-1, 0, 1]\n",
+            "warm_up_dph needs warm_up_s above zero",
+        ),
         (POLYNOMIAL.replace("[1.0]", "[1.0, 2.0]"), "as many coefficients for each gyro"),
         (
             POLYNOMIAL.replace("low_c: [-20, -20, -20]", "low_c: [-20, 90, -20]"),
@@ -58,7 +67,7 @@ def test_terms_that_are_not_used_are_left_out(tmp_path, written):
         ("low_c: [1, 2, 3]\n", "polynomial_dph"),
     ],
 )
-def test_mistakes_are_told_with_their_file(written, text, message):
+def test_mistakes_are_told_with_their_place(written, text, message):
     with pytest.raises(DocumentError, match=message) as caught:
         read_compensation(written(text))
-    assert "compensation.yaml" in str(caught.value)
+    assert re.match(r".*compensation\.yaml:\d+:\d+: ", str(caught.value))

@@ -114,6 +114,34 @@ def test_what_is_no_number_is_left_out_and_a_window_with_much_of_it_too(log):
     assert np.isfinite(biases(result.rows)).all()
 
 
+@pytest.mark.parametrize("value", [1e16, -1e300, 1.7e308])
+def test_what_nothing_measures_counts_as_no_number(log, value):
+    plain = imported(log)
+    log.columns["gy"][5] = value
+    log.columns["temp"][700:710] = value
+    log.columns["time"][1203] = value
+    result = imported(log)
+    assert len(result.rows) == len(plain.rows)
+    assert any("1 samples left out whose rate is no number" in each for each in result.warnings)
+    assert any("1 samples left out that have no time" in each for each in result.warnings)
+    np.testing.assert_allclose(biases(result.rows), biases(plain.rows), atol=NOISE_DPH / 10.0)
+    np.testing.assert_allclose(
+        [row.gyro_c for row in result.rows], [row.gyro_c for row in plain.rows], atol=0.1
+    )
+
+
+@pytest.mark.parametrize("value_c", [-300.0, 1200.0])
+def test_a_temperature_that_no_gyro_reaches_is_none(log, value_c):
+    log.columns["temp"][600:900] = value_c
+    assert imported(log).left_out == {"no temperature": 1}
+
+
+def test_a_gyro_whose_rate_never_changes_is_told_with_its_log(log):
+    log.columns["gx"] = np.where(np.arange(len(log.time_s)) % 100 < 60, 0.0, 1e-200)
+    with pytest.raises(MeasurementError, match=r"log\.csv: a gyro's rate never changes"):
+        imported(log)
+
+
 def test_windows_over_a_gap_are_left_out(log):
     for name, values in log.columns.items():
         log.columns[name] = np.delete(values, slice(950, 990))

@@ -12,7 +12,7 @@ from drivers.ins.dbc_codec import load_dbc
         (
             "SIG_VALTYPE_",
             "SG_MUL_VAL_ 1 TIME_S TIME_NS 0-4294967295 ;\nSIG_VALTYPE_",
-            "4294967295 multiplexer values",
+            "line 150: 4294967296 multiplexer values",
         ),
         (
             "SIG_VALTYPE_ 513 VALUE",

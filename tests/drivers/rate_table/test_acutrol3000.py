@@ -298,7 +298,7 @@ def test_a_late_reply_is_not_taken_for_the_next_one(serve):
         def feed(self, data, now_s):
             self.count += 1
             if self.count == 2:
-                time.sleep(0.12)
+                time.sleep(0.25)
             return reply(f"answer {self.count}")
 
     with serve(Late()) as line:

@@ -37,6 +37,7 @@ ROW = DwellRow(
 )
 
 numbers = st.floats(-1e6, 1e6)
+temperatures = st.floats(-273.15, 1000.0)
 maybe = numbers | st.just(math.nan)
 texts = st.text(st.characters(exclude_categories=["Cc", "Cs", "Z"]), max_size=8)
 names = texts.filter(lambda text: not text.startswith(("=", "+", "-", "@")))
@@ -56,7 +57,7 @@ dwell_rows = st.builds(
     start_s=st.floats(0.0, 1e5),
     end_s=st.floats(1.1e5, 1e6),
     since_power_on_s=numbers,
-    gyro_c=triples(numbers),
+    gyro_c=triples(temperatures),
     gyro_rate_c_per_h=triples(numbers),
     bias_dph=triples(numbers),
     sigma_dph=triples(st.floats(1e-9, 1.0)),
@@ -172,6 +173,11 @@ def test_a_mark_in_front_of_the_file_is_no_matter(tmp_path):
         ("position", "Z_UP", "x:2: column position: expected one of z_up, z_down, .*; found 'Z_UP'"),
         ("sigma_x_dph", "0", "x:2: column sigma_x_dph: an uncertainty must be above zero"),
         ("paper_sigma_y_dph", "-1", "x:2: column paper_sigma_y_dph: an uncertainty must be above zero"),
+        ("sigma_x_dph", "1e-200", "x:2: column sigma_x_dph: an uncertainty must be above zero; found 1e-200"),
+        ("bias_y_dph", "-1e200", "x:2: column bias_y_dph: -1e\\+200 is beyond 1e\\+30, so nothing measured"),
+        ("board_z_c", "1e999", "x:2: column board_z_c: inf is beyond 1e\\+30"),
+        ("gyro_z_c", "-274", "x:2: column gyro_z_c: -274 degC is no temperature of a gyro; allowed: -273.15"),
+        ("gyro_x_c", "1001", "x:2: column gyro_x_c: 1001 degC is no temperature of a gyro"),
         ("fit_p_value", "good", "x:2: column fit_p_value: expected a number; found 'good'"),
         ("end_s", "0", "x:2: column end_s: the dwell ends at 0 s, before it starts"),
     ],

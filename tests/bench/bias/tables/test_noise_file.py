@@ -103,6 +103,29 @@ def test_a_file_that_lacks_something_is_an_error(tmp_path, key):
         read_noise(path)
 
 
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (("allan", "variance", 0), -1e-12, r"variance\.0\D+must not be below zero"),
+        (("fit", "edf", 1), 0.0, r"edf\.1\D+must be above zero"),
+        (("fit", "expected", 0), -1.0, r"expected\.0\D+must not be below zero"),
+        (("fit", "covariance", 1, 1), -1.0, r"gyros\.0\.fit\D+must not be below zero"),
+        (("step",), -1.0, r"gyros\.0\.step\D+must not be below zero"),
+    ],
+)
+def test_a_spread_below_zero_is_an_error_with_its_place(tmp_path, place, value, message):
+    path = tmp_path / "noise.json"
+    write_noise(path, noise_of())
+    data = json.loads(path.read_text())
+    part = data["gyros"][0]
+    for key in place[:-1]:
+        part = part[key]
+    part[place[-1]] = value
+    path.write_text(json.dumps(data))
+    with pytest.raises(DocumentError, match=message):
+        read_noise(path)
+
+
 def test_files_that_can_not_be_read_or_written_are_named_once(tmp_path):
     with pytest.raises(DocumentError) as caught:
         read_noise(tmp_path / "absent.json")
