@@ -1,9 +1,14 @@
 """Order of the tests, which of them one worker runs, and where their locks are."""
 
+import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
 from bench.station.bench_lock import LOCK_DIR_VARIABLE
+
+# A busy machine must not make a test fail.
+hypothesis.settings.register_profile("no deadline", deadline=None)
+hypothesis.settings.load_profile("no deadline")
 
 #: These look at the same runs of a shift.
 SHIFT_RUNS = {

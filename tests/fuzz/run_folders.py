@@ -20,7 +20,14 @@ from bench.bias.tables.verification_table import COLUMNS as VERIFICATION_COLUMNS
 from bench.bias.tables.verification_table import read_verification
 from bench.closure.files import read_held_out_cycles
 from bench.engine.operator import ConsentingOperator
-from bench.engine.session import measure_again, prepare_job, prepare_resumption, resume_run, run_job
+from bench.engine.session import (
+    describe_resumption,
+    measure_again,
+    prepare_job,
+    prepare_resumption,
+    resume_run,
+    run_job,
+)
 from bench.engine.verify import new_emulation
 from bench.measurement.campaign import read_campaign
 from bench.procedure.plan import Plan
@@ -155,7 +162,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         copy = _copied(run, folder)
         (copy / "journal.jsonl").write_bytes(data)
         resumption = prepare_resumption(copy)
-        resumption.describe()
+        describe_resumption(resumption)
         told = _whole_entries(data)
         finished = {each["marks"]["dwell"] for each in told if each.get("event") == "dwell_finished"}
         if resumption.done.finished != finished:

@@ -139,7 +139,7 @@ def test_runs_that_are_there_are_read_instead_of_made_again(campaign, verified):
 
 
 def test_a_run_of_another_seed_in_the_folder_is_told(campaign, verified):
-    with pytest.raises(RunFolderError, match="holds a run that is not finished, or of another model"):
+    with pytest.raises(RunFolderError, match="holds a run of another model"):
         verification_of(campaign, verified[0].folder, seed=77).is_there("declared")
 
 

@@ -63,9 +63,10 @@ def test_an_instrument_that_is_gone_can_not_be_reopened_until_it_is_back(changed
         with pytest.raises(ConnectionFailedError, match="rate table: can't open"):
             outputs.reopen(RATE_TABLE)
         port.symlink_to(os.ttyname(line))
+        outputs.reopen(RATE_TABLE)
         answer = threading.Thread(target=answer_once, args=(controller,))
         answer.start()
-        outputs.reopen(RATE_TABLE)
+        outputs.table.stop()
         answer.join()
     os.close(controller)
     os.close(line)

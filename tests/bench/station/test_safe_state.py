@@ -110,7 +110,7 @@ def test_what_failed_can_be_tried_alone(opened):
 
 def test_a_table_that_hangs_does_not_keep_the_chamber_waiting_for_ever(changed, monkeypatch):
     station = Station(changed(("clock: virtual", "clock: wall")))
-    monkeypatch.setattr("bench.station.safe_state._EXCHANGE_TIME_S", 0.5)
+    monkeypatch.setattr("bench.station.safe_state._EXCHANGE_TIME_S", 3.0)
     monkeypatch.setattr("bench.station.safe_state._RELEASE_TIME_S", 0.5)
     hangs, beats = threading.Event(), []
     monkeypatch.setattr("bench.station.instruments.open_table", lambda *_: hangs.wait(60))
