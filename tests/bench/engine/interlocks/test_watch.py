@@ -245,3 +245,13 @@ def test_the_station_file_says_what_becomes_of_the_run(watched):
     assert (rule.needs, rule.resume_after_s, rule.most_resumes) == ("nobody", 900.0, 2)
     assert "above the limit of 76 degC" in trips["chamber_air"].text
     assert trips["chamber_air"].rule.needs == "person"
+
+
+def test_air_that_leaves_a_set_point_that_it_had_reached_trips(watched):
+    bench = watched()
+    bench.poll()
+    bench.chamber = ChamberReading(26.0, 20.0, True)
+    assert "chamber_deviation" not in bench.poll()  # on its way
+    bench.expected = replace(bench.expected, chamber_reached=True)
+    trip = bench.poll()["chamber_deviation"]
+    assert all(word in trip.text for word in ("26.0", "+6.0 K", "5 K"))
