@@ -6,6 +6,7 @@ injections meet a procedure that repeats disturbed dwells, the other half one th
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import signal
@@ -254,12 +255,8 @@ class InjectedError(Exception):
 
 def outcomes_of(injected_s: Iterable[float], entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """The gravest that the journal tells between each injection and the next one."""
-    times_s = sorted(injected_s)
-    ends_s = [*times_s, np.inf][1:]
-    return [
-        _outcome([entry for entry in entries if begin_s <= entry["time_s"] < end_s])
-        for begin_s, end_s in zip(times_s, ends_s, strict=True)
-    ]
+    first = np.searchsorted([entry["time_s"] for entry in entries], sorted(injected_s))
+    return [_outcome(entries[begin:end]) for begin, end in itertools.pairwise([*first, len(entries)])]
 
 
 def _outcome(entries: Sequence[Mapping[str, Any]]) -> str:
