@@ -298,11 +298,11 @@ def test_a_late_reply_is_not_taken_for_the_next_one(serve):
         def feed(self, data, now_s):
             self.count += 1
             if self.count == 2:
-                time.sleep(0.25)
+                time.sleep(0.6)
             return reply(f"answer {self.count}")
 
     with serve(Late()) as line:
-        table = met(line, reply_timeout_s=0.1)
+        table = met(line, reply_timeout_s=0.4)
         with pytest.raises(NoReplyError):
             table.identify()
         # the third is to the line that ends what the controller may still hold
