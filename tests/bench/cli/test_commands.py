@@ -10,7 +10,7 @@ import time
 import pytest
 
 from bench.bias.tables.dwell_table import write_dwells
-from bench.cli import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 from tests.bench.report.made_up_closure import made_up_rows
 

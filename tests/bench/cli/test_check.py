@@ -3,7 +3,8 @@
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, app
+from bench.cli import app
+from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
 from bench.documents import find_document
 
 

@@ -1,0 +1,27 @@
+"""`gyrobench bins`."""
+
+from __future__ import annotations
+
+from bench.cli.bias_tables import print_biases
+from bench.cli.options import RunArgument
+
+
+def bins(run_folder: RunArgument) -> None:
+    """Measure a run anew from its raw CAN log and write its tables again.
+
+    Example: gyrobench bins runs/six_position_fig7-001
+    """
+    from bench.bias.bins import read_bins
+    from bench.bias.tables.verification_table import read_verification
+    from bench.engine.session import measure_again
+    from bench.progress_view import PatientConsole
+    from bench.report.html import write_report
+
+    folder = measure_again(run_folder)
+    verification = read_verification(folder.verification) if folder.verification.exists() else []
+    console = PatientConsole(markup=False)
+    print_biases(console, read_bins(folder.bias_bins), verification)
+    results = (folder.bias_bins, folder.joint, folder.joint_biases, folder.noise, folder.verification)
+    tables = [path.name for path in (folder.dwells, *results) if path.exists()]
+    console.print(f"Tables   {', '.join(tables)}")
+    console.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)

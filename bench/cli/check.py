@@ -1,0 +1,48 @@
+"""`gyrobench check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, fail
+from bench.cli.options import EMULATED, STATION_HELP, FaultsOption, SeedOption, WorldOption
+from bench.errors import BenchInUseError
+
+
+def check(
+    station: Annotated[str, typer.Argument(help=STATION_HELP)] = EMULATED,
+    procedure: Annotated[
+        str | None, typer.Option(help="Procedure that is to be run: file or shipped name.")
+    ] = None,
+    world: WorldOption = "gyro_a",
+    seed: SeedOption = 0,
+    faults: FaultsOption = None,
+    out: Annotated[Path, typer.Option(help="Folder in which the run folder is to be.")] = Path("runs"),
+) -> None:
+    """Look whether a bench is fit for a run, without moving anything; a unit that is off is on meanwhile.
+
+    Exit codes: 0 nothing speaks against a run, 1 something does, 3 no instrument answers or a run
+    holds the bench.
+
+    Example: gyrobench check my_bench.yaml --procedure six_position_fig7
+    """
+    from rich.console import Console
+
+    from bench.engine.preflight.answer import nobody_answers
+    from bench.engine.preflight.session import check_bench
+    from bench.report.preflight_terminal import preflight_report
+    from bench.station.check import Verdict
+    from bench.station.instruments import Emulation
+
+    try:
+        checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
+    except BenchInUseError as error:
+        fail(error, EXIT_INSTRUMENT)
+    Console(markup=False, highlight=False).print(preflight_report(checks))
+    if nobody_answers(checks):
+        raise typer.Exit(EXIT_INSTRUMENT)
+    if any(each.verdict is Verdict.FAIL for each in checks):
+        raise typer.Exit(EXIT_NOT_FINISHED)

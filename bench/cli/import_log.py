@@ -1,0 +1,26 @@
+"""`gyrobench import`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def import_log(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Log of a real IMU, or several in order.")
+    ],
+    mapping: Annotated[str, typer.Option("--map", help="What stands where: file or shipped name.")],
+    out: Annotated[Path, typer.Option(help="Dwell table to write.")] = Path("dwells.csv"),
+) -> None:
+    """Average logs of a real IMU or INS to a dwell table.
+
+    Example: gyrobench import imu.csv --map my_imu.yaml --out dwells.csv
+    """
+    from bench.sensor_log.log_import import import_logs, write_import
+
+    imported = import_logs(logs, mapping)
+    record = write_import(out, imported)
+    typer.echo(f"{imported.summary()}\nTable    {out}\nRecord   {record}")

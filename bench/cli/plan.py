@@ -1,0 +1,79 @@
+"""`gyrobench plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.cli.options import EMULATED, ProcedureArgument, StationOption
+from bench.errors import MeasurementError
+
+if TYPE_CHECKING:
+    from bench.engine.session import Job
+
+
+def plan(
+    procedure: ProcedureArgument,
+    station: StationOption = EMULATED,
+    figure: Annotated[
+        Path | None, typer.Option(help="PNG file to draw; by default plan_PROCEDURE.png.")
+    ] = None,
+    separability: Annotated[
+        bool, typer.Option("--separability", help="Tell which effects on the bias its dwells tell apart.")
+    ] = False,
+    target_dph: Annotated[
+        float, typer.Option(min=1e-6, help="With --separability: size of effect that matters, deg/h rms.")
+    ] = 0.002,
+) -> None:
+    """Show what a procedure would do and how long it takes, without touching an instrument.
+
+    The profile is drawn with the positions on it, as a PNG file; with --separability also
+    separability_PROCEDURE.png, how alike effects look.
+
+    Example: gyrobench plan six_position_fig7 --figure plan.png
+    """
+    from rich.console import Console
+
+    from bench.engine.session import prepare_job
+    from bench.procedure.timeline import timeline_rows
+    from bench.report.figures import plan_figure, save_figure
+    from bench.report.terminal import timeline_table
+
+    job = prepare_job(procedure, station)
+    Console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
+    path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
+    save_figure(plan_figure(job.plan), path)
+    typer.echo(f"Figure   {path}")
+    if separability:
+        _print_separability(job, target_dph)
+
+
+def _print_separability(job: Job, target_dph: float) -> None:
+    from functools import partial
+
+    from rich.console import Console
+
+    from bench.closure.effects import all_effects
+    from bench.closure.planned_campaign import planned_campaign
+    from bench.closure.separability import searched_dwells, separability
+    from bench.closure.separability_advice import advise
+    from bench.measurement.planned_unit import plan_on, planned_unit
+    from bench.report.figures import save_figure
+    from bench.report.separability_figure import separability_figure
+    from bench.report.separability_terminal import separability_summary
+
+    unit, name = planned_unit(job.station), job.plan.procedure.procedure
+    try:
+        campaign = planned_campaign(job.plan, unit)
+    except MeasurementError as error:
+        typer.echo(str(error))
+        return
+    now = separability(searched_dwells(campaign), all_effects())
+    advice = advise(job.document, job.plan, partial(plan_on, job.station), unit, now, target_dph)
+    console = Console(markup=False, highlight=False)
+    console.print(separability_summary(now, len(campaign), unit, target_dph, advice))
+    path = Path(f"separability_{name}.png")
+    save_figure(separability_figure(now, target_dph, name), path)
+    typer.echo(f"Figure   {path}")
