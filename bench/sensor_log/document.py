@@ -97,9 +97,9 @@ class GyroColumns(StrictModel):
     """Which column measures the rate about which body axis."""
 
     unit: Literal["rad/s", "deg/s", "deg/h"] = Field(description="unit of the rates")
-    x: AxisColumn
-    y: AxisColumn
-    z: AxisColumn
+    x: AxisColumn = Field(description="column of the x gyro, with its sign")
+    y: AxisColumn = Field(description="column of the y gyro, with its sign")
+    z: AxisColumn = Field(description="column of the z gyro, with its sign")
     full_scale: Positive | None = Field(
         default=None, description="largest rate that the gyros can tell, in the unit above"
     )
@@ -109,9 +109,9 @@ class TemperatureColumns(StrictModel):
     """Where temperatures stand; each value times ``scale`` plus ``offset_c`` is degC."""
 
     gyros: Column | None = Field(default=None, description="one temperature for all three gyros")
-    gyro_x: Column | None = None
-    gyro_y: Column | None = None
-    gyro_z: Column | None = None
+    gyro_x: Column | None = Field(default=None, description="temperature of the x gyro")
+    gyro_y: Column | None = Field(default=None, description="temperature of the y gyro")
+    gyro_z: Column | None = Field(default=None, description="temperature of the z gyro")
     constant_c: float | None = Field(
         default=None,
         ge=COLDEST_C,
@@ -119,14 +119,14 @@ class TemperatureColumns(StrictModel):
         description="for a log without temperatures: the one that was noted, degC",
     )
     boards: Column | None = Field(default=None, description="one temperature for all gyros' electronics")
-    board_x: Column | None = None
-    board_y: Column | None = None
-    board_z: Column | None = None
-    chamber_set: Column | None = None
-    chamber: Column | None = None
-    case: Column | None = None
-    scale: float = 1.0
-    offset_c: float = 0.0
+    board_x: Column | None = Field(default=None, description="temperature of the x gyro's electronics")
+    board_y: Column | None = Field(default=None, description="temperature of the y gyro's electronics")
+    board_z: Column | None = Field(default=None, description="temperature of the z gyro's electronics")
+    chamber_set: Column | None = Field(default=None, description="set point of the chamber")
+    chamber: Column | None = Field(default=None, description="air of the chamber")
+    case: Column | None = Field(default=None, description="case of the unit")
+    scale: float = Field(default=1.0, description="degC per unit of the columns")
+    offset_c: float = Field(default=0.0, description="added after scale, degC")
     least_swing_c: NotNegative = Field(
         default=10.0, description="refuse a table whose temperatures span less, K"
     )
@@ -162,9 +162,9 @@ class StatusRule(StrictModel):
 class Accelerometers(StrictModel):
     """Accelerometers that tell the position; their unit does not matter."""
 
-    x: AxisColumn
-    y: AxisColumn
-    z: AxisColumn
+    x: AxisColumn = Field(description="column of the x accelerometer, with its sign")
+    y: AxisColumn = Field(description="column of the y accelerometer, with its sign")
+    z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
     tolerance_deg: float = Field(
         default=10.0, gt=0.0, le=45.0, description="leave windows out that are tilted more"
     )
@@ -227,7 +227,7 @@ class EarthRate(StrictModel):
 class LogMap(StrictModel):
     """What stands where in a log, and how it is averaged."""
 
-    description: str = ""
+    description: str = Field(default="", description="what it is for, for people")
     unit: Name = Field(description="serial number of the unit")
     run: Name = Field(default="1", description="name of the power-on")
     each_log_is_a_run: bool = Field(
@@ -236,12 +236,14 @@ class LogMap(StrictModel):
     since_power_on_s: NotNegative = Field(default=0.0, description="from power-on to the log's first sample")
     text: TextFormat | None = Field(default=None, description="the log is text")
     records: RecordFormat | None = Field(default=None, description="the log is binary records")
-    time: TimeRule
-    gyro: GyroColumns
-    temperatures: TemperatureColumns
-    status: StatusRule | None = None
-    position: Annotated[PositionRule, _plain("constant")]
-    cycle: Annotated[CycleRule, _plain("constant")] = CycleRule(constant=1)
+    time: TimeRule = Field(description="how the samples are timed")
+    gyro: GyroColumns = Field(description="which columns are the rates")
+    temperatures: TemperatureColumns = Field(description="which columns are temperatures")
+    status: StatusRule | None = Field(default=None, description="which samples are good")
+    position: Annotated[PositionRule, _plain("constant")] = Field(description="how the unit stands")
+    cycle: Annotated[CycleRule, _plain("constant")] = Field(
+        default=CycleRule(constant=1), description="what can be held out"
+    )
     earth_rate: EarthRate | None = Field(
         default=None, description="without it the Earth's rotation stays in the biases"
     )

@@ -64,9 +64,9 @@ class Location(StrictModel):
 class Mounting(StrictModel):
     """Where each body axis of the unit points with both table angles at zero."""
 
-    x: Direction
-    y: Direction
-    z: Direction
+    x: Direction = Field(description="body axis x")
+    y: Direction = Field(description="body axis y")
+    z: Direction = Field(description="body axis z")
 
 
 class TableLimits(StrictModel):
@@ -118,7 +118,7 @@ class RateTableSection(StrictModel):
     outer_axis: Direction = Field(description="where the outer axis points, angles at zero")
     inner_axis: Direction = Field(description="where the inner axis points, angles at zero")
     mounting: Mounting = Field(description="where the unit's body axes point, angles at zero")
-    limits: TableLimits
+    limits: TableLimits = Field(description="what the table may do")
 
     @model_validator(mode="after")
     def _two_axes(self) -> Self:
@@ -149,7 +149,7 @@ class ChamberSection(StrictModel):
     port: Port
     baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
     address: int = Field(default=1, ge=1, le=247, description="Modbus address")
-    limits: ChamberLimits
+    limits: ChamberLimits = Field(description="what the chamber may do")
 
 
 class InsNoise(StrictModel):
@@ -227,18 +227,20 @@ class InsSection(StrictModel):
         description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
     )
     identity: str = Field(default="", max_length=200, description=_IDENTITY)
-    signals: SignalMap
-    commands: CommandMap = CommandMap()
+    signals: SignalMap = Field(description="which signal carries which quantity")
+    commands: CommandMap = Field(default=CommandMap(), description="which message carries which command")
     noise: Noise = Field(description=_WRITE_NOISE)
-    uncertainty: InsUncertainty = InsUncertainty()
+    uncertainty: InsUncertainty = Field(
+        default=InsUncertainty(), description="what is not known of the INS beside bias and noise"
+    )
 
 
 class ThermalEstimateSection(StrictModel):
     """How the gyros follow the chamber; for estimates of duration only."""
 
-    time_constant_s: Positive = 2400.0
-    self_heating_c: float = 15.0
-    room_c: float = 23.0
+    time_constant_s: Positive = Field(default=2400.0, description="of the gyros behind the air, s")
+    self_heating_c: float = Field(default=15.0, description="gyros above the air in the steady state, K")
+    room_c: float = Field(default=23.0, description="temperature of the room, degC")
 
 
 class UnitSection(StrictModel):
@@ -246,7 +248,10 @@ class UnitSection(StrictModel):
 
     power: Literal["chamber_event", "operator", "always_on"] = Field(description="what switches its supply")
     power_event: int = Field(default=2, ge=1, le=8, description="event output of the chamber's controller")
-    thermal: ThermalEstimateSection = ThermalEstimateSection()
+    thermal: ThermalEstimateSection = Field(
+        default=ThermalEstimateSection(),
+        description="how the gyros follow the chamber; for estimates of duration",
+    )
 
 
 def _off(value: Any) -> Any:
@@ -281,11 +286,11 @@ class StationFile(StrictModel):
     """A station file."""
 
     station: str = Field(pattern="^[A-Za-z0-9_-]{1,80}$", description="name of the bench")
-    description: str = ""
+    description: str = Field(default="", description="what bench it is, for people")
     clock: Literal["wall", "virtual"] = Field(
         default="wall", description="virtual: time passes as fast as the work allows; for emulated benches"
     )
-    location: Location
+    location: Location = Field(description="where it stands")
     tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(
         default=1.0, description="period of the engine, s"
     )
@@ -295,12 +300,14 @@ class StationFile(StrictModel):
     instruments_period_s: Annotated[float, Field(ge=0.5, le=60.0)] = Field(
         default=5.0, description="how often table, chamber and INS status are read, s"
     )
-    rate_table: RateTableSection
-    chamber: ChamberSection
-    ins: InsSection
-    unit: UnitSection
-    safe_state: SafeState
-    guard: GuardSection = GuardSection()
+    rate_table: RateTableSection = Field(description="the rate table")
+    chamber: ChamberSection = Field(description="the thermal chamber")
+    ins: InsSection = Field(description="the INS and its CAN bus")
+    unit: UnitSection = Field(description="the unit under test")
+    safe_state: SafeState = Field(description="what the bench is left in at any end")
+    guard: GuardSection = Field(
+        default=GuardSection(), description="the process that makes the bench safe when the engine can't"
+    )
     interlocks: Interlocks = Field(
         default=Interlocks(), description="what is watched, and what becomes of the run after a trip"
     )

@@ -24,8 +24,8 @@ from drivers.ins.frames import EXTENDED_ID
 class Command(StrictModel):
     """A message and the values of its signals, in the DBC's units."""
 
-    message: str
-    values: dict[str, float | str]
+    message: str = Field(description="message of the DBC")
+    values: dict[str, float | str] = Field(description="value of each of its signals")
 
     def frame(self, codec: DbcCodec, given: Mapping[str, float]) -> can.Message:
         """Build the frame, with the ``given`` values in place of their names."""
@@ -43,8 +43,8 @@ class Command(StrictModel):
 class SequenceCommand(Command):
     """Sets the Euler sequence; ``$sequence`` is one of the two numbers."""
 
-    rpy_321: int = 0
-    pry_231: int = 1
+    rpy_321: int = Field(default=0, description="the INS's number for roll, pitch, yaw")
+    pry_231: int = Field(default=1, description="the INS's number for pitch, roll, yaw")
 
     def number(self, sequence: EulerSequence) -> int:
         """Look up the INS's number for a sequence."""
@@ -57,20 +57,24 @@ Vector = Annotated[list[int], Field(min_length=3, max_length=3)]
 class TermIndices(StrictModel):
     """Indices of what the INS takes beyond the polynomial, named as in :class:`Compensation`."""
 
-    rate_dph_per_c_per_h: int | None = None
-    rate_limit_c_per_h: int | None = None
-    gradient_dph_per_k: int | None = None
-    difference_low_k: int | None = None
-    difference_high_k: int | None = None
-    saturating_dph_per_k: Vector | None = None
-    growing_dph_per_k: Vector | None = None
-    onset_c: int | None = None
-    onset_width_c: int | None = None
-    gravity_dph_per_g: Vector | None = None
-    warm_up_dph: int | None = None
-    warm_up_s: int | None = None
-    hysteresis_dph_per_k: int | None = None
-    half_width_k: int | None = None
+    rate_dph_per_c_per_h: int | None = Field(default=None, description="index: rate of the temperature")
+    rate_limit_c_per_h: int | None = Field(default=None, description="index: highest rate used")
+    gradient_dph_per_k: int | None = Field(default=None, description="index: electronics above optics")
+    difference_low_k: int | None = Field(default=None, description="index: lowest difference used")
+    difference_high_k: int | None = Field(default=None, description="index: highest difference used")
+    saturating_dph_per_k: Vector | None = Field(
+        default=None, description="indices: difference along Up, below the onset"
+    )
+    growing_dph_per_k: Vector | None = Field(
+        default=None, description="indices: difference along Up, the more the colder"
+    )
+    onset_c: int | None = Field(default=None, description="index: temperature of the onset")
+    onset_width_c: int | None = Field(default=None, description="index: width of the onset")
+    gravity_dph_per_g: Vector | None = Field(default=None, description="indices: gravity along x, y, z")
+    warm_up_dph: int | None = Field(default=None, description="index: bias at power-on")
+    warm_up_s: int | None = Field(default=None, description="index: time constant of the warm-up")
+    hysteresis_dph_per_k: int | None = Field(default=None, description="index: play of the temperature")
+    half_width_k: int | None = Field(default=None, description="index: half width of the play")
 
     @model_validator(mode="after")
     def _whole_terms(self) -> Self:
@@ -95,13 +99,14 @@ class CoefficientCommand(Command):
     The coefficient of degree k in the temperature of the gyro's optics has the index k.
     """
 
-    #: How many coefficients the INS takes for a gyro.
-    coefficients: int
-    #: Indices of the lowest and highest temperature of validity.
-    lowest_index: int | None = None
-    highest_index: int | None = None
-    #: Terms that the INS takes beyond the polynomial.
-    terms: TermIndices = TermIndices()
+    coefficients: int = Field(description="how many coefficients the INS takes for a gyro")
+    lowest_index: int | None = Field(default=None, description="index of the lowest temperature of validity")
+    highest_index: int | None = Field(
+        default=None, description="index of the highest temperature of validity"
+    )
+    terms: TermIndices = Field(
+        default=TermIndices(), description="indices of the terms that the INS takes beyond the polynomial"
+    )
 
     def takes(self) -> list[str]:
         """Names of the terms that the INS takes."""
@@ -134,13 +139,17 @@ class CoefficientCommand(Command):
 class CommandMap(StrictModel):
     """Commands that the INS knows."""
 
-    standby: Command | None = None
-    align: Command | None = None
-    navigate: Command | None = None
-    set_euler_sequence: SequenceCommand | None = None
-    clear_compensation: Command | None = None
-    load_compensation: CoefficientCommand | None = None
-    apply_compensation: Command | None = None
+    standby: Command | None = Field(default=None, description="leaves navigation")
+    align: Command | None = Field(default=None, description="begins an alignment")
+    navigate: Command | None = Field(default=None, description="begins to navigate")
+    set_euler_sequence: SequenceCommand | None = Field(
+        default=None, description="chooses the Euler angles that it sends"
+    )
+    clear_compensation: Command | None = Field(default=None, description="takes the compensation out")
+    load_compensation: CoefficientCommand | None = Field(
+        default=None, description="loads one number of a compensation"
+    )
+    apply_compensation: Command | None = Field(default=None, description="puts what was loaded into use")
 
 
 _GIVEN = {"set_euler_sequence": {"$sequence"}, "load_compensation": {"$axis", "$index", "$value"}}

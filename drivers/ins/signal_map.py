@@ -53,11 +53,10 @@ Values = Annotated[list[int], BeforeValidator(_value_alone)]
 class SignalSource(StrictModel):
     """A signal and what turns it into the quantity."""
 
-    signal: SignalName
-    sign: Literal[1, -1] = 1
-    scale: float = 1.0
-    #: Unit to take instead of the DBC's.
-    unit: str | None = None
+    signal: SignalName = Field(description="MESSAGE.SIGNAL as the DBC file names them")
+    sign: Literal[1, -1] = Field(default=1, description="-1 where the signal counts the other way")
+    scale: float = Field(default=1.0, description="factor on the value in the unit of the DBC")
+    unit: str | None = Field(default=None, description="unit to take instead of the DBC's")
 
 
 Source = Annotated[SignalSource, BeforeValidator(_signal_alone)]
@@ -66,18 +65,20 @@ Source = Annotated[SignalSource, BeforeValidator(_signal_alone)]
 class AxesMap(StrictModel):
     """One signal for each body axis."""
 
-    x: Source
-    y: Source
-    z: Source
+    x: Source = Field(description="signal of the x axis")
+    y: Source = Field(description="signal of the y axis")
+    z: Source = Field(description="signal of the z axis")
 
 
 class SequenceMap(StrictModel):
     """The Euler sequence: fixed, or a signal with the values that stand for each."""
 
-    fixed: Literal["rpy_321", "pry_231"] | None = None
-    signal: SignalName | None = None
-    rpy_321: int = 0
-    pry_231: int = 1
+    fixed: Literal["rpy_321", "pry_231"] | None = Field(
+        default=None, description="the sequence, where it never changes"
+    )
+    signal: SignalName | None = Field(default=None, description="the signal that tells")
+    rpy_321: int = Field(default=0, description="its value for roll, pitch, yaw")
+    pry_231: int = Field(default=1, description="its value for pitch, roll, yaw")
 
     @model_validator(mode="after")
     def _either(self) -> SequenceMap:
@@ -89,30 +90,37 @@ class SequenceMap(StrictModel):
 class EulerMap(StrictModel):
     """Euler angles; :mod:`drivers.ins.attitude` says what they mean."""
 
-    roll: Source
-    pitch: Source
-    yaw: Source
-    sequence: Annotated[SequenceMap, BeforeValidator(_sequence_alone)]
-    #: ``up``: counter-clockwise seen from above. ``down``: a heading, clockwise.
-    yaw_positive: Literal["up", "down"]
+    roll: Source = Field(description="signal of roll")
+    pitch: Source = Field(description="signal of pitch")
+    yaw: Source = Field(description="signal of yaw or heading")
+    sequence: Annotated[SequenceMap, BeforeValidator(_sequence_alone)] = Field(
+        description="rpy_321, pry_231, or the signal that tells"
+    )
+    yaw_positive: Literal["up", "down"] = Field(
+        description="up: counter-clockwise seen from above; down: a heading, clockwise"
+    )
 
 
 class QuaternionMap(StrictModel):
     """A unit quaternion that turns body vectors into the navigation frame."""
 
-    w: Source
-    x: Source
-    y: Source
-    z: Source
-    frames: Literal["rfu_to_enu", "frd_to_ned"]
+    w: Source = Field(description="signal of w")
+    x: Source = Field(description="signal of x")
+    y: Source = Field(description="signal of y")
+    z: Source = Field(description="signal of z")
+    frames: Literal["rfu_to_enu", "frd_to_ned"] = Field(
+        description="from which body axes into which navigation axes it turns"
+    )
 
 
 class AttitudeMap(StrictModel):
     """Attitude in one of its forms, and the signal that is zero where it means nothing."""
 
-    euler: EulerMap | None = None
-    quaternion: QuaternionMap | None = None
-    valid: SignalName | None = None
+    euler: EulerMap | None = Field(default=None, description="attitude as Euler angles")
+    quaternion: QuaternionMap | None = Field(default=None, description="attitude as a unit quaternion")
+    valid: SignalName | None = Field(
+        default=None, description="signal that is zero where the attitude means nothing"
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> AttitudeMap:
@@ -124,19 +132,19 @@ class AttitudeMap(StrictModel):
 class ModeMap(StrictModel):
     """What the INS is doing, by raw value; others count as booting."""
 
-    signal: SignalName
-    standby: Values = Field(default_factory=list)
-    align: Values = Field(default_factory=list)
-    navigate: Values
-    fault: Values = Field(default_factory=list)
+    signal: SignalName = Field(description="signal of the mode")
+    standby: Values = Field(default_factory=list, description="raw values that mean standby")
+    align: Values = Field(default_factory=list, description="raw values that mean align")
+    navigate: Values = Field(description="raw values that mean navigate")
+    fault: Values = Field(default_factory=list, description="raw values that mean fault")
 
 
 class AlignmentMap(StrictModel):
     """How far alignment has come, by raw value; others count as none."""
 
-    signal: SignalName
-    coarse: Values = Field(default_factory=list)
-    fine: Values
+    signal: SignalName = Field(description="signal of how far alignment has come")
+    coarse: Values = Field(default_factory=list, description="raw values that mean coarse")
+    fine: Values = Field(description="raw values that mean fine")
 
 
 @dataclass(frozen=True)
@@ -151,31 +159,48 @@ class Quantity:
 class SignalMap(StrictModel):
     """Signals of the INS's output."""
 
-    #: Time on the clock of the INS; ``time_ns`` is added to ``time_s``. Without an epoch counter it
-    #: has to come with every epoch.
-    time_s: Source | None = None
-    time_ns: Source | None = None
-    epoch_counter: Source | None = None
-    epoch_period_s: float = Field(gt=0.0, le=10.0)
-    #: Messages of one epoch in the order in which they are sent; by identifier if not given.
-    epoch_messages: list[str] | None = None
-    velocity_east: Source
-    velocity_north: Source
-    velocity_up: Source | None = None
-    attitude: AttitudeMap
-    gyro_optics_temperature: AxesMap | None = None
-    gyro_electronics_temperature: AxesMap | None = None
-    case_temperature: Source | None = None
-    mode: ModeMap | None = None
-    alignment: AlignmentMap | None = None
-    #: Not zero where a compensation is in use.
-    compensation: SignalName | None = None
-    #: Checksum that names the compensation in use, 0 where none is; and that of what has been loaded:
-    #: CRC-32 of all numbers as little-endian 32-bit floats, gyro by gyro in the order of their indices.
-    compensation_in_use: SignalName | None = None
-    compensation_loaded: SignalName | None = None
-    #: Numbers that say which INS this is, by name, such as ``serial_number``.
-    identity: dict[str, SignalName] = Field(default_factory=dict)
+    time_s: Source | None = Field(
+        default=None,
+        description="time on the clock of the INS; without an epoch counter it has to come with every epoch",
+    )
+    time_ns: Source | None = Field(default=None, description="nanoseconds, added to time_s")
+    epoch_counter: Source | None = Field(default=None, description="counter of epochs")
+    epoch_period_s: float = Field(gt=0.0, le=10.0, description="time between epochs, s")
+    epoch_messages: list[str] | None = Field(
+        default=None,
+        description="messages of one epoch in the order in which they are sent; by identifier if not given",
+    )
+    velocity_east: Source = Field(description="velocity East")
+    velocity_north: Source = Field(description="velocity North")
+    velocity_up: Source | None = Field(default=None, description="velocity Up")
+    attitude: AttitudeMap = Field(description="attitude of the body axes")
+    gyro_optics_temperature: AxesMap | None = Field(
+        default=None, description="temperatures of the gyros' optics"
+    )
+    gyro_electronics_temperature: AxesMap | None = Field(
+        default=None, description="temperatures of the gyros' electronics"
+    )
+    case_temperature: Source | None = Field(default=None, description="temperature of the case")
+    mode: ModeMap | None = Field(
+        default=None, description="what the INS is doing; other values count as booting"
+    )
+    alignment: AlignmentMap | None = Field(
+        default=None, description="how far alignment has come; other values count as none"
+    )
+    compensation: SignalName | None = Field(
+        default=None, description="not zero where a compensation is in use"
+    )
+    compensation_in_use: SignalName | None = Field(
+        default=None, description="checksum that names the compensation in use, 0 where none is"
+    )
+    compensation_loaded: SignalName | None = Field(
+        default=None,
+        description="checksum of what has been loaded: CRC-32 of all numbers as little-endian "
+        "32-bit floats, gyro by gyro in the order of their indices",
+    )
+    identity: dict[str, SignalName] = Field(
+        default_factory=dict, description="numbers that say which INS this is, by name, such as serial_number"
+    )
 
     @model_validator(mode="after")
     def _whole_seconds(self) -> SignalMap:

@@ -6,6 +6,7 @@ import math
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 from typing_extensions import override
 
 from drivers.emulators.world.effects.effect import Array, Conditions, Effect
@@ -17,9 +18,9 @@ _HOUR_S, _DAY_S = 3600.0, 86_400.0
 class WarmUp(Effect):
     """A bias that dies away after each power-on."""
 
-    kind: Literal["warm_up"]
-    bias_dph: Vector
-    time_constant_s: Positive
+    kind: Literal["warm_up"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="bias at power-on of each gyro, deg/h")
+    time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -31,8 +32,8 @@ class WarmUp(Effect):
 class TimeDrift(Effect):
     """Biases that drift steadily from the world's beginning, as the gyros age."""
 
-    kind: Literal["time_drift"]
-    drift_dph_per_day: Vector
+    kind: Literal["time_drift"] = Field(description="name of the effect")
+    drift_dph_per_day: Vector = Field(description="drift of each gyro, deg/h per day")
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -42,9 +43,9 @@ class TimeDrift(Effect):
 class BiasJump(Effect):
     """Biases that change at one moment, counted from the world's beginning, and stay changed."""
 
-    kind: Literal["bias_jump"]
-    bias_dph: Vector
-    at_h: NotNegative
+    kind: Literal["bias_jump"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="jump of each gyro, deg/h")
+    at_h: NotNegative = Field(description="when, from the beginning of the world, h")
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -54,10 +55,10 @@ class BiasJump(Effect):
 class SupplyRipple(Effect):
     """Biases that swing with the mains supply, which follows the load of a building over the hours."""
 
-    kind: Literal["supply_ripple"]
-    amplitude_dph: Vector
-    period_h: Positive
-    phase_deg: float = 0.0
+    kind: Literal["supply_ripple"] = Field(description="name of the effect")
+    amplitude_dph: Vector = Field(description="amplitude of each gyro, deg/h")
+    period_h: Positive = Field(description="period, h")
+    phase_deg: float = Field(default=0.0, description="phase at the beginning, deg")
 
     @override
     def added_dph(self, now: Conditions) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 from typing_extensions import override
 
 from drivers.emulators.world.effects.effect import Array, BiasOverTime, Conditions, Effect
@@ -18,9 +19,9 @@ class ThermalHysteresis(Effect):
     cooling, minus the half width after enough heating, whatever the rate, and at rest too.
     """
 
-    kind: Literal["thermal_hysteresis"]
-    half_width_c: Positive
-    sensitivity_dph_per_c: Vector
+    kind: Literal["thermal_hysteresis"] = Field(description="name of the effect")
+    half_width_c: Positive = Field(description="half of the play, K")
+    sensitivity_dph_per_c: Vector = Field(description="bias of each gyro per kelvin of play used, deg/h/K")
 
     @override
     def begin(self) -> BiasOverTime:

@@ -19,10 +19,10 @@ class ModeHop(Effect):
     first from the first reset up.
     """
 
-    kind: Literal["mode_hop"]
-    bias_dph: Vector
-    first_reset_c: float
-    reset_every_c: Positive
+    kind: Literal["mode_hop"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="bias of each gyro in every second mode, deg/h")
+    first_reset_c: float = Field(description="temperature of the first change of mode, degC")
+    reset_every_c: Positive = Field(description="kelvin between changes of mode")
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -43,13 +43,15 @@ class DitherCrossing(Effect):
     are a resonance line over it.
     """
 
-    kind: Literal["dither_crossing"]
+    kind: Literal["dither_crossing"] = Field(description="name of the effect")
     gyros: Annotated[
         list[Literal["x", "y", "z"]], Field(min_length=2, max_length=2), AfterValidator(_two_gyros)
-    ]
-    crossing_c: float
-    half_width_c: Positive
-    bias_dph: Annotated[list[float], Field(min_length=2, max_length=2)]
+    ] = Field(description="the two")
+    crossing_c: float = Field(description="mean temperature at which both dither alike, degC")
+    half_width_c: Positive = Field(description="half width of the resonance, K")
+    bias_dph: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
+        description="bias of each of the two at the crossing, deg/h"
+    )
 
     @override
     def added_dph(self, now: Conditions) -> Array:

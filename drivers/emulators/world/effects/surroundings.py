@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, Field, Tag
 from typing_extensions import override
 
 from drivers.emulators.world.effects.effect import Array, Conditions, Effect
@@ -29,8 +29,10 @@ class GSensitivity(Effect):
     column j is that of gyro i to Up along axis j.
     """
 
-    kind: Literal["g_sensitivity"]
-    sensitivity_dph_per_g: _VectorOrMatrix
+    kind: Literal["g_sensitivity"] = Field(description="name of the effect")
+    sensitivity_dph_per_g: _VectorOrMatrix = Field(
+        description="bias per g along the gyro's own axis, three values, or three rows of three, deg/h/g"
+    )
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -41,8 +43,8 @@ class GSensitivity(Effect):
 class ChamberState(Effect):
     """The chamber's compressor shakes the unit: all of the bias while it runs, its share while it cycles."""
 
-    kind: Literal["chamber_state"]
-    bias_dph: Vector
+    kind: Literal["chamber_state"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="bias of each gyro while the compressor runs, deg/h")
 
     @override
     def added_dph(self, now: Conditions) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 from typing_extensions import override
 
 from drivers.emulators.world.effects.effect import Array, Conditions, Effect
@@ -14,8 +15,10 @@ from drivers.emulators.world.quantities import Positive, Vector
 class TemperatureRate(Effect):
     """The bias follows how fast the optics of each gyro change their temperature."""
 
-    kind: Literal["temperature_rate"]
-    sensitivity_dph_per_c_per_h: Vector
+    kind: Literal["temperature_rate"] = Field(description="name of the effect")
+    sensitivity_dph_per_c_per_h: Vector = Field(
+        description="bias of each gyro per rate of its optics, deg/h per K/h"
+    )
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -25,8 +28,10 @@ class TemperatureRate(Effect):
 class ThermalGradient(Effect):
     """The bias follows how much hotter the electronics of each gyro are than its optics."""
 
-    kind: Literal["thermal_gradient"]
-    sensitivity_dph_per_c: Vector
+    kind: Literal["thermal_gradient"] = Field(description="name of the effect")
+    sensitivity_dph_per_c: Vector = Field(
+        description="bias of each gyro per kelvin of electronics above optics, deg/h/K"
+    )
 
     @override
     def added_dph(self, now: Conditions) -> Array:
@@ -40,10 +45,12 @@ class AttitudeThermal(Effect):
     more the colder the optics are below the onset.
     """
 
-    kind: Literal["attitude_thermal"]
-    sensitivity_dph_per_w: Vector
-    onset_c: Positive = 50.0
-    onset_width_c: Positive = 2.0
+    kind: Literal["attitude_thermal"] = Field(description="name of the effect")
+    sensitivity_dph_per_w: Vector = Field(
+        description="bias of each gyro per watt of heat that depends on attitude, deg/h/W"
+    )
+    onset_c: Positive = Field(default=50.0, description="below this the effect grows, degC")
+    onset_width_c: Positive = Field(default=2.0, description="width of the onset, K")
 
     @override
     def added_dph(self, now: Conditions) -> Array:
