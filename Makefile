@@ -2,6 +2,7 @@
 # make test   install into .venv and run the whole test suite
 # make soak   kill, hurt and keep runs going for an hour; writes docs/soak.md
 # make check  style, types, layers
+# make docs   pages of docs/ as HTML, in build/docs
 # make audit  known vulnerabilities of the dependencies (needs the network)
 PYTHON ?= python3
 VENV := .venv
@@ -10,7 +11,7 @@ BIN := $(VENV)/bin
 # The matrices are small: threads of the linear algebra only get into each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: run test soak check audit benchmark install clean
+.PHONY: run test soak check docs audit benchmark install clean
 
 run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
@@ -28,6 +29,9 @@ check: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: install
+	$(BIN)/python -m sphinx -q -W --keep-going -n -b html docs build/docs
 
 # Known vulnerabilities of the pinned versions; asks the network, and installs pip-audit for itself.
 audit: install

@@ -40,11 +40,15 @@ class Clock(ABC):
         ``emulator://table?clock=NAME`` can say which clock an emulator lives on.
     is_virtual : bool
         Whether waiting takes no real time.
+    speed : float
+        Seconds of this clock in one second of the host; waits that the host does for a program, such
+        as a port's time-out, are divided by it.
     companions : dict
         What lives on this clock and no longer than it, by keys of its own.
     """
 
     is_virtual: bool
+    speed: float = 1.0
 
     def __init__(self) -> None:
         self.name = f"clock-{next(_numbers)}"
@@ -68,6 +72,10 @@ class Clock(ABC):
     def calendar_offset_s(self) -> float:
         """How far the host's calendar is ahead of :meth:`utc`."""
 
+    def stamp_s(self, calendar_s: float) -> float:
+        """Calendar time of this clock, s since 1970, at a moment that the host's calendar stamped."""
+        return calendar_s
+
     def sleep_until(self, time_s: float) -> None:
         """Wait until ``now()`` is at least ``time_s``."""
         self.sleep(time_s - self.now())
@@ -86,17 +94,23 @@ class WallClock(Clock):
         Calendar time (UTC) at ``now() == 0``; without it, ``utc()`` begins at the calendar's time.
     start_s : float
         What ``now()`` is at first.
+    speed : float
+        Above 1 for a bench that lives faster than the host, as only an emulated one can. ``utc()``
+        then runs ahead of the calendar.
     """
 
     is_virtual = False
 
-    def __init__(self, epoch: datetime | None = None, start_s: float = 0.0) -> None:
+    def __init__(self, epoch: datetime | None = None, start_s: float = 0.0, speed: float = 1.0) -> None:
         super().__init__()
-        self._zero_s = time.clock_gettime(_STEADY) - start_s
-        self._epoch = epoch or _calendar() - timedelta(seconds=start_s)
+        self.speed = speed
+        self._start_s = start_s
+        self._started_at_s = time.clock_gettime(_STEADY)
+        self._calendar_at_start = _calendar()
+        self._epoch = epoch or self._calendar_at_start - timedelta(seconds=start_s)
 
     @classmethod
-    def resumed(cls, epoch: datetime, last_s: float) -> WallClock:
+    def resumed(cls, epoch: datetime, last_s: float, speed: float = 1.0) -> WallClock:
         """Make the clock of a resumed run.
 
         It begins at the calendar's time, but after the last record in any case: the calendar may
@@ -108,26 +122,41 @@ class WallClock(Clock):
             The run's own.
         last_s : float
             Time of its last record.
+        speed : float
+            As before.
         """
-        return cls(epoch, max(last_s + RESUME_STEP_S, (_calendar() - epoch).total_seconds()))
+        return cls(epoch, max(last_s + RESUME_STEP_S, (_calendar() - epoch).total_seconds()), speed)
 
     def now(self) -> float:
         """Seconds since the run began."""
-        return time.clock_gettime(_STEADY) - self._zero_s
+        return self._start_s + self.speed * (time.clock_gettime(_STEADY) - self._started_at_s)
 
     def sleep(self, duration_s: float) -> None:
         """Wait in real time."""
         if duration_s > 0.0:
-            time.sleep(duration_s)
+            time.sleep(duration_s / self.speed)
 
     @property
     def epoch(self) -> datetime:
         """Calendar time at which the run began."""
         return self._epoch
 
+    def stamp_s(self, calendar_s: float) -> float:
+        """The stamp itself, but for a clock that runs faster than the calendar."""
+        if self.speed == 1.0:
+            return calendar_s
+        since_s = calendar_s - self._calendar_at_start.timestamp()
+        return self._epoch.timestamp() + self._start_s + self.speed * since_s
+
     def calendar_offset_s(self) -> float:
-        """How far the host's calendar is ahead of :meth:`utc`, which setting it does not change."""
-        return (_calendar() - self.utc()).total_seconds()
+        """How far the host's calendar is ahead of :meth:`utc`, which setting it does not change.
+
+        Of a clock that runs faster it is what the calendar was set by since it began, and how far it
+        was ahead then.
+        """
+        at_start_s = (self._calendar_at_start - self._epoch).total_seconds()
+        since_s = self.speed * (_calendar() - self._calendar_at_start).total_seconds()
+        return at_start_s + since_s - self.now()
 
 
 class VirtualClock(Clock):

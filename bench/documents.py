@@ -21,6 +21,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from bench.errors import DocumentError
 from bench.reading import read_limited
+from bench.shipped import shipped_folders, shipped_names
 
 #: Keys and indices that lead from the top of a document to one of its values.
 Location = tuple[str | int, ...]
@@ -173,12 +174,12 @@ def find_document(kind: str, name: str) -> Path:
     if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:
         if path.is_file():
             return path
-        raise DocumentError(f"{name}: there is no such file. {_shipped_names(kind)}")
-    for folder in _shipped_folders(kind):
+        raise DocumentError(f"{name}: there is no such file. {_listed(kind)}")
+    for folder in shipped_folders(kind):
         candidate = folder / f"{name}.yaml"
         if candidate.is_file():
             return candidate
-    raise DocumentError(f"{name}: no shipped file of that name. {_shipped_names(kind)}")
+    raise DocumentError(f"{name}: no shipped file of that name. {_listed(kind)}")
 
 
 def hint(name: str, allowed: Iterable[str]) -> str:
@@ -187,15 +188,8 @@ def hint(name: str, allowed: Iterable[str]) -> str:
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
-def _shipped_folders(kind: str) -> list[Path]:
-    package = Path(__file__).parent
-    folders = [package / "shipped" / kind, package.parent / kind]
-    return [folder for folder in folders if folder.is_dir()]
-
-
-def _shipped_names(kind: str) -> str:
-    names = sorted({path.stem for folder in _shipped_folders(kind) for path in folder.glob("*.yaml")})
-    return f"Shipped {kind}: {', '.join(names)}"
+def _listed(kind: str) -> str:
+    return f"Shipped {kind}: {', '.join(shipped_names(kind))}"
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,8 +1,8 @@
 """A serial line to an instrument, with deadlines on the run's clock.
 
 Any pyserial URL will do: a device (``/dev/ttyUSB0``), ``socket://host:port``,
-``rfc2217://host:port`` or ``emulator://table?...``. pyserial finds the handler of the last one
-in the package named below; nothing is imported from it here.
+``rfc2217://host:port``, ``emulator://table?...`` or ``replay://FILE``, a recording. pyserial finds the
+handlers of the last two in the packages named below; nothing of the emulators is imported here.
 """
 
 from __future__ import annotations
@@ -15,15 +15,30 @@ import serial
 
 from bench.clock import Clock, Deadline
 from bench.errors import ConnectionFailedError, NoReplyError, ReplyError
+from drivers.recording.protocol_replay import with_clock
+from drivers.recording.script import ReplayError
+from drivers.recording.tap import tapped
 
 #: What pyserial raises when a port goes away, depending on the call.
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 
 _WRITE_TIMEOUT_S = 5.0
 
-_EMULATOR_HANDLERS = "drivers.emulators.serial_urls"
-if _EMULATOR_HANDLERS not in serial.protocol_handler_packages:
-    serial.protocol_handler_packages.append(_EMULATOR_HANDLERS)
+for _handlers in ("drivers.emulators.serial_urls", "drivers.recording"):
+    if _handlers not in serial.protocol_handler_packages:
+        serial.protocol_handler_packages.append(_handlers)
+
+
+def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:
+    """Open a port for this program alone; raises what pyserial raises."""
+    return serial.serial_for_url(
+        with_clock(url, clock),
+        baudrate=baudrate,
+        parity=parity,
+        timeout=0,
+        write_timeout=_WRITE_TIMEOUT_S,
+        exclusive=True,
+    )
 
 
 class SerialLine:
@@ -78,19 +93,13 @@ class SerialLine:
         """
         self.close()
         try:
-            self._port = serial.serial_for_url(
-                self.url,
-                baudrate=self._baudrate,
-                parity=self._parity,
-                timeout=0,
-                write_timeout=_WRITE_TIMEOUT_S,
-                exclusive=True,
-            )
+            port = open_port(self.url, self.clock, self._baudrate, self._parity)
         except (*_PORT_ERRORS, ValueError) as error:
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",
             ) from error
+        self._port = tapped(self.instrument, port, self.clock, self._baudrate, self._parity)
         self._open = True
 
     def close(self) -> None:
@@ -125,7 +134,7 @@ class SerialLine:
             The port went away.
         """
         try:
-            self._port.timeout = deadline.remaining_s()
+            self._port.timeout = deadline.remaining_s() / self.clock.speed
             data = bytes(self._port.read(count))
         except _PORT_ERRORS as error:
             raise self._gone(error) from error
@@ -168,6 +177,8 @@ class SerialLine:
         )
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
+        if isinstance(error.__cause__, ReplayError):
+            return ConnectionFailedError(self.instrument, f"is not asked as it was recorded: {error}")
         return ConnectionFailedError(
             self.instrument, f"{self.url} went away: {error}. Check cable and power."
         )

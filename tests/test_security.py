@@ -11,7 +11,7 @@ import pytest
 
 from bench.documents import parse_document
 from bench.errors import DocumentError
-from drivers.emulators.serve import TcpPort
+from drivers.served_ports import TcpPort
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(path for package in ("bench", "drivers") for path in (ROOT / package).rglob("*.py"))
@@ -63,7 +63,7 @@ def test_emulators_listen_on_the_loopback_alone():
     with port._listener as listener:
         assert listener.getsockname()[0] == "127.0.0.1"
         assert port.url == f"socket://127.0.0.1:{listener.getsockname()[1]}"
-    served = (ROOT / "drivers/emulators/serve.py").read_text()
+    served = (ROOT / "drivers/served_ports.py").read_text()
     assert "0.0.0.0" not in served  # noqa: S104 - looked for, not bound
 
 

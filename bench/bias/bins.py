@@ -154,7 +154,18 @@ def read_bins(path: Path) -> list[BiasBin]:
     DocumentError
         The file can't be read, or lists all that is wrong with it.
     """
-    table = CsvTable(read_text(path), str(path), required=[name for name in _COLUMNS if name not in _PAPER])
+    return parse_bins(read_text(path), str(path))
+
+
+def parse_bins(text: str, name: str) -> list[BiasBin]:
+    """Read CSV text called ``name`` in messages; see :func:`read_bins`.
+
+    Raises
+    ------
+    DocumentError
+        Lists all that is wrong with it.
+    """
+    table = CsvTable(text, name, required=[column for column in _COLUMNS if column not in _PAPER])
     bins = [_parsed(table, index) for index in range(len(table))]
     table.raise_problems()
     return bins

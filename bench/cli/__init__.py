@@ -6,8 +6,33 @@ import os
 
 import typer
 
-from bench.cli import bins, check, close, import_log, plan, resume, run, tell, verify
+from bench.cli import (
+    bins,
+    check,
+    close,
+    emulate,
+    export,
+    fleet,
+    import_log,
+    jog,
+    message,
+    monitor,
+    new,
+    plan,
+    record,
+    replay,
+    report,
+    resume,
+    run,
+    runs,
+    schema,
+    tell,
+    validate,
+    verify,
+)
+from bench.cli.command_groups import CommandGroups
 from bench.cli.exit_codes import (
+    EXIT_CODES_HELP,
     EXIT_INSTRUMENT,
     EXIT_NOT_FINISHED,
     EXIT_WRONG_INPUT,
@@ -20,6 +45,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     help="Bench controller for calibrating the gyros of inertial navigation systems.",
+    epilog=EXIT_CODES_HELP,
+    cls=CommandGroups,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=True,
@@ -29,12 +56,25 @@ app = typer.Typer(
 app.command()(run.run)
 app.command()(resume.resume)
 app.command()(tell.tell)
+app.command()(monitor.monitor)
 app.command()(plan.plan)
 app.command()(check.check)
 app.command()(bins.bins)
+app.command()(message.message)
+app.command()(export.export)
+app.command()(report.report)
 app.command()(close.close)
 app.command()(verify.verify)
 app.command("import")(import_log.import_log)
+app.command()(emulate.emulate)
+app.command()(record.record)
+app.command()(replay.replay)
+app.command()(validate.validate)
+app.command()(schema.schema)
+app.command()(jog.jog)
+app.add_typer(new.new, name="new")
+app.command()(runs.runs)
+app.add_typer(fleet.fleet, name="fleet")
 
 
 def main() -> None:

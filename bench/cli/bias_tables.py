@@ -9,15 +9,20 @@ if TYPE_CHECKING:
 
     from bench.bias.bins import BiasBin
     from bench.bias.tables.verification_table import VerificationRow
+    from bench.bias.verdicts import Acceptance
 
 
-def print_biases(console: Console, bins: list[BiasBin], verification: list[VerificationRow]) -> None:
-    """Print bins with the comparison of positions, or what a verification showed."""
+def print_biases(
+    console: Console, bins: list[BiasBin], verification: list[VerificationRow], acceptance: Acceptance
+) -> None:
+    """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
     from bench.bias.equality import compare_positions
-    from bench.report.terminal import bins_table
-    from bench.report.verification_terminal import verification_table
+    from bench.report.terminal.acceptance import acceptance_summary
+    from bench.report.terminal.tables import bins_table
+    from bench.report.verification.terminal import verification_table
 
     if bins or not verification:
         console.print(bins_table(bins, compare_positions(bins)))
     if verification:
         console.print(verification_table(verification))
+    console.print(acceptance_summary(acceptance))

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from bench.cli.completion import complete_procedure
 from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, fail
-from bench.cli.options import EMULATED, STATION_HELP, FaultsOption, SeedOption, WorldOption
+from bench.cli.json_output import JsonOption, print_json
+from bench.cli.options import (
+    EMULATED,
+    FaultsOption,
+    SeedOption,
+    StationArgument,
+    WorldOption,
+)
 from bench.errors import BenchInUseError
 
 
 def check(
-    station: Annotated[str, typer.Argument(help=STATION_HELP)] = EMULATED,
+    station: StationArgument = EMULATED,
     procedure: Annotated[
-        str | None, typer.Option(help="Procedure that is to be run: file or shipped name.")
+        str | None,
+        typer.Option(
+            help="Procedure that is to be run: file or shipped name.", autocompletion=complete_procedure
+        ),
     ] = None,
     world: WorldOption = "gyro_a",
     seed: SeedOption = 0,
     faults: FaultsOption = None,
     out: Annotated[Path, typer.Option(help="Folder in which the run folder is to be.")] = Path("runs"),
+    as_json: JsonOption = False,
 ) -> None:
     """Look whether a bench is fit for a run, without moving anything; a unit that is off is on meanwhile.
+
+    With --json: {"station", "fit", "checks": [{"subject", "what", "verdict", "found", "advice"}]}; a
+    verdict is pass, fail or skipped.
 
     Exit codes: 0 nothing speaks against a run, 1 something does, 3 no instrument answers or a run
     holds the bench.
@@ -33,7 +49,7 @@ def check(
 
     from bench.engine.preflight.answer import nobody_answers
     from bench.engine.preflight.session import check_bench
-    from bench.report.preflight_terminal import preflight_report
+    from bench.report.terminal.preflight import preflight_report
     from bench.station.check import Verdict
     from bench.station.instruments import Emulation
 
@@ -41,8 +57,13 @@ def check(
         checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
     except BenchInUseError as error:
         fail(error, EXIT_INSTRUMENT)
-    Console(markup=False, highlight=False).print(preflight_report(checks))
+    is_fit = all(each.verdict is not Verdict.FAIL for each in checks)
+    if as_json:
+        records = [{**asdict(each), "verdict": each.verdict.lower()} for each in checks]
+        print_json({"station": station, "fit": is_fit, "checks": records})
+    else:
+        Console(markup=False, highlight=False).print(preflight_report(checks))
     if nobody_answers(checks):
         raise typer.Exit(EXIT_INSTRUMENT)
-    if any(each.verdict is Verdict.FAIL for each in checks):
+    if not is_fit:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.cli.json_output import JsonOption, plan_record, print_json
 from bench.cli.options import EMULATED, ProcedureArgument, StationOption
 from bench.errors import MeasurementError
 
@@ -26,11 +27,15 @@ def plan(
     target_dph: Annotated[
         float, typer.Option(min=1e-6, help="With --separability: size of effect that matters, deg/h rms.")
     ] = 0.002,
+    as_json: JsonOption = False,
 ) -> None:
     """Show what a procedure would do and how long it takes, without touching an instrument.
 
     The profile is drawn with the positions on it, as a PNG file; with --separability also
     separability_PROCEDURE.png, how alike effects look.
+
+    With --json: {"procedure", "station", "duration_s", "dwells", "figure", "steps": [{"number", "step",
+    "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the plan.
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
@@ -39,12 +44,17 @@ def plan(
     from bench.engine.session import prepare_job
     from bench.procedure.timeline import timeline_rows
     from bench.report.figures import plan_figure, save_figure
-    from bench.report.terminal import timeline_table
+    from bench.report.terminal.tables import timeline_table
 
+    if as_json and separability:
+        raise typer.BadParameter("--separability is told as text only; leave out one of it and --json")
     job = prepare_job(procedure, station)
-    Console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
     path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
     save_figure(plan_figure(job.plan), path)
+    if as_json:
+        print_json(plan_record(job, path))
+        return
+    Console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
     typer.echo(f"Figure   {path}")
     if separability:
         _print_separability(job, target_dph)
@@ -61,8 +71,8 @@ def _print_separability(job: Job, target_dph: float) -> None:
     from bench.closure.separability_advice import advise
     from bench.measurement.planned_unit import plan_on, planned_unit
     from bench.report.figures import save_figure
-    from bench.report.separability_figure import separability_figure
-    from bench.report.separability_terminal import separability_summary
+    from bench.report.figures.separability import separability_figure
+    from bench.report.terminal.separability import separability_summary
 
     unit, name = planned_unit(job.station), job.plan.procedure.procedure
     try:

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import RunArgument
+from bench.cli.json_output import JsonOption
+from bench.cli.options import RunArgument, View, ViewOption
 from bench.cli.run_end import print_end
 
 
@@ -18,26 +19,29 @@ def resume(
     look: Annotated[
         bool, typer.Option("--look", help="Only say what was found and what would be done.")
     ] = False,
+    view: ViewOption = View.LIVE,
+    as_json: JsonOption = False,
 ) -> None:
     """Go on with a run that was cut short: by a power cut, a kill, an order, or a fault.
 
     What was finished stays. The dwell that was under way is repeated, with the temperature and the soak that
     it needs.
 
+    With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
+    is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.
+
     Example: gyrobench resume runs/six_position_fig7-001
     """
-    from bench.engine.operator import ConsentingOperator
     from bench.engine.session import describe_resumption, prepare_resumption, resume_run
-    from bench.progress_view import PatientConsole, ProgressView
-    from bench.terminal_operator import TerminalOperator
+    from bench.live.console import PatientConsole
+    from bench.live.watched import watched
 
-    console = PatientConsole(markup=False, highlight=False)
+    console = PatientConsole(stderr=as_json, markup=False, highlight=False)
     resumption = prepare_resumption(run_folder, anyway)
     console.print(describe_resumption(resumption), soft_wrap=True)
     if look:
         return
     job = resumption.job
-    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
-    with ProgressView(console, job.plan) as progress:
+    with watched(console, job, view is View.LIVE) as (progress, operator):
         folder, outcome = resume_run(resumption, progress, operator)
-    print_end(console, folder, outcome)
+    print_end(console, folder, outcome, as_json)

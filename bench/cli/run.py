@@ -7,12 +7,16 @@ from typing import Annotated
 
 import typer
 
+from bench.cli.completion import complete_run
+from bench.cli.json_output import JsonOption
 from bench.cli.options import (
     EMULATED,
     FaultsOption,
     ProcedureArgument,
     SeedOption,
     StationOption,
+    View,
+    ViewOption,
     WorldOption,
 )
 from bench.cli.run_end import print_end
@@ -26,28 +30,34 @@ def run(
     seed: SeedOption = 0,
     calibration: Annotated[
         Path | None,
-        typer.Option(help="Run folder or dwell table that verifications are compared with."),
+        typer.Option(
+            help="Run folder or dwell table that verifications are compared with.",
+            autocompletion=complete_run,
+        ),
     ] = None,
     compensation: Annotated[
         Path | None, typer.Option(help="Compensation file that is loaded into the INS after each power-on.")
     ] = None,
     faults: FaultsOption = None,
+    view: ViewOption = View.LIVE,
+    as_json: JsonOption = False,
 ) -> None:
     """Run a procedure and report each gyro's bias.
 
+    With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
+    is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.
+
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
-    from bench.engine.operator import ConsentingOperator
     from bench.engine.session import prepare_job, run_job
-    from bench.progress_view import PatientConsole, ProgressView
+    from bench.live.console import PatientConsole
+    from bench.live.watched import watched
     from bench.run_store.compensation_file import read_compensation
     from bench.station.instruments import Emulation
-    from bench.terminal_operator import TerminalOperator
 
-    console = PatientConsole(markup=False)
+    console = PatientConsole(stderr=as_json, markup=False)
     loaded = read_compensation(compensation) if compensation else None
     job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
-    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console)
-    with ProgressView(console, job.plan) as progress:
+    with watched(console, job, view is View.LIVE) as (progress, operator):
         folder, outcome = run_job(job, out, progress, operator)
-    print_end(console, folder, outcome)
+    print_end(console, folder, outcome, as_json)

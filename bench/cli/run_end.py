@@ -8,18 +8,21 @@ import typer
 
 from bench.cli.bias_tables import print_biases
 from bench.cli.exit_codes import EXIT_NOT_FINISHED
+from bench.cli.json_output import print_json
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from bench.engine.outcome import RunOutcome
     from bench.run_store.folder import RunFolder
 
 
-def print_end(console: Console, folder: RunFolder, outcome: RunOutcome) -> None:
-    """Report how a run ended; exits with an error where it did not finish."""
+def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
+    """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
     from bench.report.html import write_report
-    from bench.report.terminal import durations_table
+    from bench.report.terminal.tables import durations_table
 
     safe_state = [
         f"{'FAILED: ' if each.problem else ''}{each.what}{_because(each.problem)}"
@@ -30,14 +33,29 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome) -> None:
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print("\n".join(safe_state), soft_wrap=True)
     report = write_report(folder)
-    print_biases(console, outcome.results.bins, outcome.results.verification)
+    results = outcome.results
+    print_biases(console, results.bins, results.verification, results.acceptance)
     console.print(durations_table(outcome.took_s))
     if is_finished:
         console.print("\n".join(safe_state), soft_wrap=True)
     console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    if as_json:
+        print_json(_record(folder, outcome, report))
     if not is_finished:
         console.print(f"Go on    gyrobench resume {folder.path}", soft_wrap=True)
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[str, object]:
+    return {
+        "ended": outcome.ended,
+        "reason": outcome.reason or None,
+        "folder": folder.path,
+        "report": report,
+        "dwells": len(outcome.dwells) + len(outcome.verifications),
+        "verdict": outcome.results.acceptance.verdict,
+        "safe_state": outcome.safe_state,
+    }
 
 
 def _because(problem: str) -> str:

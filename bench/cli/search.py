@@ -27,7 +27,9 @@ def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
 def write_search(folder: Path, closure: Closure, campaign: Path) -> Path:
     """Write what a search found; returns the page."""
     from bench.closure.files import write_closure
-    from bench.report.closure_page import write_closure_page
+    from bench.report.closure.page import write_closure_page
+    from bench.run_store.folder import RunFolder
 
     write_closure(folder, closure)
-    return write_closure_page(folder, closure, str(campaign))
+    dwells = RunFolder(campaign).dwells if campaign.is_dir() else campaign
+    return write_closure_page(folder, closure, str(campaign), dwells)

@@ -102,7 +102,7 @@ class Engine:
         self._outcome = outcome
         self._heartbeat = Heartbeat(bench, journal, people, guard)
         self._note = self._heartbeat.note
-        self._outputs = SafeOutputs(bench, self._heartbeat)
+        self._outputs = SafeOutputs(bench, self._heartbeat.tell_guard)
         self._holding = Holding(bench, self._heartbeat, journal, people, done.resumes)
         self._recorder = DwellRecorder(bench, setup, unit=done.unit, run=done.power_ons)
         self._dwells = DwellBook(
@@ -296,6 +296,7 @@ class Engine:
             )
         self._recorder.unit = unit
         self._journal.record("ins_identified", unit=unit, identity=identity)
+        self._progress.identified(unit)
         add_identity(self._folder, "INS", identity)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
@@ -364,7 +365,7 @@ class Engine:
         if is_safe:
             self._make_safe()
         try:
-            self._holding.hold(f"paused by {given.by}")
+            self._holding.hold(f"paused by {given.by}", ordered=Order.PAUSE)
         except TrippedError as error:
             return index, self._recover(index, error.trips)
         is_unit_on = is_unit_on and self._bench.expected.ins_on
@@ -384,7 +385,7 @@ class Engine:
             return
         if self._is_hold_ordered:
             self._is_hold_ordered = False
-            self._holding.hold("to hold at this temperature was ordered")
+            self._holding.hold("to hold at this temperature was ordered", ordered=Order.HOLD)
         if self._bench.has_unit_restarted:
             self._note("the INS has started anew by itself")
             standing = self._standing(is_unit_on=False, is_tempered=True)
@@ -417,3 +418,4 @@ class Engine:
             )
         except RunFolderError as error:
             outcome.fail(str(error))
+        self._progress.ended(outcome)

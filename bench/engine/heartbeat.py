@@ -33,6 +33,7 @@ class Heartbeat:
         """Let one tick pass."""
         self._bench.tick()
         self.tell_guard()
+        self._people.progress.beat(self._bench)
         self._notice_calendar()
 
     def _notice_calendar(self) -> None:

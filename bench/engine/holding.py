@@ -48,13 +48,15 @@ class Holding:
         self._resumes = resumes
         self._said = ""
 
-    def hold(self, why: str, trips: Sequence[Trip] = ()) -> None:
+    def hold(self, why: str, trips: Sequence[Trip] = (), ordered: Order | None = None) -> None:
         """Wait; ticks go on, and everything is watched.
 
         Parameters
         ----------
         trips : sequence of Trip
             What led here. Without any, or where a rule says so, a person is needed.
+        ordered : Order, optional
+            The order that led here.
 
         Raises
         ------
@@ -67,12 +69,14 @@ class Holding:
         after_s = self._goes_on_after_s(trips)
         waits_for = "a person" if after_s is None else f"{after_s:g} s in which all is good"
         self._journal.record("held", why=why, after=names, waits_for=waits_for)
+        self._people.progress.held(why, after_s is None, ordered)
         self._people.progress.told(f"Holding, waiting for {waits_for}: {why}")
         begin_s = self._bench.clock.now()
         try:
             by = self._wait(why, trips, after_s)
         finally:
             self._people.operator.withdraw()
+            self._people.progress.continued()
         if by == ITSELF:
             self._resumes.update(names)
         held_s = self._bench.clock.now() - begin_s

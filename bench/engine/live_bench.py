@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import can
 
@@ -17,8 +17,6 @@ from bench.engine.readings import Readings
 from bench.engine.tick_lateness import TickLateness
 from bench.errors import ConnectionFailedError, FaultError, InstrumentError, NoReplyError
 from bench.navigation.table_axes import Angles
-from bench.run_store.can_log import CanLog
-from bench.run_store.telemetry import Telemetry
 from bench.station.instruments import Instruments
 from bench.station.station import Station
 from drivers.ins.frames import FrameBlock
@@ -34,6 +32,35 @@ _DEAF_S = 4.0
 _REOPEN_EVERY_S = 5.0
 
 T = TypeVar("T")
+
+
+class FrameLog(Protocol):
+    """Where received frames go, as to a :class:`~bench.run_store.can_log.CanLog`."""
+
+    @property
+    def next_part(self) -> int:
+        """Number of the part that the next frame begins, after :meth:`cut`."""
+        ...
+
+    def write(self, messages: Iterable[can.Message]) -> None:
+        """Add frames."""
+        ...
+
+    def cut(self) -> None:
+        """End the present part."""
+        ...
+
+
+class ReadingsLog(Protocol):
+    """Where readings go, as to a :class:`~bench.run_store.telemetry.Telemetry`."""
+
+    def add(self, row: tuple[float, ...]) -> None:
+        """Add the values of one moment."""
+        ...
+
+    def flush(self) -> None:
+        """Bring them to the disk."""
+        ...
 
 
 class LiveBench:
@@ -74,8 +101,8 @@ class LiveBench:
         station: Station,
         instruments: Instruments,
         clock: Clock,
-        can_log: CanLog,
-        telemetry: Telemetry,
+        can_log: FrameLog,
+        telemetry: ReadingsLog,
         tell_failure: Callable[[str, InstrumentError | None], None],
     ) -> None:
         self.station = station
@@ -270,6 +297,11 @@ class LiveBench:
     def table_angles(self) -> Angles:
         """Outer and inner angle as last read."""
         return self.station.table_axes_of(self.readings.table.position_deg)
+
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """Instruments whose last exchange failed."""
+        return tuple(self._failing)
 
     @property
     def commanded_c(self) -> float | None:

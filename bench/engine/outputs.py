@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from bench.engine.heartbeat import Heartbeat
 from bench.engine.live_bench import LiveBench
 from bench.station.safe_state import SafeAction, make_safe
 
@@ -14,13 +14,15 @@ class SafeOutputs:
 
     Parameters
     ----------
-    bench, heartbeat
-        Those of the run.
+    bench : LiveBench
+        Whose outputs they are.
+    meanwhile : callable
+        Called now and then while something is waited for.
     """
 
-    def __init__(self, bench: LiveBench, heartbeat: Heartbeat) -> None:
+    def __init__(self, bench: LiveBench, meanwhile: Callable[[], object]) -> None:
         self._bench = bench
-        self._heartbeat = heartbeat
+        self._meanwhile = meanwhile
 
     def apply(self, release_table: bool = True) -> list[SafeAction]:
         """Apply the safe values; tells how each went.
@@ -31,9 +33,7 @@ class SafeOutputs:
             Whether the servos are opened as well.
         """
         bench = self._bench
-        actions = make_safe(
-            bench.station, bench.instruments, release_table, meanwhile=self._heartbeat.tell_guard
-        )
+        actions = make_safe(bench.station, bench.instruments, release_table, meanwhile=self._meanwhile)
         safe, expected = bench.station.safe_state, bench.expected
         is_off = safe.chamber_c is None
         bench.expected = replace(

@@ -11,13 +11,15 @@ from pathlib import Path
 from bench.bias.tables.dwell_table import DwellRow, read_dwells, write_dwells
 from bench.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from bench.documents import Document, find_document
+from bench.engine.audience import Audience
 from bench.engine.engine import Engine
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import Operator
 from bench.engine.orders import Orders
 from bench.engine.outcome import RunOutcome
-from bench.engine.people import People, Progress
+from bench.engine.people import AnnouncedOperator, People, Progress
 from bench.engine.progress import RunProgress, progress_of
+from bench.engine.run_news import RunNews
 from bench.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
 from bench.files import write_whole
 from bench.guard.link import guard_for
@@ -25,8 +27,9 @@ from bench.measurement.calibration import read_calibration
 from bench.measurement.dwell import MeasurementSetup
 from bench.measurement.live import warm_up
 from bench.measurement.replay import replay
-from bench.measurement.results import evaluate, write_results
+from bench.measurement.results import evaluate, planned_places, write_results
 from bench.measurement.setup import measurement_setup
+from bench.messages.messenger import PATIENCE_S, Messenger
 from bench.procedure.document import load_procedure
 from bench.procedure.plan import Plan
 from bench.run_store.can_log import CanLog
@@ -155,7 +158,7 @@ def run_job(
     RunFolderError
         The run folder can't be written.
     """
-    clock: Clock = VirtualClock() if job.is_virtual else WallClock()
+    clock: Clock = VirtualClock() if job.is_virtual else WallClock(speed=job.station.file.speed)
 
     def write_inputs(folder: RunFolder, instruments: Instruments) -> None:
         _copy_inputs(folder, job)
@@ -230,7 +233,7 @@ def resume_run(
     if job.is_virtual:
         clock = VirtualClock(last_s + RESUME_STEP_S)
     else:
-        clock = WallClock.resumed(started_utc(folder), last_s)
+        clock = WallClock.resumed(started_utc(folder), last_s, job.station.file.speed)
     dwells, verifications = replay(folder, measurement_setup(job.station))
     outcome = RunOutcome(dwells=dwells, verifications=verifications)
 
@@ -278,12 +281,15 @@ def _run(
         for text in (*bench_lock.taken_over, *run_lock.taken_over):
             journal.record("note", text=text)
             progress.told(text)
+        messenger = held.enter_context(Messenger(job.station.file.messages, journal.record))
+        progress = Audience(progress, RunNews(messenger, job.plan, done))
         guard = held.enter_context(guard_for(job.station, folder.path, clock))
         can_log, telemetry = CanLog(folder.can), Telemetry(folder.telemetry)
         held.callback(_put_away, can_log, telemetry, outcome)
         bench = LiveBench(
             job.station, instruments, clock, can_log, telemetry, partial(_record_failure, journal)
         )
+        progress.begun(folder, bench, outcome)
         Engine(
             job.document,
             job.plan,
@@ -291,7 +297,7 @@ def _run(
             setup,
             folder,
             journal,
-            People(operator, progress, orders),
+            People(AnnouncedOperator(operator, progress), progress, orders),
             guard,
             done,
             outcome,
@@ -299,13 +305,22 @@ def _run(
         ).run()
         if not any(action.problem for action in outcome.safe_state):
             guard.release()
+            messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
     try:
+        procedure, planned = job.plan.procedure, planned_places(job.plan)
         outcome.results = evaluate(
-            outcome.dwells, outcome.verifications, job.calibration, setup, job.plan.procedure.bin_width_c
+            outcome.dwells,
+            outcome.verifications,
+            job.calibration,
+            setup,
+            procedure.bin_width_c,
+            procedure.acceptance,
+            planned,
         )
         write_results(folder, outcome.results)
     except GyrobenchError as error:
         outcome.fail(str(error))
+        progress.ended(outcome)
     return folder, outcome
 
 
@@ -374,12 +389,17 @@ def measure_again(path: Path) -> RunFolder:
         The procedure, station or DBC file in it is wrong.
     """
     folder = open_run_folder(path)
-    _, procedure = load_procedure(folder.procedure)
-    setup = measurement_setup(Station(folder.station))
+    document, procedure = load_procedure(folder.procedure)
+    station = Station(folder.station)
+    setup = measurement_setup(station)
     dwells, verifications = replay(folder, setup)
     write_dwells(folder.dwells, [dwell.row for dwell in dwells])
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
-    write_results(folder, evaluate(dwells, verifications, calibration, setup, procedure.bin_width_c))
+    planned = planned_places(station.plan(document, procedure))
+    results = evaluate(
+        dwells, verifications, calibration, setup, procedure.bin_width_c, procedure.acceptance, planned
+    )
+    write_results(folder, results)
     return folder
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bench.clock import Clock, Deadline
 from bench.errors import BenchInUseError, GyrobenchError
+from bench.guard.alarm import Alarm
 from bench.guard.engine_process import EngineProcess
 from bench.guard.log import GuardLog
 from bench.guard.orders import Orders
@@ -62,6 +63,10 @@ class Rescue:
         self._log.add(ending.value)
         if ending is Ending.SILENT:
             self._kill()
+        with Alarm(self._station, self._folder, self._clock, self._log) as alarm:
+            self._act(ending, alarm)
+
+    def _act(self, ending: Ending, alarm: Alarm) -> None:
         left: list[str] | None = None
         for pause_s in PAUSES_S:
             self._clock.sleep(pause_s)
@@ -73,11 +78,21 @@ class Rescue:
             except BenchInUseError as error:
                 self._log.add(f"leaves without acting: {error}")
                 return
+            is_first = left is None
             left = [action.what for action in actions if action.problem]
             if not left:
                 self._log.add("the bench is in its safe state")
+                alarm.raise_for(ending, "The bench is in its safe state.")
                 return
+            if is_first:
+                problems = "; ".join(
+                    f"{action.what}: {action.problem}" for action in actions if action.problem
+                )
+                alarm.raise_for(ending, f"The bench is NOT in its safe state yet: {problems}")
         self._log.add("gives up: the bench is NOT in its safe state. See to table and chamber.")
+        alarm.raise_for(
+            ending, "The guard gives up: the bench is NOT in its safe state. See to table and chamber."
+        )
 
     def _kill(self) -> None:
         self._engine.kill()

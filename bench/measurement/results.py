@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from bench.bias.acceptance import Place, judge
 from bench.bias.bins import BiasBin, bin_biases, write_bins
 from bench.bias.joint.solution import JointDwell, JointSolution, group_stops, pooled_up_rate, solve_jointly
 from bench.bias.joint.vertical_pairs import UpRate
 from bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from bench.bias.tables.acceptance_file import write_acceptance
 from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.tables.joint_table import (
     JointBiasRow,
@@ -19,11 +21,13 @@ from bench.bias.tables.joint_table import (
 )
 from bench.bias.tables.noise_file import write_noise
 from bench.bias.tables.verification_table import VerificationRow, write_verification
+from bench.bias.verdicts import Acceptance, AcceptanceLimits
 from bench.errors import MeasurementError
 from bench.files import remove
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup
 from bench.measurement.verification import verification_rows
 from bench.measurement.verification_dwell import VerificationDwell
+from bench.procedure.plan import Plan
 from bench.run_store.folder import RunFolder
 
 
@@ -43,6 +47,8 @@ class RunResults:
         Of the INS, from its output; None where that does not tell it.
     verification : list of VerificationRow
         Biases that verifications show.
+    acceptance : Acceptance
+        Verdict on the unit by the limits of the procedure.
     """
 
     bins: list[BiasBin] = field(default_factory=list)
@@ -50,6 +56,7 @@ class RunResults:
     up_rate: UpRate | None = None
     noise: NoiseEstimate | None = None
     verification: list[VerificationRow] = field(default_factory=list)
+    acceptance: Acceptance = field(default_factory=Acceptance)
 
 
 def evaluate(
@@ -58,6 +65,8 @@ def evaluate(
     calibration: Sequence[DwellRow],
     setup: MeasurementSetup,
     bin_width_c: float,
+    limits: AcceptanceLimits | None = None,
+    planned: Sequence[Place] = (),
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
@@ -71,16 +80,29 @@ def evaluate(
         What verifications are compared with; without any, the dwells of the same run.
     bin_width_c : float
         Width of the temperature bins, K.
+    limits : AcceptanceLimits, optional
+        What the gyros have to keep; without limits the unit is not judged.
+    planned : sequence of tuple
+        What was to be measured; see :func:`planned_places`.
     """
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(stop, setup.prior) for stop in group_stops(_joint_dwells(good))]
+    rows = [dwell.row for dwell in good]
+    bins = bin_biases(rows, bin_width_c)
     return RunResults(
-        bins=bin_biases([dwell.row for dwell in good], bin_width_c),
+        bins=bins,
         joint=joint,
         up_rate=pooled_up_rate(joint),
         noise=_noise([dwell for dwell in dwells if not dwell.is_spoilt], setup),
-        verification=verification_rows(verifications, calibration or [each.row for each in good], setup),
+        verification=verification_rows(verifications, calibration or rows, setup),
+        acceptance=judge(rows, bins, limits, planned),
     )
+
+
+def planned_places(plan: Plan) -> list[Place]:
+    """Set point of the chamber and position of every planned dwell that measures biases, in order."""
+    dwells = {step.dwell: step.before for step in plan.steps if step.dwell and not step.is_verification}
+    return [(bench.set_point_c, bench.position) for bench in dwells.values() if bench.position is not None]
 
 
 def write_results(folder: RunFolder, results: RunResults) -> None:
@@ -94,6 +116,7 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_bins(folder.bias_bins, results.bins)
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_stop_rows(results.joint, results.up_rate), JointStopRow)
+    write_acceptance(folder.acceptance, results.acceptance)
     for stale in (folder.noise, folder.verification):
         remove(stale)
     if results.noise is not None:

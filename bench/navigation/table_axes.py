@@ -173,10 +173,15 @@ class TwoAxisTable:
         return (
             f"the table can't reach this attitude: the body axis along the inner axis "
             f"({_named(body_axis, AXES)}) would have to lie at {tilt:.1f} deg to the outer axis "
-            f"({_named(self.outer_axis_enu, ('East', 'North', 'Up'))}), but always stays perpendicular to "
+            f"({named_direction(self.outer_axis_enu)}), but always stays perpendicular to "
             f"it. At azimuth 0 this mounting reaches {', '.join(reached) or 'none of the six positions'}; "
             "mount the unit another way for the rest"
         )
+
+
+def named_direction(vector_enu: NDArray[np.float64]) -> str:
+    """``East``, ``-Up`` or, for an oblique vector, its components."""
+    return _named(vector_enu, ("East", "North", "Up"))
 
 
 def _angle_deg(axis: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:

@@ -86,7 +86,7 @@ def _is_on_ramp(plan: Plan, index: int) -> bool:
     command = _latest(plan, index, Chamber, ChamberOff)
     if plan.steps[index].dwell is None or not command or isinstance(command[0].step, ChamberOff):
         return False
-    return not any(_is_soak(each) for each in plan.steps[command[0].number : index])
+    return not _soaks_between(plan, command[0], index)
 
 
 def _is_to_be_off(plan: Plan, index: int, steps: list[PlannedStep]) -> bool:
@@ -130,9 +130,8 @@ def _history(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
     if not command or isinstance(command[0].step, ChamberOff):
         return command
     (chamber,) = command
-    at, target = chamber.number - 1, plan.steps[index]
-    soaks = [each for each in plan.steps[at + 1 : index] if _is_soak(each)]
-    if target.in_position and not soaks:
+    at, soaks = chamber.number - 1, _soaks_between(plan, chamber, index)
+    if plan.steps[index].in_position and not soaks:
         return [*_history(plan, at, chamber_c), chamber, *_ride(plan, index, chamber)]
     before = [] if _is_on_its_way(chamber, chamber_c) else _history(plan, at, chamber_c)
     return [*before, _waiting_for_the_air(chamber), *soaks]
@@ -143,6 +142,11 @@ def _ride(plan: Plan, index: int, chamber: PlannedStep) -> list[PlannedStep]:
     stay = [each for each in _latest(plan, index + 1, GoTo) if each.number > chamber.number]
     wait_s = (stay[0] if stay else plan.steps[index]).start_s - chamber.end_s
     return [replace(chamber, step=Wait(duration_s=wait_s))] if wait_s > 0.0 else []
+
+
+def _soaks_between(plan: Plan, chamber: PlannedStep, index: int) -> list[PlannedStep]:
+    """The soaks after a command of the chamber and before the step at ``index``."""
+    return [each for each in plan.steps[chamber.number : index] if _is_soak(each)]
 
 
 def _is_soak(planned: PlannedStep) -> bool:

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from typing_extensions import override
 
 from bench.procedure.estimate import BenchEstimate
@@ -66,6 +66,11 @@ class ChamberOff(Step):
 class Soak(Step):
     """Wait for a fixed time, or until the gyros' temperature hardly changes any more."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": ["for_s"]}, {"required": ["until_gyro_rate_below_c_per_h"]}]
+        }
+    )
     name = "soak"
     for_s: Duration | None = Field(default=None, description="a fixed time, s")
     until_gyro_rate_below_c_per_h: float | None = Field(

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
+from bench.bias.verdicts import AcceptanceLimits
 from bench.documents import Document, Location, Problem, StrictModel, hint, read_document, validate
 from bench.procedure.navigation_steps import Until
 from bench.procedure.step import Step
@@ -26,7 +27,10 @@ from bench.procedure.steps import STEP_KINDS
 #: A value that a loop variable can take.
 Value = float | int | str
 
-_VARIABLE = re.compile(r"\$([a-z][a-z0-9_]*)")
+#: How a value stands for the loop variable of that name.
+VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"
+
+_VARIABLE = re.compile(VARIABLE_PATTERN)
 _ALLOWED_STEPS = (*STEP_KINDS, "repeat")
 _MODELS: tuple[type[StrictModel], ...] = (*STEP_KINDS.values(), Until)
 _STEP_KEYS = frozenset(key for model in _MODELS for key in model.model_fields)
@@ -75,6 +79,9 @@ class Procedure(StrictModel):
         default=[], description="what its source does not tell and was chosen here"
     )
     bin_width_c: float = Field(default=5.0, ge=0.1, le=100.0, description="width of a temperature bin, degC")
+    acceptance: AcceptanceLimits | None = Field(
+        default=None, description="what the gyros have to keep; without it the unit is not judged"
+    )
     disturbed_dwell: Literal["repeat", "flag"] = Field(
         default="repeat", description="what becomes of a dwell that a fault touched"
     )

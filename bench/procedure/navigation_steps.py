@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 from typing_extensions import override
 
 from bench.bias.dwell import MIN_DURATION
@@ -22,6 +22,12 @@ _FINE_ALIGNMENT_S = 300.0
 class Align(Step):
     """Let the INS align itself: for a time, or until it reports fine alignment, or both."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "anyOf": [{"required": ["duration_s"]}, {"required": ["until_fine"]}],
+            "dependentRequired": {"at_most_s": ["until_fine"]},
+        }
+    )
     name = "align"
     at_position = True
     duration_s: Duration | None = Field(
@@ -77,6 +83,12 @@ class Until(StrictModel):
 class Navigate(Step):
     """Let the INS navigate at rest: for a time, or until its gyro biases are known well enough."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": ["duration_s"]}, {"required": ["until"]}],
+            "dependentRequired": {"until": ["at_most_s"]},
+        }
+    )
     name = "navigate"
     at_position = True
     duration_s: Duration | None = Field(default=None, description="navigation time, s")

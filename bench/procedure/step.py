@@ -27,7 +27,9 @@ Duration = Annotated[float, Field(gt=0.0, le=MAX_STEP_S)]
 DurationOrZero = Annotated[float, Field(ge=0.0, le=MAX_STEP_S)]
 Celsius = Annotated[float, Field(gt=-273.15, le=1000.0)]
 TableRate = Annotated[float, Field(ge=0.001, le=10_000.0)]
-PositionName = Annotated[str, AfterValidator(_known_position)]
+PositionName = Annotated[
+    str, Field(json_schema_extra={"enum": [*POSITIONS]}), AfterValidator(_known_position)
+]
 
 
 class Step(StrictModel):

@@ -13,14 +13,19 @@ from numpy.typing import NDArray
 
 from bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
 from bench.bias.noise.estimate import NoiseEstimate
+from bench.bias.tables.acceptance_file import read_acceptance
 from bench.bias.tables.dwell_table import DwellRow, read_dwells
 from bench.bias.tables.joint_table import JointBiasRow, JointStopRow, read_joint_biases, read_joint_stops
 from bench.bias.tables.noise_file import read_noise
 from bench.bias.tables.verification_table import VerificationRow, read_verification
+from bench.bias.verdicts import Acceptance
 from bench.documents import read_document
 from bench.errors import GyrobenchError
+from bench.report.page.findings import Findings
+from bench.report.page.findings_file import FINDINGS_FILE, read_findings_file
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
+from bench.run_store.manifest import DataHash, data_hashes, file_sha256
 from bench.run_store.provenance import read_provenance
 from bench.run_store.telemetry import read_telemetry
 
@@ -46,6 +51,12 @@ class RunContent:
     joint_biases, joint_stops, noise, verification
         What solving dwells together, the noise of the INS and verifying a calibration gave; empty
         where there is none.
+    acceptance : Acceptance or None
+        Verdict on the unit; None where there is none.
+    chapters : list of Findings
+        What was found by the search for effects, and by its proof, on these dwells.
+    hashes : list of DataHash
+        What ties the report to its data.
     problems : list of str
         What is missing or can't be read.
     """
@@ -62,6 +73,9 @@ class RunContent:
     joint_stops: list[JointStopRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     verification: list[VerificationRow] = field(default_factory=list)
+    acceptance: Acceptance | None = None
+    chapters: list[Findings] = field(default_factory=list)
+    hashes: list[DataHash] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     def entries(self, event: str) -> list[Entry]:
@@ -122,8 +136,41 @@ def read_run(folder: RunFolder) -> RunContent:
         joint_stops=read_if_there(folder.joint, lambda: read_joint_stops(folder.joint), no_joint_stops),
         noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
         verification=verification,
+        acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),
+        chapters=_chapters(folder, problems),
+        hashes=_hashes(folder, problems),
         problems=problems,
     )
+
+
+def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
+    """Read what search and proof found; of another state of the dwells it would mislead."""
+    chapters = []
+    for place, command in ((folder.closure, "close"), (folder.verify, "verify")):
+        again = f"`gyrobench {command} {folder.path.name}` makes it anew."
+        if not (place / FINDINGS_FILE).exists():
+            if any(place.glob("*.html")):
+                problems.append(
+                    f"{place.name}/{FINDINGS_FILE} is missing, so it is not in this report. {again}"
+                )
+            continue
+        try:
+            found = read_findings_file(place)
+            if found.dwells_sha256 == file_sha256(folder.dwells):
+                chapters.append(found)
+            else:
+                problems.append(f"{place.name}: dwells.csv has changed since, so it is left out. {again}")
+        except GyrobenchError as error:
+            problems.append(f"{place.name} can't be used: {error}")
+    return chapters
+
+
+def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
+    try:
+        return data_hashes(folder)
+    except GyrobenchError as error:
+        problems.append(f"The data can't be hashed: {error}")
+        return []
 
 
 def _entries(path: Path) -> Iterator[Entry]:

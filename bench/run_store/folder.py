@@ -47,6 +47,11 @@ class RunFolder:
         return self.path / "journal.jsonl"
 
     @property
+    def live(self) -> Path:
+        """The picture of the run at its last moment, for those who watch it."""
+        return self.path / "live.json"
+
+    @property
     def can(self) -> Path:
         """Folder of the raw CAN log."""
         return self.path / "can"
@@ -80,6 +85,11 @@ class RunFolder:
     def noise(self) -> Path:
         """Noise of the INS."""
         return self.path / "noise.json"
+
+    @property
+    def acceptance(self) -> Path:
+        """Verdict on the unit."""
+        return self.path / "acceptance.json"
 
     @property
     def calibration(self) -> Path:
@@ -157,7 +167,16 @@ def open_run_folder(path: Path) -> RunFolder:
         There is none at that path, or one of its folders is a link to elsewhere.
     """
     folder = RunFolder(path)
-    for name in ("can", "telemetry", "figures", "closure", "closure/figures", "verify", "verify/figures"):
+    for name in (
+        "can",
+        "telemetry",
+        "figures",
+        "closure",
+        "closure/figures",
+        "verify",
+        "verify/figures",
+        "export",
+    ):
         inner = path / name
         if not inner.resolve().is_relative_to(path.resolve()):
             raise RunFolderError(

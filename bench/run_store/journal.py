@@ -7,6 +7,7 @@ import fcntl
 import json
 import math
 import os
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +39,7 @@ class Journal:
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
+        self._writing = threading.Lock()  # messages are sent by threads of their own
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         except OSError as error:
@@ -72,8 +74,12 @@ class Journal:
         RunFolderError
             It can't be written; the journal is as it was before.
         """
-        entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat(), "event": event}
-        line = json.dumps(_finite(entry | details), allow_nan=False).encode() + b"\n"
+        with self._writing:
+            self._write({"event": event} | details)
+
+    def _write(self, content: dict[str, Any]) -> None:
+        entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
+        line = json.dumps(_finite(entry | content), allow_nan=False).encode() + b"\n"
         try:
             self._drop_half_line()
             written = os.write(self._descriptor, line)
@@ -118,11 +124,23 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
     RunFolderError
         The file can't be read, or a line before the last one is damaged.
     """
-    content = read_limited(path, MAX_JOURNAL_BYTES, RunFolderError)
-    yield from (entry for entry, _ in _parse(path, content))
+    yield from parse_journal(read_limited(path, MAX_JOURNAL_BYTES, RunFolderError), path)
 
 
-def _parse(path: Path, content: bytes) -> Iterator[tuple[dict[str, Any], int]]:
+def parse_journal(content: bytes, name: str | Path) -> Iterator[dict[str, Any]]:
+    """Entries of a journal's content; see :func:`read_journal`.
+
+    Parameters
+    ----------
+    content : bytes
+        Of the file.
+    name : str or Path
+        What to call the file in messages.
+    """
+    yield from (entry for entry, _ in _parse(name, content))
+
+
+def _parse(path: str | Path, content: bytes) -> Iterator[tuple[dict[str, Any], int]]:
     """Entries, each with the number of bytes that it takes."""
     # An entry without its line end was never finished, and nothing was done on the strength of it.
     lines = content.split(b"\n")[:-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import hashlib
 import json
 import platform
@@ -40,6 +41,9 @@ def write_provenance(
     content = {
         "gyrobench": bench.__version__,
         "started_utc": started.isoformat(),
+        "utc_offset_s": _utc_offset_s(started),
+        "operator": _user(),
+        "host": platform.node(),
         "instruments": dict(identities),
         "options": dict(options),
         "files_sha256": {
@@ -97,6 +101,20 @@ def started_utc(folder: RunFolder) -> datetime:
 
 def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:
     write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def _utc_offset_s(moment: datetime) -> float:
+    """How far local time on the bench is ahead of UTC."""
+    offset = moment.astimezone().utcoffset()
+    return 0.0 if offset is None else offset.total_seconds()
+
+
+def _user() -> str:
+    """Login name of who started the run; a container may know none."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
 
 
 def _inputs(folder: RunFolder) -> list[Path]:

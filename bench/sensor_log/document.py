@@ -21,9 +21,12 @@ Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n
 PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 
 
-def _plain(key: str) -> BeforeValidator:
-    """Take a plain text or number for the value of one key."""
-    return BeforeValidator(lambda data: {key: data} if isinstance(data, str | int) else data)
+def _plain(key: str, alone: Any, model: type[StrictModel]) -> BeforeValidator:
+    """Take a plain text or number, of the type ``alone``, for the value of one key."""
+    return BeforeValidator(
+        lambda data: {key: data} if isinstance(data, str | int) else data,
+        json_schema_input_type=alone | model,
+    )
 
 
 def _require_one(model: Any, *names: str) -> None:
@@ -90,7 +93,7 @@ class SignedColumn(StrictModel):
 
 
 #: A column alone counts with the axis.
-AxisColumn = Annotated[SignedColumn, _plain("column")]
+AxisColumn = Annotated[SignedColumn, _plain("column", Column, SignedColumn)]
 
 
 class GyroColumns(StrictModel):
@@ -240,8 +243,10 @@ class LogMap(StrictModel):
     gyro: GyroColumns = Field(description="which columns are the rates")
     temperatures: TemperatureColumns = Field(description="which columns are temperatures")
     status: StatusRule | None = Field(default=None, description="which samples are good")
-    position: Annotated[PositionRule, _plain("constant")] = Field(description="how the unit stands")
-    cycle: Annotated[CycleRule, _plain("constant")] = Field(
+    position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] = Field(
+        description="how the unit stands"
+    )
+    cycle: Annotated[CycleRule, _plain("constant", int, CycleRule)] = Field(
         default=CycleRule(constant=1), description="what can be held out"
     )
     earth_rate: EarthRate | None = Field(

@@ -35,6 +35,8 @@ from bench.station.station import Station
 LOCK_DIR_VARIABLE = "GYROBENCH_LOCK_DIR"
 #: What a guard calls itself.
 GUARD_COMMAND = "guard of this run"
+#: What a session by hand calls itself.
+JOG_COMMAND = "gyrobench jog"
 
 _SHARED_FOLDERS = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - files there are opened with care
 _EVERYBODY_ADDS = stat.S_ISVTX | stat.S_IRWXO
@@ -214,6 +216,8 @@ class BenchLock(_Lock):
     def _advice(self, holder: Holder | None) -> str:
         if holder is not None and holder.command == GUARD_COMMAND:
             return "It is making the bench safe after the end of that run. Try again in a minute."
+        if holder is not None and holder.command == JOG_COMMAND:
+            return "Somebody uses it by hand; `quit` there lets go of it. Nothing was moved."
         return "Wait for its end, or end it with `gyrobench tell RUN abort`. Nothing was moved."
 
 

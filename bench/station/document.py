@@ -19,30 +19,25 @@ from pydantic import (
 
 from bench.documents import Document, StrictModel, read_document, validate
 from bench.navigation.error_model import MAX_LATITUDE
+from bench.station.chamber_section import ChamberSection
+from bench.station.field_types import Identity, NotNegative, Positive, without_password
 from bench.station.interlocks import Interlocks
+from bench.station.messages import Receiver
+from bench.station.speed import why_not_fast
+from bench.station.table_section import RateTableSection
 from drivers.ins.command_map import CommandMap
 from drivers.ins.signal_map import SignalMap
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Direction = Literal["east", "north", "up", "west", "south", "down"]
-_IDENTITY = "text that the instrument's own identification must contain, for instance its serial number"
-
-
-def _low_first(ends: list[float]) -> list[float]:
-    if ends[0] >= ends[1]:
-        raise ValueError("the lower end comes first, then the higher one")
-    return ends
-
-
-Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_first)]
+#: Where an INS can still gyrocompass.
+_HIGHEST_DEG = round(math.degrees(MAX_LATITUDE), 6)
 
 
 class Location(StrictModel):
     """Where the bench stands."""
 
     latitude_deg: float = Field(
-        description="geodetic latitude, deg; near the poles gyrocompassing has no answer"
+        description="geodetic latitude, deg; near the poles gyrocompassing has no answer",
+        json_schema_extra={"minimum": -_HIGHEST_DEG, "maximum": _HIGHEST_DEG},
     )
     height_m: float = Field(default=0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
     latitude_uncertainty_arcmin: float = Field(
@@ -52,41 +47,12 @@ class Location(StrictModel):
     @field_validator("latitude_deg")
     @classmethod
     def _can_gyrocompass(cls, latitude_deg: float) -> float:
-        highest_deg = round(math.degrees(MAX_LATITUDE), 6)
-        if not abs(latitude_deg) <= highest_deg:
+        if not abs(latitude_deg) <= _HIGHEST_DEG:
             raise ValueError(
                 f"gyrocompassing has no answer at {latitude_deg:g} deg; latitudes go from "
-                f"-{highest_deg:g} to {highest_deg:g} deg"
+                f"-{_HIGHEST_DEG:g} to {_HIGHEST_DEG:g} deg"
             )
         return latitude_deg
-
-
-class Mounting(StrictModel):
-    """Where each body axis of the unit points with both table angles at zero."""
-
-    x: Direction = Field(description="body axis x")
-    y: Direction = Field(description="body axis y")
-    z: Direction = Field(description="body axis z")
-
-
-class TableLimits(StrictModel):
-    """What the table may do."""
-
-    rate_dps: Positive = Field(description="fastest turn of either axis, deg/s")
-    acceleration_dps2: Positive = Field(description="largest acceleration, deg/s2")
-    jerk_dps3: Positive = Field(description="largest jerk, deg/s3")
-    outer_deg: Range = Field(description="lowest and highest angle of the outer axis, deg")
-    inner_deg: Range = Field(description="lowest and highest angle of the inner axis, deg")
-
-
-def _without_password(address: str) -> str:
-    """Refuse ``scheme://user:password@host``: the station file is copied into every run folder."""
-    if _USER_IN_ADDRESS.search(address):
-        raise ValueError(
-            "an address can't hold a user or password: every run folder has a copy of this file. "
-            "Reach the port by a tunnel or a device server without password",
-        )
-    return address
 
 
 def _no_secret(key: str) -> str:
@@ -96,60 +62,6 @@ def _no_secret(key: str) -> str:
 
 
 _SECRET = re.compile(r"passw|secret|token|credential|api_?key", re.IGNORECASE)
-_USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")
-Port = Annotated[
-    str, Field(min_length=1, description="serial device or pyserial URL"), AfterValidator(_without_password)
-]
-
-
-class RateTableSection(StrictModel):
-    """The rate table."""
-
-    dialect: Literal["acutrol3000"] = Field(description="command language")
-    identity: str = Field(default="", max_length=200, description=_IDENTITY)
-    port: Port
-    baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
-    outer_axis_number: int = Field(
-        default=1, ge=1, le=9, description="the controller's number of the outer axis"
-    )
-    inner_axis_number: int = Field(
-        default=2, ge=1, le=9, description="the controller's number of the inner axis"
-    )
-    outer_axis: Direction = Field(description="where the outer axis points, angles at zero")
-    inner_axis: Direction = Field(description="where the inner axis points, angles at zero")
-    mounting: Mounting = Field(description="where the unit's body axes point, angles at zero")
-    limits: TableLimits = Field(description="what the table may do")
-
-    @model_validator(mode="after")
-    def _two_axes(self) -> Self:
-        if self.outer_axis_number == self.inner_axis_number:
-            raise ValueError("outer_axis_number and inner_axis_number must differ")
-        return self
-
-
-class ChamberLimits(StrictModel):
-    """What the chamber may do."""
-
-    low_c: float = Field(description="lowest set point, degC")
-    high_c: float = Field(description="highest set point, degC")
-    ramp_c_per_min: Positive = Field(description="fastest ramp, degC/min")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.low_c >= self.high_c:
-            raise ValueError(f"low_c ({self.low_c:g}) must be below high_c ({self.high_c:g})")
-        return self
-
-
-class ChamberSection(StrictModel):
-    """The thermal chamber."""
-
-    dialect: Literal["watlow_f4"] = Field(description="protocol")
-    identity: str = Field(default="", max_length=200, description=_IDENTITY)
-    port: Port
-    baudrate: int = Field(default=9600, gt=0, description="ignored where the port is no serial device")
-    address: int = Field(default=1, ge=1, le=247, description="Modbus address")
-    limits: ChamberLimits = Field(description="what the chamber may do")
 
 
 class InsNoise(StrictModel):
@@ -215,7 +127,7 @@ class InsSection(StrictModel):
     interface: str = Field(
         min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
     )
-    channel: Annotated[str, AfterValidator(_without_password)] = Field(
+    channel: Annotated[str, AfterValidator(without_password)] = Field(
         min_length=1, description="python-can channel"
     )
     bitrate: int | None = Field(default=None, gt=0, description="bit/s, where the interface sets it")
@@ -226,7 +138,7 @@ class InsSection(StrictModel):
         pattern=r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$",
         description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
     )
-    identity: str = Field(default="", max_length=200, description=_IDENTITY)
+    identity: Identity = ""
     signals: SignalMap = Field(description="which signal carries which quantity")
     commands: CommandMap = Field(default=CommandMap(), description="which message carries which command")
     noise: Noise = Field(description=_WRITE_NOISE)
@@ -261,9 +173,9 @@ def _off(value: Any) -> Any:
 class SafeState(StrictModel):
     """What the bench is left in at any end."""
 
-    chamber_c: Annotated[float | None, BeforeValidator(_off)] = Field(
-        description="safe set point, degC, or off"
-    )
+    chamber_c: Annotated[
+        float | None, BeforeValidator(_off, json_schema_input_type=float | Literal["off"] | None)
+    ] = Field(description="safe set point, degC, or off")
     unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
     on_pause: Literal["keep", "safe"] = Field(
         default="keep", description="while a run is paused: keep everything as it is, or the safe state"
@@ -290,6 +202,12 @@ class StationFile(StrictModel):
     clock: Literal["wall", "virtual"] = Field(
         default="wall", description="virtual: time passes as fast as the work allows; for emulated benches"
     )
+    speed: float = Field(
+        default=1.0,
+        ge=1.0,
+        le=100.0,
+        description="seconds of the bench in one of this computer, as `gyrobench emulate --speed` has it",
+    )
     location: Location = Field(description="where it stands")
     tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(
         default=1.0, description="period of the engine, s"
@@ -310,6 +228,10 @@ class StationFile(StrictModel):
     )
     interlocks: Interlocks = Field(
         default=Interlocks(), description="what is watched, and what becomes of the run after a trip"
+    )
+    messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
+        default=[],
+        description="who off the bench is told how a run goes; an emulated bench tells it too",
     )
 
     @model_validator(mode="after")
@@ -333,8 +255,8 @@ class StationFile(StrictModel):
             chamber_c=(self.chamber.limits.low_c, self.chamber.limits.high_c),
             ramp_c_per_min=self.chamber.limits.ramp_c_per_min,
             rate_dps=self.rate_table.limits.rate_dps,
-            outer_deg=self.rate_table.limits.outer_deg,
-            inner_deg=self.rate_table.limits.inner_deg,
+            outer_deg=self.rate_table.outer_limits_deg,
+            inner_deg=self.rate_table.inner_limits_deg,
         )
         if problems:
             raise ValueError("; ".join(problems))
@@ -344,6 +266,17 @@ class StationFile(StrictModel):
     def _virtual_only_where_emulated(self) -> Self:
         if self.clock == "virtual" and not self.is_emulated():
             raise ValueError("clock: virtual needs every instrument emulated; real ones need clock: wall")
+        return self
+
+    @model_validator(mode="after")
+    def _fast_only_where_emulated(self) -> Self:
+        addresses = (self.rate_table.port, self.chamber.port, self.ins.channel)
+        host = str(self.ins.options.get("host", ""))
+        why_not = why_not_fast(addresses, self.ins.interface, host) if self.speed != 1.0 else ""
+        if self.speed != 1.0 and self.clock == "virtual":
+            why_not = "clock: virtual goes as fast as it can; use clock: wall"
+        if why_not:
+            raise ValueError(f"speed: {self.speed:g} is for an emulated bench on this computer; {why_not}")
         return self
 
     def is_emulated(self) -> bool:

@@ -8,35 +8,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
-from urllib.parse import urlencode
+from urllib.parse import urlencode, urlsplit
 
 import can
 
 from bench.clock import Clock
 from bench.documents import find_document
 from bench.errors import ConnectionFailedError, GyrobenchError, InstrumentError
-from bench.station.document import ChamberSection, InsSection, RateTableSection
+from bench.station.dialect_section import DialectSection
+from bench.station.document import InsSection
 from bench.station.station import Station
 from bench.station.time_limit import within
 from drivers.chamber import Chamber
-from drivers.chamber.watlow_f4 import WatlowF4
+from drivers.chamber.dialect import ChamberDialect
+from drivers.dialects import CHAMBERS, RATE_TABLES, LineDefaults, load
 from drivers.ins.can_bus import INSTRUMENT as INS
 from drivers.ins.can_bus import close_bus, open_bus
 from drivers.ins.can_ins import CanIns
 from drivers.ins.dbc_codec import load_dbc
 from drivers.rate_table import RateTable
-from drivers.rate_table.acutrol3000 import Acutrol3000
+from drivers.rate_table.dialect import TableDialect
 from drivers.serial_line import SerialLine
-
-#: Drivers by the dialects that a station file can name.
-TABLE_DIALECTS: dict[str, Callable[[SerialLine, RateTableSection], RateTable]] = {
-    "acutrol3000": lambda line, section: Acutrol3000(
-        line, axes=sorted((section.outer_axis_number, section.inner_axis_number))
-    ),
-}
-CHAMBER_DIALECTS: dict[str, Callable[[SerialLine, ChamberSection], Chamber]] = {
-    "watlow_f4": lambda line, section: WatlowF4(line, address=section.address),
-}
 
 #: The instruments as error messages name them, and as :meth:`Instruments.reopen` takes them.
 RATE_TABLE, CHAMBER = "rate table", "chamber"
@@ -221,11 +213,12 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
         It can't be opened.
     """
     section = station.file.rate_table
+    dialect = load(RATE_TABLES, section.dialect, TableDialect)
     with contextlib.ExitStack() as opened:
-        line = SerialLine(RATE_TABLE, _port(section.port, clock, emulation), clock, section.baudrate)
+        line = _line(RATE_TABLE, section, dialect.line, clock, _addressed(section, station, clock, emulation))
         opened.callback(line.close)
         line.await_silence(_LATE_REPLY_S, _OPENING_TIME_S / 2.0)
-        table = TABLE_DIALECTS[section.dialect](line, section)
+        table: RateTable = dialect.open(line, section.axis_numbers, section)
         opened.pop_all()
     return table
 
@@ -239,11 +232,12 @@ def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chambe
         It can't be opened or does not answer.
     """
     section = station.file.chamber
+    dialect = load(CHAMBERS, section.dialect, ChamberDialect)
     with contextlib.ExitStack() as opened:
-        line = SerialLine(CHAMBER, _port(section.port, clock, emulation), clock, section.baudrate)
+        line = _line(CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation))
         opened.callback(line.close)
         line.await_silence(_LATE_REPLY_S, _OPENING_TIME_S / 2.0)
-        chamber = CHAMBER_DIALECTS[section.dialect](line, section)
+        chamber: Chamber = dialect.open(line, section)
         opened.pop_all()
     return chamber
 
@@ -278,7 +272,7 @@ def open_ins_bus(station: Station, clock: Clock, emulation: Emulation) -> can.Bu
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
-        options.update(emulation.options())
+        options.update(_emulated_bench(station, emulation))
     _check_server(section)
     return open_bus(section.interface, section.channel, clock, section.bitrate, **options)
 
@@ -317,7 +311,34 @@ def _reopened(clock: Clock, instrument: str, old: DriverT | None, open_it: Calla
         raise ConnectionFailedError(instrument, f"its port is open, but {what}") from error
 
 
-def _port(url: str, clock: Clock, emulation: Emulation) -> str:
-    if not url.startswith(f"{_EMULATOR}://") or "?" in url:
+def _line(
+    instrument: str, section: DialectSection, usual: LineDefaults, clock: Clock, url: str
+) -> SerialLine:
+    baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
+    return SerialLine(instrument, _with_tcp_port(url, usual), clock, baudrate, parity)
+
+
+def _with_tcp_port(url: str, usual: LineDefaults) -> str:
+    """Complete ``socket://host`` with the port that controllers of this dialect have."""
+    parts = urlsplit(url)
+    if parts.scheme != "socket" or usual.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
         return url
-    return f"{url}?{urlencode({'clock': clock.name, **emulation.options()})}"
+    return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{usual.tcp_port}").geturl()
+
+
+def _addressed(section: DialectSection, station: Station, clock: Clock, emulation: Emulation) -> str:
+    """Port of an instrument; an emulator's address says which bench is meant as well."""
+    if not section.port.startswith(f"{_EMULATOR}://") or "?" in section.port:
+        return section.port
+    return f"{section.port}?{urlencode({'clock': clock.name, **_emulated_bench(station, emulation)})}"
+
+
+def _emulated_bench(station: Station, emulation: Emulation) -> dict[str, str | int]:
+    """What an emulator's address says of the bench: its world, and what emulated table and chamber speak."""
+    sections = {"table": station.file.rate_table, "chamber": station.file.chamber}
+    dialects = {
+        name: section.dialect
+        for name, section in sections.items()
+        if section.port.startswith(f"{_EMULATOR}://")
+    }
+    return {**emulation.options(), **dialects}

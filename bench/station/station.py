@@ -16,12 +16,14 @@ from bench.errors import DocumentError
 from bench.limits import StationLimits
 from bench.navigation.error_model import Site
 from bench.navigation.positions import POSITIONS
+from bench.navigation.single_axis_table import SingleAxisTable
 from bench.navigation.table_axes import Angles, TwoAxisTable
 from bench.procedure.checks import check
 from bench.procedure.document import Procedure
 from bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from bench.procedure.plan import Plan, expand
-from bench.station.document import Direction, SafeState, UnitSection, load_station_file
+from bench.station.document import SafeState, UnitSection, load_station_file
+from bench.station.field_types import Direction
 from drivers import ins
 from drivers.ins.bound_signals import check_signals
 from drivers.ins.command_map import check_commands
@@ -181,13 +183,21 @@ class Station:
         )
 
     def by_axis_number(self, angles: Angles) -> dict[int, float]:
-        """Outer and inner angle by the controller's axis numbers."""
+        """Angles by the controller's axis numbers."""
         section = self.file.rate_table
+        if section.is_single_axis:
+            return {section.inner_axis_number: angles[1]}
         return {section.outer_axis_number: angles[0], section.inner_axis_number: angles[1]}
 
     def table_axes_of(self, values: Sequence[float]) -> Angles:
-        """Outer and inner value of two that come in the order of the controller's axis numbers."""
+        """Outer and inner value of those that come in the order of the controller's axis numbers.
+
+        A table with a single axis has zero for the outer one.
+        """
         section = self.file.rate_table
+        if section.is_single_axis:
+            (inner,) = values
+            return 0.0, inner
         first, second = values
         return (first, second) if section.outer_axis_number < section.inner_axis_number else (second, first)
 
@@ -201,13 +211,16 @@ class Station:
     def _table(self) -> TwoAxisTable:
         section = self.file.rate_table
         mounting = section.mounting
-        low_high = [(low, high) for low, high in (section.limits.outer_deg, section.limits.inner_deg)]
+        C_mount = np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1)
+        inner_axis = _vector(section.inner_axis)
+        if section.outer_axis is None:
+            return SingleAxisTable.about(inner_axis, C_mount, section.inner_limits_deg)
         return TwoAxisTable(
             outer_axis_enu=_vector(section.outer_axis),
-            inner_axis_enu=_vector(section.inner_axis),
-            C_mount=np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1),
-            outer_limits_deg=low_high[0],
-            inner_limits_deg=low_high[1],
+            inner_axis_enu=inner_axis,
+            C_mount=C_mount,
+            outer_limits_deg=section.outer_limits_deg,
+            inner_limits_deg=section.inner_limits_deg,
         )
 
 

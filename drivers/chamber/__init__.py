@@ -50,11 +50,20 @@ class Chamber(Protocol):
         ...
 
     def clear_alarms(self) -> None:
-        """Clear alarms and sensor errors that are latched; those whose cause is still there stay."""
+        """Clear alarms and sensor errors that are latched; those whose cause is still there stay.
+
+        Does nothing where the controller latches none.
+        """
         ...
 
     def limits_c(self) -> tuple[float, float]:
-        """Lowest and highest set point that the controller accepts."""
+        """Lowest and highest set point that the controller accepts.
+
+        Raises
+        ------
+        RefusedError
+            The controller does not tell them.
+        """
         ...
 
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from pydantic import Field
+
+from bench.documents import StrictModel
 from bench.errors import FaultError, RefusedError, ReplyError
 from drivers.chamber import ChamberReading
+from drivers.chamber.dialect import ChamberDialect
 from drivers.modbus_rtu import ModbusRtu
 from drivers.serial_line import SerialLine
 
@@ -242,3 +246,19 @@ class WatlowF4:
 
 def _sensor_error(code: int) -> str:
     return f"error {code} of input 1 (register 101)"
+
+
+class WatlowF4Options(StrictModel):
+    """Keys of its own in the station file."""
+
+    address: int = Field(default=1, ge=1, le=247, description="Modbus address")
+    chamber_event: int = Field(
+        default=1, ge=1, le=8, description="event output that switches the chamber's machinery"
+    )
+
+
+def _open(line: SerialLine, options: WatlowF4Options) -> WatlowF4:
+    return WatlowF4(line, options.address, options.chamber_event)
+
+
+DIALECT = ChamberDialect(_open, WatlowF4Options)

@@ -32,6 +32,7 @@ from drivers.emulators.acl_syntax import (
     ErrorCode,
     parse_message,
 )
+from drivers.emulators.dialect import TableEmulation
 from drivers.emulators.world.table_axis import TableAxis
 
 _ERRORS_KEPT = 32
@@ -80,12 +81,19 @@ class Acutrol3000Emulator:
         self._requests_enabled = _INTERLOCK_SUMMARY
         self._locked_out = False
 
-    def power_cycle(self, now_s: float) -> None:
-        """Lose power and come back: servos open, limits, modes and registers as after switching on."""
+    def is_servoed(self, axis: int) -> bool:
+        """Whether the servo of that axis is closed."""
+        return self.axes[axis].closed
+
+    def power_off(self, now_s: float) -> None:
+        """Lose power: servos open, limits, modes and registers are those after switching on."""
         for axis in self.axes.values():
             axis.begin_frame(now_s)
             axis.power_cycle()
         self._set_defaults()
+
+    def power_on(self, now_s: float) -> None:
+        """Come back."""
 
     def refusal(self, code: ErrorCode) -> bytes:
         """Reply to a message that is refused with this code."""
@@ -238,3 +246,6 @@ def _byte(arguments: Arguments) -> int:
     if not 0 <= value <= 255:
         raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
     return value
+
+
+DIALECT = TableEmulation(Acutrol3000Emulator)

@@ -4,6 +4,9 @@ An address says which: ``emulator://table?clock=NAME&world=FILE&seed=N&faults=FI
 the same keys as options of python-can's ``interface="emulator"``. Equal clock, world, seed and list of
 faults mean the same bench. Without a clock the bench runs on wall time, without a world it is
 ``gyro_a``, without a list of faults nothing fails.
+
+The keys ``table`` and ``chamber`` say which dialects these two speak; the first address of a bench
+decides, and later ones may leave them out.
 """
 
 from __future__ import annotations
@@ -16,16 +19,16 @@ from urllib.parse import parse_qsl, urlsplit
 from bench.clock import Clock, WallClock, clock_named
 from bench.documents import find_document
 from bench.errors import DocumentError
-from drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from drivers.dialects import EMULATORS, load
 from drivers.emulators.can_ins import CanInsEmulator, CanNode
-from drivers.emulators.faults.document import FaultList, load_faults
+from drivers.emulators.dialect import ChamberEmulation, TableEmulation
+from drivers.emulators.faults.document import FaultList, check_faults, load_faults
 from drivers.emulators.faults.fault import BenchParts
 from drivers.emulators.faults.faulty_can import FaultyCan
 from drivers.emulators.faults.faulty_serial import FaultySerial
 from drivers.emulators.faults.injector import Injector
 from drivers.emulators.faults.record import Injected, InjectionRecord
 from drivers.emulators.serial_instrument import Connection, SerialInstrument
-from drivers.emulators.watlow_f4 import WatlowF4Emulator
 from drivers.emulators.world.document import load_world
 from drivers.emulators.world.world import World
 
@@ -33,17 +36,20 @@ from drivers.emulators.world.world import World
 UNIT_POWER_EVENT = 2
 
 _DEFAULT_WORLD = "gyro_a"
-_KEYS = ("clock", "world", "seed", "faults")
+_DEFAULT_TABLE, _DEFAULT_CHAMBER = "acutrol3000", "watlow_f4"
+_KEYS = ("clock", "world", "seed", "faults", "table", "chamber")
 
 
 @dataclass(frozen=True)
 class BenchAddress:
-    """Which emulated bench is meant."""
+    """Which emulated bench is meant, and what its table and chamber speak."""
 
     clock: str = ""
     world: str = _DEFAULT_WORLD
     seed: int = 0
     faults: str = ""
+    table: str = ""
+    chamber: str = ""
 
 
 class EmulatedBench:
@@ -63,9 +69,13 @@ class EmulatedBench:
         List of faults to inject.
     faults_log : Path, optional
         Where injected faults are noted, in place of the list's own ``log``.
+    table, chamber : str
+        Dialects of these two.
 
     Attributes
     ----------
+    dialects : dict of str to str
+        Dialects of ``table`` and ``chamber``.
     table, chamber, ins
         The emulated instruments themselves.
     serial : dict of str to SerialInstrument
@@ -80,7 +90,8 @@ class EmulatedBench:
     Raises
     ------
     DocumentError
-        The world file or the list of faults is wrong, or the seed is below zero.
+        The world file or the list of faults is wrong, the seed is below zero, or no emulator of a
+        dialect is installed.
     """
 
     def __init__(
@@ -90,14 +101,17 @@ class EmulatedBench:
         seed: int,
         faults: Path | None = None,
         faults_log: Path | None = None,
+        table: str = _DEFAULT_TABLE,
+        chamber: str = _DEFAULT_CHAMBER,
     ) -> None:
         if seed < 0:
             raise DocumentError(f"emulated bench: the seed must not be below zero; found {seed}")
         self.clock = clock
         start_s = math.floor(clock.now())
         self.world = World(load_world(world), seed, start_s)
-        self.table = Acutrol3000Emulator(self.world.axes)
-        self.chamber = WatlowF4Emulator(self.world.air, on_event=self._chamber_event)
+        self.dialects = {"table": table, "chamber": chamber}
+        self.table = load(EMULATORS, table, TableEmulation).make(self.world.axes)
+        self.chamber = load(EMULATORS, chamber, ChamberEmulation).make(self.world.air, self._chamber_event)
         self.ins = CanInsEmulator(self.world, clock.epoch.timestamp())
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
         self.bus: CanNode = self.ins
@@ -107,7 +121,7 @@ class EmulatedBench:
         if faults is not None:
             listed = load_faults(faults)
             beside = faults.parent / listed.log if listed.log else None
-            self._inject(listed, seed, start_s, faults_log or beside)
+            self._inject(listed, seed, start_s, faults_log or beside, faults)
         self.advance()
 
     def advance(self) -> None:
@@ -117,12 +131,13 @@ class EmulatedBench:
         else:
             self._injector.advance(self.clock.now())
 
-    def _inject(self, faults: FaultList, seed: int, start_s: int, log: Path | None) -> None:
+    def _inject(self, faults: FaultList, seed: int, start_s: int, log: Path | None, path: Path) -> None:
         lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
         self.bus = bus = FaultyCan(self.ins)
         self.serial = dict(lines)
         self.connections = {name: line.connection for name, line in lines.items()} | {"ins": bus.connection}
-        parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus)
+        parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus, self.dialects)
+        check_faults(path, faults, parts)
         record = InjectionRecord(self.injected, log)
         self._injector = Injector(faults.faults, parts, seed, start_s, record)
 
@@ -140,8 +155,8 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     Raises
     ------
     DocumentError
-        The world file or the list of faults is wrong or absent, the seed is below zero, or no clock
-        of that name exists.
+        The world file or the list of faults is wrong or absent, the seed is below zero, no clock of
+        that name exists, or the bench speaks other dialects.
     """
     clock: Clock
     try:
@@ -153,12 +168,24 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     key = (world, address.seed, faults)
     bench = clock.companions.get(key)
     if not isinstance(bench, EmulatedBench):
-        bench = clock.companions[key] = EmulatedBench(clock, world, address.seed, faults)
+        bench = clock.companions[key] = EmulatedBench(
+            clock,
+            world,
+            address.seed,
+            faults,
+            table=address.table or _DEFAULT_TABLE,
+            chamber=address.chamber or _DEFAULT_CHAMBER,
+        )
+    for name, asked in (("table", address.table), ("chamber", address.chamber)):
+        if asked and asked != bench.dialects[name]:
+            raise DocumentError(
+                f"emulator address: the {name} of this bench speaks {bench.dialects[name]}, not {asked}"
+            )
     return bench
 
 
 def parse_address(url: str) -> tuple[str, BenchAddress]:
-    """Instrument name and bench of ``emulator://instrument?clock=..&world=..&seed=..&faults=..``.
+    """Instrument name and bench of ``emulator://instrument?clock=..&world=..`` and so on.
 
     Raises
     ------
@@ -176,7 +203,4 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     seed = values.get("seed", "0")
     if not seed.isdecimal():
         raise DocumentError(f"{url}: seed must be a whole number; found {seed!r}")
-    address = BenchAddress(
-        values.get("clock", ""), values.get("world", _DEFAULT_WORLD), int(seed), values.get("faults", "")
-    )
-    return parts.netloc, address
+    return parts.netloc, BenchAddress(**{**values, "seed": int(seed)})  # type: ignore[arg-type]

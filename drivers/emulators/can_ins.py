@@ -1,41 +1,19 @@
-"""Emulated INS on CAN: the frames of gyrobench_ins.dbc, sent and understood.
-
-Each navigation epoch is three frames (velocity, roll and pitch, heading with the epoch counter);
-each whole second begins with the time, status and temperature frames. They are packed here by
-hand, in the byte layout that the DBC describes.
-"""
+"""Emulated INS on CAN: frames out, commands in, in one of several sets of frames."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from typing import Protocol
 
 import can
-import numpy as np
 
-from drivers.emulators.world.compensation import NUMBERS, checksum
-from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
-from drivers.emulators.world.strapdown import euler_output
+from bench.errors import DocumentError
+from drivers.emulators.can_formats import CAN_FORMATS
+from drivers.emulators.world.inertial_unit import Epochs, Mode
 from drivers.emulators.world.world import World
 
-SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
-INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
-COMPENSATION_STATUS = 0x012
-INS_COMMAND, COMPENSATION_NUMBER = 0x200, 0x201
-
-_FIRMWARE, _HARDWARE = 103, 1
-_FRAME_S, _SLOW_FRAMES = 0.00025, 7
-_TWO_INTS = struct.Struct("<ii")
-_TWO_WORDS = struct.Struct("<II")
-_HEADING = struct.Struct("<iHBB")
-_STATUS = struct.Struct("<BBHBBH")
-_IDENTITY = struct.Struct("<IHH")
-_OPTICS = struct.Struct("<hhhH")
-_ELECTRONICS = struct.Struct("<hhhh")
-_OUTPUT_SCALES = np.array([1e4, 1e4, np.degrees(1e6), np.degrees(1e6), np.degrees(1e6)])
-_FULL_TURN = 360_000_000
-_INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
+#: The set of frames of an INS that is told nothing else.
+DEFAULT_FORMAT = "gyrobench_ins"
 
 
 class CanNode(Protocol):
@@ -73,10 +51,21 @@ class CanInsEmulator:
     def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
-        self._epoch_counter = 0
-        self._status_counter = 0
         self.listeners: list[Callable[[list[can.Message]], None]] = []
+        self.speak(DEFAULT_FORMAT)
         world.on_epochs = self._send_epochs
+
+    def speak(self, name: str) -> None:
+        """Put out, and understand, the frames of the DBC file of that name from now on.
+
+        Raises
+        ------
+        DocumentError
+            No emulated INS speaks it.
+        """
+        if name not in CAN_FORMATS:
+            raise DocumentError(f"no emulated INS speaks {name!r}; there are: {', '.join(CAN_FORMATS)}")
+        self._format = CAN_FORMATS[name](self._world, self._epoch_unix_s)
 
     def receive(self, message: can.Message) -> None:
         """Take a frame from the bus.
@@ -85,87 +74,18 @@ class CanInsEmulator:
         """
         if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
-        if self._world.unit.mode is Mode.OFF:
-            return
-        data = bytes(message.data)
-        if message.arbitration_id == INS_COMMAND and len(data) >= 2:
-            self._command(data[0], data[1])
-        elif message.arbitration_id == COMPENSATION_NUMBER and len(data) == 8:
-            self._number(*struct.unpack("<BBxxf", data))
+        if self._world.unit.mode is not Mode.OFF:
+            self._format.receive(message)
 
     def count_anew(self) -> None:
         """Begin all counters at zero, as switching on does."""
-        self._epoch_counter = self._status_counter = 0
+        self._format.count_anew()
 
     def skip_epochs(self, count: int) -> None:
         """Let the epoch counter jump."""
-        self._epoch_counter = (self._epoch_counter + count) & 0xFFFF
-
-    def _command(self, command: int, argument: int) -> None:
-        unit = self._world.unit
-        match command:
-            case 1:
-                unit.standby()
-            case 2:
-                unit.align()
-            case 3:
-                unit.navigate()
-            case 4 if argument in (0, 1):
-                unit.pitch_first = argument == 1
-            case 5:
-                unit.clear_compensation()
-            case 6:
-                unit.apply_compensation()
-
-    def _number(self, axis: int, index: int, value: float) -> None:
-        if axis < 3 and index < NUMBERS and np.isfinite(value):
-            self._world.unit.loaded[axis, index] = value
+        self._format.skip_epochs(count)
 
     def _send_epochs(self, epochs: Epochs) -> None:
-        scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
-        scaled = scaled.clip(_INT32_MIN, _INT32_MAX)
-        valid = 1 if epochs.mode is Mode.NAVIGATE or epochs.alignment else 0
-        messages: list[can.Message] = []
-        rows: list[list[int]] = scaled.astype(np.int64).tolist()
-        for sample, (north, east, roll, pitch, heading) in zip(epochs.sample.tolist(), rows, strict=True):
-            time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
-            if sample % SAMPLE_RATE_HZ == 0:
-                self._append_slow(messages, time_s, sample // SAMPLE_RATE_HZ, epochs)
-                time_s += _SLOW_FRAMES * _FRAME_S
-            counter = self._epoch_counter
-            self._epoch_counter = (counter + 1) & 0xFFFF
-            heading_data = _HEADING.pack(heading % _FULL_TURN, counter, epochs.alignment, valid)
-            messages += (
-                _message(time_s, VELOCITY_NE, _TWO_INTS.pack(north, east)),
-                _message(time_s + _FRAME_S, ROLL_PITCH, _TWO_INTS.pack(roll, pitch)),
-                _message(time_s + 2 * _FRAME_S, HEADING, heading_data),
-            )
+        messages = self._format.frames(epochs)
         for listener in self.listeners:
             listener(messages)
-
-    def _append_slow(self, messages: list[can.Message], time_s: float, second: int, epochs: Epochs) -> None:
-        unit, file = self._world.unit, self._world.file
-        centidegrees = np.rint(100.0 * self._world.temperatures_c()).clip(-32768, 32767)
-        case, *gyros = centidegrees.astype(int).tolist()
-        counter = self._status_counter
-        self._status_counter = (counter + 1) & 0xFFFF
-        height = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
-        align_s = min(int(unit.align_time_s), 0xFFFF)
-        in_use = unit.compensation
-        status = (epochs.mode, int(unit.pitch_first), align_s, 0 if in_use is None else 1, 0, counter)
-        checksums = (0 if in_use is None else in_use.checksum, checksum(unit.loaded))
-        slow = (
-            (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),
-            (HEIGHT_VELOCITY_D, _TWO_INTS.pack(height, 0)),
-            (INS_STATUS, _STATUS.pack(*status)),
-            (INS_IDENTITY, _IDENTITY.pack(file.ins.serial_number, _FIRMWARE, _HARDWARE)),
-            (COMPENSATION_STATUS, _TWO_WORDS.pack(*checksums)),
-            (OPTICS_TEMPERATURE, _OPTICS.pack(*gyros[:3], counter)),
-            (ELECTRONICS_TEMPERATURE, _ELECTRONICS.pack(*gyros[3:], case)),
-        )
-        for position, (identifier, data) in enumerate(slow):
-            messages.append(_message(time_s + position * _FRAME_S, identifier, data))
-
-
-def _message(time_s: float, identifier: int, data: bytes) -> can.Message:
-    return can.Message(timestamp=time_s, arbitration_id=identifier, data=data, is_extended_id=False)

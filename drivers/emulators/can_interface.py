@@ -19,8 +19,10 @@ class EmulatorBus(can.BusABC):
     ----------
     channel : str
         ``ins``.
-    clock, world, seed, faults
+    clock, world, seed, faults, table, chamber
         Which emulated bench; see :mod:`drivers.emulators.bench`.
+    frames : str
+        What the INS speaks from now on: a name in :data:`drivers.emulators.can_formats.CAN_FORMATS`.
 
     Raises
     ------
@@ -35,13 +37,18 @@ class EmulatorBus(can.BusABC):
         world: str = "gyro_a",
         seed: int = 0,
         faults: str = "",
+        frames: str = "",
+        table: str = "",
+        chamber: str = "",
         **options: Any,
     ) -> None:
         if channel != "ins":
             raise can.CanInitializationError(f"no emulated CAN channel {channel!r}; there is: ins")
         try:
-            self._bench = emulated_bench(BenchAddress(clock, world, seed, faults))
+            self._bench = emulated_bench(BenchAddress(clock, world, seed, faults, table, chamber))
             self._bench.advance()
+            if frames:
+                self._bench.ins.speak(frames)
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
         self._connection = self._bench.connections["ins"]

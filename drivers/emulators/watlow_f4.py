@@ -6,10 +6,10 @@ with an implied decimal point.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Literal, NamedTuple
 
+from drivers.emulators.dialect import ChamberEmulation, OnEvent
 from drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
 from drivers.emulators.world.chamber_air import ChamberAir
 
@@ -45,14 +45,14 @@ class WatlowF4Emulator:
     ----------
     air : ChamberAir
         The air; event output 1 switches its control.
+    on_event : callable, optional
+        Called with number and state of each event output that changes.
     address : int
         Modbus address, 1 to 247.
     model : {"F4P", "F4S"}
         Only the F4P ramps to its set point.
     decimals : int
         Places after the implied decimal point, 0 to 3.
-    on_event : callable, optional
-        Called with number and state of each event output that changes.
 
     Attributes
     ----------
@@ -69,11 +69,11 @@ class WatlowF4Emulator:
     def __init__(
         self,
         air: ChamberAir,
+        on_event: OnEvent | None = None,
         *,
         address: int = 1,
         model: Literal["F4P", "F4S"] = "F4P",
         decimals: int = 1,
-        on_event: Callable[[int, bool], None] | None = None,
     ) -> None:
         self.air = air
         self._address = address
@@ -110,12 +110,12 @@ class WatlowF4Emulator:
         """Frame with an exception code in reply to that function."""
         return exception_frame(self._address, function, code)
 
-    def power_off(self) -> None:
+    def power_off(self, now_s: float) -> None:  # noqa: ARG002
         """Lose power: every event output drops."""
         for number in range(1, _EVENT_OUTPUTS + 1):
             self._set_event(number, 0)
 
-    def power_on(self) -> None:
+    def power_on(self, now_s: float) -> None:  # noqa: ARG002
         """Come back with the settings last saved by register 25, alarms clear and outputs off."""
         self.alarm_1 = self.alarm_2 = _NO_ALARM
         self._sensor_latched = self._sensor_fault
@@ -295,3 +295,6 @@ class WatlowF4Emulator:
 
 def _hundredths_of_percent(share: float) -> int:
     return round(max(share, 0.0) * 10_000)
+
+
+DIALECT = ChamberEmulation(WatlowF4Emulator)

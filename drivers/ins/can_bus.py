@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from typing import Any
 
 import can
@@ -10,6 +11,9 @@ from can.interfaces.slcan import slcanBus
 
 from bench.clock import Clock
 from bench.errors import ConnectionFailedError
+
+# python-can warns of each frame that comes from socketcand in two pieces, as frames over TCP do.
+logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
 
 #: What errors call the instrument.
 INSTRUMENT = "INS"
@@ -27,7 +31,7 @@ def open_bus(
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
-    if interface == "emulator":
+    if interface in ("emulator", "replay"):
         options["clock"] = clock.name
     try:
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
@@ -55,6 +59,16 @@ def is_garbage(bus: can.BusABC, error: Exception) -> bool:
     # slcan wraps what it raises for bytes that are no text.
     of_text = isinstance(bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)
     return of_text or isinstance(error, (ValueError, LookupError))
+
+
+def stamp_in_time_of(clock: Clock, bus: can.BusABC, messages: list[can.Message]) -> None:
+    """Turn stamps by the host's calendar into times of a clock that runs faster.
+
+    slcan alone is stamped by the host; all others have the stamps of the bench itself.
+    """
+    if clock.speed != 1.0 and isinstance(bus, slcanBus):
+        for message in messages:
+            message.timestamp = clock.stamp_s(message.timestamp)
 
 
 def drop_half_line(bus: can.BusABC) -> None:

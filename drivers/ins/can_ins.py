@@ -22,7 +22,7 @@ from bench.errors import (
 )
 from drivers.ins.attitude import EulerSequence
 from drivers.ins.bound_signals import bind_signals
-from drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage
+from drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage, stamp_in_time_of
 from drivers.ins.command_map import Command, CommandMap, check_commands
 from drivers.ins.compensation import Compensation, checksum
 from drivers.ins.dbc_codec import DbcCodec
@@ -130,6 +130,7 @@ class CanIns:
         return ReplyError(INSTRUMENT, f"{self._bus}: what arrived is no CAN frame: {error}")
 
     def _take(self, messages: list[can.Message]) -> None:
+        stamp_in_time_of(self._clock, self._bus, messages)
         data_frames = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
         self._frames += len(data_frames)
         self._error_frames += len(messages) - len(data_frames)

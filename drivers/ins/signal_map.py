@@ -45,9 +45,12 @@ def _value_alone(value: Any) -> Any:
     return [value] if isinstance(value, int) else value
 
 
-SignalName = Annotated[str, AfterValidator(_is_signal_name)]
+SignalName = Annotated[
+    str, Field(json_schema_extra={"pattern": r"^[^.]+\.[^.]+$"}), AfterValidator(_is_signal_name)
+]
+_SequenceName = Literal["rpy_321", "pry_231"]
 #: One raw value or several that mean the same.
-Values = Annotated[list[int], BeforeValidator(_value_alone)]
+Values = Annotated[list[int], BeforeValidator(_value_alone, json_schema_input_type=int | list[int])]
 
 
 class SignalSource(StrictModel):
@@ -59,7 +62,9 @@ class SignalSource(StrictModel):
     unit: str | None = Field(default=None, description="unit to take instead of the DBC's")
 
 
-Source = Annotated[SignalSource, BeforeValidator(_signal_alone)]
+Source = Annotated[
+    SignalSource, BeforeValidator(_signal_alone, json_schema_input_type=SignalName | SignalSource)
+]
 
 
 class AxesMap(StrictModel):
@@ -73,9 +78,7 @@ class AxesMap(StrictModel):
 class SequenceMap(StrictModel):
     """The Euler sequence: fixed, or a signal with the values that stand for each."""
 
-    fixed: Literal["rpy_321", "pry_231"] | None = Field(
-        default=None, description="the sequence, where it never changes"
-    )
+    fixed: _SequenceName | None = Field(default=None, description="the sequence, where it never changes")
     signal: SignalName | None = Field(default=None, description="the signal that tells")
     rpy_321: int = Field(default=0, description="its value for roll, pitch, yaw")
     pry_231: int = Field(default=1, description="its value for pitch, roll, yaw")
@@ -93,9 +96,10 @@ class EulerMap(StrictModel):
     roll: Source = Field(description="signal of roll")
     pitch: Source = Field(description="signal of pitch")
     yaw: Source = Field(description="signal of yaw or heading")
-    sequence: Annotated[SequenceMap, BeforeValidator(_sequence_alone)] = Field(
-        description="rpy_321, pry_231, or the signal that tells"
-    )
+    sequence: Annotated[
+        SequenceMap,
+        BeforeValidator(_sequence_alone, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
+    ] = Field(description="rpy_321, pry_231, or the signal that tells")
     yaw_positive: Literal["up", "down"] = Field(
         description="up: counter-clockwise seen from above; down: a heading, clockwise"
     )

@@ -70,7 +70,13 @@ class RateTable(Protocol):
         ...
 
     def limits(self) -> tuple[AxisLimits, ...]:
-        """Read the controller's own limits of each axis, in ascending order of their numbers."""
+        """Read the controller's own limits of each axis, in ascending order of their numbers.
+
+        Raises
+        ------
+        RefusedError
+            The controller does not tell them.
+        """
         ...
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:

@@ -14,7 +14,9 @@ from dataclasses import fields
 from typing import TypeVar
 
 from bench.clock import Deadline
+from bench.documents import StrictModel
 from bench.errors import FaultError, NoReplyError, RefusedError, ReplyError
+from drivers.dialects import LineDefaults
 from drivers.rate_table import AxisLimits, TableReading
 from drivers.rate_table.acl_messages import (
     ABORTS,
@@ -26,6 +28,7 @@ from drivers.rate_table.acl_messages import (
     ReplyFraming,
     set_bits,
 )
+from drivers.rate_table.dialect import TableDialect
 from drivers.serial_line import SerialLine
 
 AnswerT = TypeVar("AnswerT")
@@ -277,3 +280,14 @@ def _whole_numbers(text: str, count: int) -> tuple[int, ...]:
     if len(values) != count or not all(map(_REGISTER.fullmatch, values)):
         raise ValueError
     return tuple(map(int, values))
+
+
+class Acutrol3000Options(StrictModel):
+    """No keys of its own."""
+
+
+def _open(line: SerialLine, axes: Sequence[int], options: Acutrol3000Options) -> Acutrol3000:  # noqa: ARG001
+    return Acutrol3000(line, axes)
+
+
+DIALECT = TableDialect(_open, Acutrol3000Options, LineDefaults(tcp_port=9878))

@@ -10,13 +10,13 @@ from rich.console import Console
 from bench.documents import find_document
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
+from bench.live.lines_view import LinesView
 from bench.navigation.earth import RADPS_TO_DPH
-from bench.progress_view import ProgressView
 from bench.station.instruments import Emulation
 from drivers.emulators.bench import BenchAddress, emulated_bench
 
 
-class Watcher(ProgressView):
+class Watcher(LinesView):
     """Prints as the command line does, and keeps what is told and what is true in the emulated world.
 
     Attributes

@@ -153,3 +153,37 @@ def test_the_time_of_a_resumed_run_never_goes_back_where_the_calendar_did(host):
     host.passes(1.0)
     assert clock.utc() == TEN + timedelta(seconds=1801.0 + RESUME_STEP_S)
     assert clock.calendar_offset_s() == pytest.approx(-3 * 3600.0 - 1800.0 - RESUME_STEP_S)
+
+
+def test_a_fast_clock_runs_so_many_times_as_fast_and_waits_accordingly(host):
+    clock = WallClock(speed=10.0)
+    assert clock.utc() == TEN
+    host.passes(3.0)
+    assert clock.now() == pytest.approx(30.0)
+    assert clock.utc() == TEN + timedelta(seconds=30)
+    clock.sleep(20.0)
+    assert host.slept_s == pytest.approx(2.0)
+
+
+def test_of_a_fast_clock_the_calendar_is_ahead_by_what_it_was_set(host):
+    clock = WallClock(TEN - timedelta(seconds=40), start_s=60.0, speed=10.0)
+    assert clock.calendar_offset_s() == pytest.approx(-20.0)
+    host.passes(5.0)
+    assert clock.calendar_offset_s() == pytest.approx(-20.0)
+    host.calendar += timedelta(seconds=7)
+    assert clock.calendar_offset_s() == pytest.approx(50.0)
+
+
+def test_a_stamp_of_the_calendar_becomes_the_time_of_a_fast_clock(host):
+    clock = WallClock(start_s=100.0, speed=10.0)
+    host.passes(2.0)
+    assert clock.stamp_s(host.calendar.timestamp()) == pytest.approx(clock.utc().timestamp())
+    assert WallClock().stamp_s(12.25) == 12.25
+    assert VirtualClock().stamp_s(12.25) == 12.25
+
+
+def test_a_fast_run_is_resumed_at_its_speed_after_its_last_record(host):
+    clock = WallClock.resumed(TEN - timedelta(seconds=10), 400.0, speed=10.0)
+    assert clock.now() == pytest.approx(400.0 + RESUME_STEP_S)
+    host.passes(1.0)
+    assert clock.now() == pytest.approx(410.0 + RESUME_STEP_S)

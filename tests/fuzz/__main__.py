@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from tests.fuzz.fuzzing import Tally, fuzz
+from tests.fuzz.fuzzing import HEADER, fuzz, table_of
 
 _SHOWN_PROBLEMS = 20
-_HEAD = ("kind", "inputs", "refused", "accepted", "problems")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,7 +22,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", action="append", default=[], help="kind of file; may be repeated")
     parser.add_argument("--input", type=int, default=None, help="only the input of this number, with --only")
     parser.add_argument("--keep", type=Path, default=None, help="folder for inputs that are a problem")
-    parser.add_argument("--table", type=Path, default=None, help="file for the table, as Markdown")
     parser.add_argument("--first", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--shared", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
@@ -35,22 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.stdout.write("".join(f"{problem}\n" for problem in problems[:_SHOWN_PROBLEMS]))
     if len(problems) > _SHOWN_PROBLEMS:
         sys.stdout.write(f"... and {len(problems) - _SHOWN_PROBLEMS} more\n")
-    rows = _rows(tallies)
-    for name, *counts in (_HEAD, *rows):
+    for name, *counts in (HEADER, *table_of(tallies)):
         sys.stdout.write(f"{name:20}{''.join(f'{count:>10}' for count in counts)}\n")
-    if options.table is not None:
-        lines = [_HEAD, ["---", *["---:"] * 4], *rows]
-        options.table.write_text("".join(f"| {' | '.join(map(str, line))} |\n" for line in lines))
     return int(bool(problems))
-
-
-def _rows(tallies: Mapping[str, Tally]) -> list[tuple[str, int, int, int, int]]:
-    rows = [
-        (kind, tally.inputs, tally.refused, tally.accepted, len(tally.problems))
-        for kind, tally in tallies.items()
-    ]
-    inputs, refused, accepted, problems = (sum(row[column] for row in rows) for column in range(1, 5))
-    return [*rows, ("all", inputs, refused, accepted, problems)]
 
 
 def _work(options: argparse.Namespace) -> None:

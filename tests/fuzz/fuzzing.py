@@ -6,10 +6,13 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+
+#: Columns of :func:`table_of`.
+HEADER = ("kind", "inputs", "refused", "accepted", "problems")
 
 
 @dataclass
@@ -76,6 +79,16 @@ def fuzz(
             whole.accepted += tally.accepted
             whole.problems += tally.problems
     return tallies
+
+
+def table_of(tallies: Mapping[str, Tally]) -> list[tuple[str, int, int, int, int]]:
+    """One row a kind, and one for all."""
+    rows = [
+        (kind, tally.inputs, tally.refused, tally.accepted, len(tally.problems))
+        for kind, tally in tallies.items()
+    ]
+    inputs, refused, accepted, problems = (sum(row[column] for row in rows) for column in range(1, 5))
+    return [*rows, ("all", inputs, refused, accepted, problems)]
 
 
 def _part(command: list[str], first: int, step: int, shared: Path) -> dict[str, Tally]:

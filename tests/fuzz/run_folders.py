@@ -29,12 +29,13 @@ from bench.engine.session import (
     run_job,
 )
 from bench.engine.verify import new_emulation
+from bench.live.console import PatientConsole
+from bench.live.lines_view import LinesView
 from bench.measurement.campaign import read_campaign
 from bench.procedure.plan import Plan
-from bench.progress_view import PatientConsole, ProgressView
 from bench.report.content import read_run
-from bench.report.noise_section import noise_section
-from bench.report.verification_section import verification_section
+from bench.report.run.noise_section import noise_section
+from bench.report.verification.section import verification_section
 from bench.run_store.can_log import read_can_log
 from bench.run_store.folder import RunFolder, open_run_folder
 from bench.run_store.telemetry import COLUMNS, read_telemetry
@@ -57,8 +58,8 @@ def finished_run(shared: Path, calibration: bytes) -> Path:
     return path
 
 
-def _unseen(nowhere: TextIO, plan: Plan) -> ProgressView:
-    return ProgressView(PatientConsole(file=nowhere), plan)
+def _unseen(nowhere: TextIO, plan: Plan) -> LinesView:
+    return LinesView(PatientConsole(file=nowhere), plan)
 
 
 def _copied(run: Path, folder: Path) -> Path:

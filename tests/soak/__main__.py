@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from tests.fuzz.fuzzing import HEADER, fuzz, table_of
 from tests.soak.faults import inject_faults
 from tests.soak.kills import kill_runs
 from tests.soak.long_run import long_run
@@ -57,17 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fuzz(count: int, seed: int) -> PartResult:
-    """Let the fuzzer run, and take its table."""
+    """Let the fuzzer run."""
     begin_s = time.monotonic()
-    command = [sys.executable, "-m", "tests.fuzz", "--count", str(count), "--seed", str(seed)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    lines = done.stdout.splitlines()
-    head = next((n for n, line in enumerate(lines) if line.startswith("kind ")), None)
-    if head is None:
-        raise RuntimeError(f"the fuzzer ended with {done.returncode} and without a table")
-    # Kinds may be of two words, their numbers are not.
-    rows = [line.rsplit(maxsplit=4) for line in lines[head + 1 :]]
-    _, inputs, refused, accepted, problems = rows[-1]
+    tallies = fuzz(count, seed)
+    rows = table_of(tallies)
+    _, *counts = rows[-1]
+    inputs, refused, accepted, problems = map(str, counts)
     return PartResult(
         "fuzz",
         "Fuzz",
@@ -75,8 +70,8 @@ def _fuzz(count: int, seed: int) -> PartResult:
          "problems": problems},
         "Mutated files of every kind that the bench reads. "
         f"Took {(time.monotonic() - begin_s) / 60.0:.0f} min.",
-        [PartTable(lines[head].split(), rows)],
-        lines[:head],
+        [PartTable(list(HEADER), [list(map(str, row)) for row in rows])],
+        [problem for tally in tallies.values() for problem in tally.problems],
         machine(),
     )  # fmt: skip
 

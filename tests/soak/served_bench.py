@@ -1,6 +1,6 @@
-"""``gyrobench-emulators`` that also writes down every frame that the INS sends: eleven bytes each.
+"""The emulators of ``gyrobench emulate``, writing down every frame that the INS sends: eleven bytes each.
 
-``python -m tests.soak.served_bench FRAMES [options of gyrobench-emulators]``
+``python -m tests.soak.served_bench FRAMES [options of drivers.emulators.serve]``
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def main() -> None:
     path = Path(sys.argv[1])
 
     class RecordedBench(EmulatedBench):
-        def __init__(self, *arguments: Any) -> None:
-            super().__init__(*arguments)
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
             file = path.open("wb", buffering=0)
             self.bus.listeners.append(lambda messages: file.write(b"".join(map(packed, messages))))
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.bias.tables.dwell_table import DwellRow
 from bench.engine.live_bench import LiveBench
+from bench.engine.people import Progress
 from bench.engine.session import Job
 from bench.procedure.plan import PlannedStep
 from drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
@@ -72,7 +72,7 @@ class Agreement:
         self.wrong += other.wrong
 
 
-class TruthWatcher:
+class TruthWatcher(Progress):
     """Keeps what is true in the emulated world while the INS navigates, dwell by dwell.
 
     Attributes
@@ -91,9 +91,6 @@ class TruthWatcher:
         self._emulation = job.emulation
         self._seen: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def told(self, text: str) -> None:
-        """Nothing to do."""
-
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """A dwell begins with its alignment."""
         self.step = planned.step.name
@@ -108,9 +105,6 @@ class TruthWatcher:
         if self.step == "navigate":
             world = self.bench.world
             self._seen.append((world.true_gyro_bias() / DPH, world.thermal.optics_c.copy()))
-
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
-        """Nothing to do."""
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Keep the truth of this dwell."""

@@ -73,7 +73,8 @@ class InsChecks:
         if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
             yield Finding("ins_fault", "the INS reports a fault. Read its own diagnostics.")
         for temperature in self._temperatures:
-            unknown_s = now_s - max(temperature.known_s, self._on_s)
+            # By what has been looked at: the first look may come before the first temperatures.
+            unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
             if math.isfinite(temperature.value_c) or unknown_s > self._silence_s:
                 yield from _level(temperature)
             if problem := too_fast(temperature.what, temperature.rate.per_s(), temperature.rate_c_per_min):

@@ -24,13 +24,14 @@ class TableChecks:
     """
 
     def __init__(self, station: Station) -> None:
-        rules, limits = station.file.interlocks, station.file.rate_table.limits
+        rules, section = station.file.interlocks, station.file.rate_table
+        limits = section.limits
         self._station = station
         self._rate_dps = rules.table_rate.limit_or_default_dps(limits.rate_dps)
         self._acceleration_dps2 = rules.table_acceleration.limit_or_default_dps2(limits.acceleration_dps2)
         self._angles_deg = {
-            "outer": rules.outer_angle.range_deg(limits.outer_deg),
-            "inner": rules.inner_angle.range_deg(limits.inner_deg),
+            "outer": rules.outer_angle.range_deg(section.outer_limits_deg),
+            "inner": rules.inner_angle.range_deg(section.inner_limits_deg),
         }
         self._silence_s = rules.table_silence.limit_or_default_s(station.instruments_period_s)
         self._rates: tuple[float, tuple[float, float]] = (-math.inf, (0.0, 0.0))

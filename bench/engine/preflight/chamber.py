@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from bench.engine.preflight.answer import answered, failed, unanswered
-from bench.errors import FaultError, InstrumentError
+from bench.errors import FaultError, InstrumentError, RefusedError
 from bench.station.check import Check
 from bench.station.station import Station
 from drivers.chamber import Chamber
@@ -62,7 +62,10 @@ def _air(station: Station, chamber: Chamber, what: str) -> Check:
 
 
 def _limits(station: Station, chamber: Chamber, what: str) -> Check:
-    low_c, high_c = chamber.limits_c()
+    try:
+        low_c, high_c = chamber.limits_c()
+    except RefusedError as error:
+        return Check.skipped(_SUBJECT, what, f"the controller does not tell them ({error})")
     ours = station.file.chamber.limits
     return Check.of(
         _SUBJECT,
@@ -70,5 +73,5 @@ def _limits(station: Station, chamber: Chamber, what: str) -> Check:
         low_c <= ours.low_c and ours.high_c <= high_c,
         f"{low_c:g} to {high_c:g} degC in the controller, {ours.low_c:g} to {ours.high_c:g} degC in the "
         "station file",
-        "Narrow chamber.limits in the station file, or widen the controller's limits (registers 602, 603).",
+        "Narrow chamber.limits in the station file, or widen the controller's own limits of its set point.",
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bench.clock import Clock, VirtualClock, WallClock
 from bench.documents import find_document
+from bench.engine.preflight.messages import message_checks
 from bench.engine.preflight.preflight import preflight
 from bench.errors import DocumentError
 from bench.procedure.document import load_procedure
@@ -42,7 +43,7 @@ def check_bench(
     bench = Station(find_document("stations", station))
     bench.check_dbc()
     if clock is None:
-        clock = VirtualClock() if bench.file.clock == "virtual" else WallClock()
+        clock = VirtualClock() if bench.file.clock == "virtual" else WallClock(speed=bench.file.speed)
     plan, of_plan = _plan(bench, procedure)
     with (
         BenchLock(bench, folder, clock),
@@ -55,7 +56,7 @@ def check_bench(
             opened.callback(driver.close)
             return driver
 
-        return [of_plan, *preflight(bench, outputs, ins, clock, folder, plan)]
+        return [of_plan, *preflight(bench, outputs, ins, clock, folder, plan), *message_checks(bench)]
 
 
 def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:

@@ -50,8 +50,10 @@ def _limits(station: Station, table: RateTable) -> Check:
     except InstrumentError as error:
         return failed(_SUBJECT, _LIMITS, error)
     section = station.file.rate_table
-    outer, inner = limits if section.outer_axis_number < section.inner_axis_number else reversed(limits)
-    problems = [*_beyond(station, "outer", outer), *_beyond(station, "inner", inner)]
+    of_axis = dict(zip(section.axis_numbers, limits, strict=True))
+    problems = [*_beyond(station, "inner", of_axis[section.inner_axis_number])]
+    if not section.is_single_axis:
+        problems = [*_beyond(station, "outer", of_axis[section.outer_axis_number]), *problems]
     return Check.of(
         _SUBJECT,
         _LIMITS,
@@ -63,7 +65,8 @@ def _limits(station: Station, table: RateTable) -> Check:
 
 def _beyond(station: Station, axis: str, own: AxisLimits) -> Iterator[str]:
     """Say what the station allows an axis and the controller does not."""
-    limits = station.file.rate_table.limits
+    section = station.file.rate_table
+    limits = section.limits
     for name, ours, theirs, unit in (
         ("rate", limits.rate_dps, own.rate_dps, "deg/s"),
         ("rate, which trips,", limits.rate_dps, own.trip_dps, "deg/s"),
@@ -72,7 +75,7 @@ def _beyond(station: Station, axis: str, own: AxisLimits) -> Iterator[str]:
     ):
         if ours > theirs:
             yield f"{axis} axis: {name} {ours:g} {unit} in the station file, {theirs:g} in the controller"
-    low_deg, high_deg = limits.outer_deg if axis == "outer" else limits.inner_deg
+    low_deg, high_deg = section.outer_limits_deg if axis == "outer" else section.inner_limits_deg
     if low_deg < own.low_deg or high_deg > own.high_deg:
         yield (
             f"{axis} axis: {low_deg:g} to {high_deg:g} deg in the station file, "

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.can_ins import HEADING, INS_STATUS
+from drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
 from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
 from drivers.emulators.faults.faulty_can import FaultyCan, FrameFilter
 from drivers.emulators.faults.timing import Count, Lasting
@@ -105,7 +105,7 @@ class FramesCorrupted(FrameFault):
     """Bits of the data are wrong."""
 
     fault: Literal["frames_corrupted"]
-    bits: Annotated[int, Field(ge=1, le=8)] = 1
+    bits: int = Field(default=1, ge=1, le=8, description="how many bits of the data are wrong")
 
     @override
     def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
@@ -123,7 +123,7 @@ class CounterJump(Fault):
     lasting: ClassVar[Lasting] = Lasting.MOMENT
 
     fault: Literal["counter_jump"]
-    by: Annotated[int, Field(ge=1, le=65535)]
+    by: int = Field(ge=1, le=65535, description="how far the epoch counter jumps")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -136,7 +136,7 @@ class TimeStampJump(Fault):
     """The time stamps that the receiver gives to frames are wrong."""
 
     fault: Literal["time_stamp_jump"]
-    by_s: float
+    by_s: float = Field(description="how wrong the time stamps are, s")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -193,8 +193,8 @@ class ForeignFrames(Fault):
 
     fault: Literal["foreign_frames"]
     load: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="share of the bus that is in use")
-    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 500_000
-    first_id: Annotated[int, Field(ge=0, le=0x700)] = 0x300
+    bitrate: int = Field(default=500_000, ge=10_000, le=1_000_000, description="of the bus, bit/s")
+    first_id: int = Field(default=0x300, ge=0, le=0x700, description="lowest identifier of their frames")
     nodes: Annotated[int, Field(ge=1, le=256)] = Field(64, description="how many ids, from first_id on")
 
     @override

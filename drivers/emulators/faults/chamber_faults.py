@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 from typing_extensions import override
 
+from drivers.emulators.dialect import WithAlarms, WithSensor
 from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
 from drivers.emulators.faults.timing import Lasting
 from drivers.emulators.world.chamber_air import ChamberAir
@@ -18,7 +19,7 @@ from drivers.emulators.world.quantities import Positive
 class ControlFault(Fault):
     """The air is held beside its set point."""
 
-    by_c: Positive
+    by_c: Positive = Field(description="by how much the set point is missed, K")
 
     def direction(self, air: ChamberAir) -> float:
         """Sign of the error."""
@@ -63,24 +64,34 @@ class ChamberSensorError(Fault):
     error: Annotated[int, Field(ge=1, le=10)] = Field(1, description="number in register 101")
 
     @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("chamber", WithSensor)
+
+    @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.chamber.break_sensor(self.error)
+        chamber = bench.able("chamber", WithSensor)
+        chamber.break_sensor(self.error)
         occurrence.record()
-        return bench.chamber.mend_sensor
+        return chamber.mend_sensor
 
 
 class ChamberAlarm(Fault):
     """An alarm of the controller; its cause lasts ``for_s``, the alarm until it is cleared after that."""
 
     fault: Literal["chamber_alarm"]
-    alarm: Literal[1, 2] = 1
-    state: Literal["high", "low"] = "high"
+    alarm: Literal[1, 2] = Field(default=1, description="number of the alarm")
+    state: Literal["high", "low"] = Field(default="high", description="which limit it tells of")
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("chamber", WithAlarms)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.chamber.raise_alarm(self.alarm, self.state == "high")
+        chamber = bench.able("chamber", WithAlarms)
+        chamber.raise_alarm(self.alarm, self.state == "high")
         occurrence.record()
-        return partial(bench.chamber.end_alarm, self.alarm)
+        return partial(chamber.end_alarm, self.alarm)
 
 
 class DoorOpened(Fault):
@@ -127,7 +138,7 @@ class SetPointChangedAtPanel(Fault):
     lasting: ClassVar[Lasting] = Lasting.MOMENT
 
     fault: Literal["set_point_changed_at_panel"]
-    to_c: Annotated[float, Field(ge=-60.0, le=100.0)]
+    to_c: float = Field(ge=-60.0, le=100.0, description="the new set point, degC")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:

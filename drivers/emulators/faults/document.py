@@ -7,9 +7,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bench.documents import StrictModel, read_document, validate
+from bench.documents import Problem, StrictModel, read_document, validate
 from drivers.emulators.faults.can_faults import CanFault
 from drivers.emulators.faults.chamber_faults import ChamberFault
+from drivers.emulators.faults.fault import BenchParts, UnfitError
 from drivers.emulators.faults.ins_faults import InsFault
 from drivers.emulators.faults.serial_faults import SerialFault
 from drivers.emulators.faults.table_faults import TableFault
@@ -23,11 +24,11 @@ AnyFault = Annotated[
 class FaultList(StrictModel):
     """What fails, and when."""
 
-    description: str = ""
+    description: str = Field(default="", description="what the list is for, for people")
     log: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")] | None = Field(
         None, description="name of a file beside this one to which each injection is added as a line of JSON"
     )
-    faults: list[AnyFault]
+    faults: list[AnyFault] = Field(description="what fails, and when")
 
 
 def load_faults(path: Path) -> FaultList:
@@ -39,3 +40,21 @@ def load_faults(path: Path) -> FaultList:
         The file can't be read, or something in it is wrong; the message lists all of it.
     """
     return validate(read_document(path), FaultList)
+
+
+def check_faults(path: Path, listed: FaultList, bench: BenchParts) -> None:
+    """Refuse faults that this bench can't have, whatever its dialects are.
+
+    Raises
+    ------
+    DocumentError
+        Lists them, each with its place in the file.
+    """
+    problems = []
+    for index, fault in enumerate(listed.faults):
+        try:
+            fault.check(bench)
+        except UnfitError as error:
+            problems.append(Problem(("faults", index), f"the fault {fault.kind!r}: {error}"))
+    if problems:
+        raise read_document(path).error(problems)

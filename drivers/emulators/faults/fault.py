@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
-from drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from drivers.emulators.can_ins import CanInsEmulator
 from drivers.emulators.faults.faulty_can import FaultyCan
 from drivers.emulators.faults.faulty_serial import FaultySerial
 from drivers.emulators.faults.timing import Timing
-from drivers.emulators.watlow_f4 import WatlowF4Emulator
+from drivers.emulators.serial_instrument import SerialInstrument
 from drivers.emulators.world.world import World
 
 #: Ends a fault; nothing to do where None stands for it.
 End = Callable[[], None] | None
+
+AbilityT = TypeVar("AbilityT")
+
+
+class UnfitError(Exception):
+    """A fault that this bench can't have; never leaves the checks of a list."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +33,30 @@ class BenchParts:
     ----------
     lines : mapping of str to FaultySerial
         ``table`` and ``chamber`` at their ports.
+    dialects : mapping of str to str
+        What these two speak.
     """
 
     world: World
-    table: Acutrol3000Emulator
-    chamber: WatlowF4Emulator
+    table: SerialInstrument
+    chamber: SerialInstrument
     ins: CanInsEmulator
     lines: Mapping[str, FaultySerial]
     bus: FaultyCan
+    dialects: Mapping[str, str] = field(default_factory=dict)
+
+    def able(self, name: str, ability: type[AbilityT]) -> AbilityT:
+        """Table or chamber as something that a fault needs.
+
+        Raises
+        ------
+        UnfitError
+            An emulator of this dialect is nothing such.
+        """
+        instrument = self.table if name == "table" else self.chamber
+        if not isinstance(instrument, ability):
+            raise UnfitError(f"an emulated {name} of the dialect {self.dialects.get(name)} can't have it")
+        return instrument
 
 
 @dataclass(frozen=True)
@@ -63,6 +85,9 @@ class Fault(Timing):
     def kind(self) -> str:
         """Name of the kind."""
         return str(getattr(self, "fault"))  # noqa: B009
+
+    def check(self, bench: BenchParts) -> None:
+        """Raise UnfitError where this bench can't have the fault."""
 
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         """Begin on the bench, whose world is at the present; returns what ends it."""

@@ -13,7 +13,7 @@ import can
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.can_ins import HEADING, ROLL_PITCH, VELOCITY_NE
+from drivers.emulators.can_formats.gyrobench_ins import HEADING, ROLL_PITCH, VELOCITY_NE
 from drivers.emulators.faults.can_faults import filter_while
 from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
 from drivers.emulators.faults.timing import Lasting
@@ -151,7 +151,7 @@ class SaturatedOutput(OutputFault):
 class SensorFault(Fault):
     """A temperature sensor that does not read its temperature; the INS's own compensation uses it too."""
 
-    sensor: Sensor
+    sensor: Sensor = Field(description="which temperature sensor")
 
     def reading_c(self, bench: BenchParts) -> float:
         """What it reads from now on."""
@@ -174,7 +174,7 @@ class TemperatureSensorBroken(SensorFault):
     """A temperature sensor reads the end of its range."""
 
     fault: Literal["temperature_sensor_broken"]
-    end: Literal["high", "low"] = "high"
+    end: Literal["high", "low"] = Field(default="high", description="which end of its range it reads")
 
     @override
     def reading_c(self, bench: BenchParts) -> float:

@@ -13,6 +13,8 @@ from pydantic import Field
 from typing_extensions import override
 
 from drivers.emulators.acl_syntax import ErrorCode
+from drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from drivers.emulators.dialect import Restartable, SpeaksModbus
 from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
 from drivers.emulators.faults.faulty_serial import Exchange, FaultySerial, Reply
 from drivers.emulators.faults.timing import Count, Lasting
@@ -27,7 +29,7 @@ class LineFault(Fault):
 
     lasting: ClassVar[Lasting] = Lasting.UNTIL_USED
 
-    target: LineName
+    target: LineName = Field(description="whose line: table or chamber")
     replies: Count = Field(1, description="without for_s: how many replies it touches")
 
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -77,7 +79,7 @@ class LateReply(LineFault):
     """The reply comes later than usual; what is asked meanwhile is answered after it."""
 
     fault: Literal["late_reply"]
-    delay_s: Positive
+    delay_s: Positive = Field(description="how much later the reply comes, s")
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -108,8 +110,8 @@ class Garbage(LineFault):
     """Random bytes come before the reply, or in place of it."""
 
     fault: Literal["garbage"]
-    bytes: Count = 8
-    instead: bool = False
+    bytes: Count = Field(default=8, description="how many random bytes come")
+    instead: bool = Field(default=False, description="in place of the reply, not before it")
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -122,7 +124,7 @@ class DamagedReply(LineFault):
     """One bit is wrong in each of so many bytes of the reply."""
 
     fault: Literal["damaged_reply"]
-    bytes: Count = 1
+    bytes: Count = Field(default=1, description="in how many bytes one bit is wrong")
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -138,7 +140,13 @@ class WrongCrc(LineFault):
     """The check sum of a Modbus reply is wrong, its content right."""
 
     fault: Literal["wrong_crc"]
-    target: Literal["chamber"] = "chamber"
+    target: Literal["chamber"] = Field(
+        default="chamber", description="whose line; only the chamber's can have it"
+    )
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("chamber", SpeaksModbus)
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -150,33 +158,45 @@ class ExceptionCode(LineFault):
     """The chamber controller does nothing and answers with a Modbus exception code."""
 
     fault: Literal["exception_code"]
-    target: Literal["chamber"] = "chamber"
+    target: Literal["chamber"] = Field(
+        default="chamber", description="whose line; only the chamber's can have it"
+    )
     code: Annotated[int, Field(ge=1, le=255)] = Field(6, description="4 device failure, 6 busy")
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("chamber", SpeaksModbus)
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         if len(exchange.request) <= _CRC_BYTES:
             return None
-        return Reply(bench.chamber.refusal(exchange.request[1], self.code))
+        return Reply(bench.able("chamber", SpeaksModbus).refusal(exchange.request[1], self.code))
 
 
 class ErrorWord(LineFault):
     """The table controller does nothing and answers with an error word and its text."""
 
     fault: Literal["error_word"]
-    target: Literal["table"] = "table"
-    error: Literal["syntax", "unknown_command", "parameter_out_of_range", "not_available"] = "not_available"
+    target: Literal["table"] = Field(default="table", description="whose line; only the table's can have it")
+    error: Literal["syntax", "unknown_command", "parameter_out_of_range", "not_available"] = Field(
+        default="not_available", description="what the table answers"
+    )
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("table", Acutrol3000Emulator)
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
-        return Reply(bench.table.refusal(ErrorCode[self.error.upper()]))
+        return Reply(bench.able("table", Acutrol3000Emulator).refusal(ErrorCode[self.error.upper()]))
 
 
 class PortGone(Fault):
     """The port is unplugged; whoever had it open has to open it anew after it is back."""
 
     fault: Literal["port_gone"]
-    target: LineName
+    target: LineName = Field(description="whose line: table or chamber")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -194,23 +214,24 @@ class InstrumentRestarts(Fault):
     """
 
     fault: Literal["instrument_restarts"]
-    target: LineName
+    target: LineName = Field(description="whose line: table or chamber")
     for_s: Positive = Field(10.0, description="time that it takes to boot")
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able(self.target, Restartable)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line: FaultySerial = bench.lines[self.target]
+        instrument = bench.able(self.target, Restartable)
         line.powered = False
         occurrence.record()
-        if self.target == "table":
-            bench.table.power_cycle(occurrence.now_s())
-        else:
-            bench.chamber.power_off()
+        instrument.power_off(occurrence.now_s())
 
         def come_back() -> None:
             line.powered = True
-            if self.target == "chamber":
-                bench.chamber.power_on()
+            instrument.power_on(occurrence.now_s())
 
         return come_back
 

@@ -7,10 +7,13 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.acl_axis import AclAxis, SoftwareFault
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from drivers.emulators.acl_axis import SoftwareFault
+from drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from drivers.emulators.dialect import Servoed
+from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, UnfitError
 from drivers.emulators.faults.timing import Lasting
 from drivers.emulators.world.quantities import Positive
+from drivers.emulators.world.table_axis import TableAxis
 from drivers.emulators.world.world import INNER, OUTER
 
 Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]
@@ -19,16 +22,27 @@ Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss"
 class AxisFault(Fault):
     """A fault of one axis."""
 
-    axis: Literal["outer", "inner"] = "inner"
-
-    def of(self, bench: BenchParts) -> AclAxis:
-        """The axis, as the controller sees it at this moment."""
-        return bench.table.axes[self.number]
+    axis: Literal["outer", "inner"] = Field(default="inner", description="which axis")
 
     @property
     def number(self) -> int:
         """Number of the axis."""
         return OUTER if self.axis == "outer" else INNER
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        try:
+            self.is_servoed(bench)
+        except KeyError:
+            raise UnfitError(f"this table has no {self.axis} axis") from None
+
+    def physics(self, bench: BenchParts) -> TableAxis:
+        """The axis itself."""
+        return bench.world.axes[self.number]
+
+    def is_servoed(self, bench: BenchParts) -> bool:
+        """Whether the controller holds the axis at this moment."""
+        return bench.able("table", Servoed).is_servoed(self.number)
 
 
 class TableStalls(AxisFault):
@@ -38,27 +52,27 @@ class TableStalls(AxisFault):
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        axis = self.of(bench)
-        axis.physics.overcome(occurrence.now_s())
+        axis = self.physics(bench)
+        axis.overcome(occurrence.now_s())
         occurrence.record()
-        return lambda: axis.physics.let_go(occurrence.now_s(), servo=axis.closed)
+        return lambda: axis.let_go(occurrence.now_s(), servo=self.is_servoed(bench))
 
 
 class PositionNotReached(AxisFault):
     """Moves end before their target; beyond a degree the controller trips on the tracking error."""
 
     fault: Literal["position_not_reached"]
-    short_by_deg: Positive = 0.05
+    short_by_deg: Positive = Field(default=0.05, description="how far before its target it stops, deg")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        axis = self.of(bench)
-        axis.physics.friction_deg = self.short_by_deg
+        axis = self.physics(bench)
+        axis.friction_deg = self.short_by_deg
         occurrence.record()
 
         def end() -> None:
-            axis.physics.friction_deg = 0.0
-            axis.physics.let_go(occurrence.now_s(), servo=axis.closed)
+            axis.friction_deg = 0.0
+            axis.let_go(occurrence.now_s(), servo=self.is_servoed(bench))
 
         return end
 
@@ -71,15 +85,15 @@ class MovedByHand(AxisFault):
     """
 
     fault: Literal["moved_by_hand"]
-    by_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
-    back: bool = True
+    by_deg: float = Field(ge=-180.0, le=180.0, description="how far it is moved, deg")
+    back: bool = Field(default=True, description="whether it is moved back at the end")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        axis = self.of(bench)
-        axis.physics.overcome(occurrence.now_s(), self.by_deg)
+        axis = self.physics(bench)
+        axis.overcome(occurrence.now_s(), self.by_deg)
         occurrence.record()
-        return lambda: axis.physics.let_go(occurrence.now_s(), servo=self.back and axis.closed)
+        return lambda: axis.let_go(occurrence.now_s(), servo=self.back and self.is_servoed(bench))
 
 
 class TableTrips(AxisFault):
@@ -88,11 +102,17 @@ class TableTrips(AxisFault):
     lasting: ClassVar[Lasting] = Lasting.MOMENT
 
     fault: Literal["table_trips"]
-    trip: Trip = "rate_trip"
+    trip: Trip = Field(default="rate_trip", description="what trips")
+
+    @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("table", Acutrol3000Emulator)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.table.trip(self.number, SoftwareFault[self.trip.upper()], occurrence.now_s())
+        bench.able("table", Acutrol3000Emulator).trip(
+            self.number, SoftwareFault[self.trip.upper()], occurrence.now_s()
+        )
         occurrence.record()
         return None
 
@@ -104,10 +124,15 @@ class InterlockOpens(AxisFault):
     bit: Annotated[int, Field(ge=0, le=15)] = Field(0, description="bit of the interlock register")
 
     @override
+    def check(self, bench: BenchParts) -> None:
+        bench.able("table", Acutrol3000Emulator)
+
+    @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.table.open_interlock(self.number, occurrence.now_s(), self.bit)
+        table = bench.able("table", Acutrol3000Emulator)
+        table.open_interlock(self.number, occurrence.now_s(), self.bit)
         occurrence.record()
-        return lambda: bench.table.close_interlock(self.number, self.bit)
+        return lambda: table.close_interlock(self.number, self.bit)
 
 
 TableFault = TableStalls | PositionNotReached | MovedByHand | TableTrips | InterlockOpens

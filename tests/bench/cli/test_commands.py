@@ -61,7 +61,8 @@ def test_close_prints_the_verdict_and_leaves_page_figures_and_tables(table):
     assert result.stdout.startswith(("Explained.", "Ambiguous."))
     assert max(map(len, result.stdout.splitlines()[:-4])) <= 80
     left = {path.name for path in (table.parent / "closure").iterdir()}
-    assert left == {"closure.html", "closure.json", "predictions.csv", "model.yaml", "figures"}
+    tables = {"closure.json", "findings.json", "predictions.csv", "model.yaml"}
+    assert left == {"closure.html", "figures", *tables}
 
 
 def test_close_holds_out_the_cycles_that_it_is_told(table, tmp_path):

@@ -10,7 +10,7 @@ from rich.console import Console
 from bench.documents import find_document, read_document
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
-from bench.progress_view import ProgressView
+from bench.live.lines_view import LinesView
 from bench.run_store.folder import RunFolder
 from bench.station.instruments import Emulation
 from drivers.emulators.bench import BenchAddress, emulated_bench
@@ -38,7 +38,7 @@ _KEYS = {
 EFFECTS = {kind: {"kind": kind, **keys} for kind, keys in _KEYS.items()}
 
 
-class Truth(ProgressView):
+class Truth(LinesView):
     """Watches a run and keeps what is true in the emulated world while the INS navigates.
 
     Attributes

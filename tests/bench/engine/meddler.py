@@ -2,12 +2,13 @@
 
 from bench.documents import find_document
 from bench.engine.operator import ConsentingOperator
+from bench.engine.people import Progress
 from bench.engine.session import prepare_job, run_job
 from bench.station.instruments import Emulation
 from drivers.emulators.bench import BenchAddress, emulated_bench
 
 
-class Meddler:
+class Meddler(Progress):
     """Does its deed once, in the nth step of some kind; the world is ``ideal``."""
 
     def __init__(self, kind, deed, nth=1):
@@ -17,9 +18,6 @@ class Meddler:
         self.done = False
         self.now = ""
         self.bench = None
-
-    def told(self, text):
-        pass
 
     def step_started(self, planned, bench):
         self.now = planned.step.name
@@ -32,12 +30,6 @@ class Meddler:
         if self.now == self.kind and self.left == 0 and not self.done:
             self.done = True
             self.deed(self.bench, clock)
-
-    def estimated(self, estimate):
-        pass
-
-    def dwell_measured(self, row):
-        pass
 
 
 class RefusingOperator(ConsentingOperator):

@@ -11,6 +11,7 @@ from bench.bias.tables.dwell_table import read_dwells
 from bench.clock import VirtualClock
 from bench.engine.operator import ConsentingOperator
 from bench.engine.orders import Order
+from bench.engine.people import Progress
 from bench.engine.session import (
     MOST_RESUMED_IN_VAIN,
     describe_resumption,
@@ -51,7 +52,7 @@ class KilledError(BaseException):
     """Stands for a kill where a process of its own would cost seconds."""
 
 
-class Watcher:
+class Watcher(Progress):
     """Ends the run in the nth step of a kind by an exception that nothing catches."""
 
     def __init__(self, kind="", nth=1):
@@ -68,12 +69,6 @@ class Watcher:
         if self.kind and self.left == 0:
             self.left = -1
             raise KilledError
-
-    def estimated(self, estimate):
-        pass
-
-    def dwell_measured(self, row):
-        pass
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from bench.bias.tables.verification_table import read_verification
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import measure_again, prepare_job, run_job
 from bench.errors import DocumentError
+from bench.live.lines_view import LinesView
 from bench.navigation.positions import AXES
-from bench.progress_view import ProgressView
 from bench.report.html import write_report
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
@@ -51,7 +51,7 @@ def run(path, dwells, calibration=None):
     procedure = path / "procedure.yaml"
     procedure.write_text(POSITIONS + dwells)
     job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0), calibration)
-    with ProgressView(Console(file=io.StringIO(), width=80), job.plan) as progress:
+    with LinesView(Console(file=io.StringIO(), width=80), job.plan) as progress:
         folder, outcome = run_job(job, path / "run", progress, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     return folder, outcome

@@ -16,8 +16,8 @@ from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
 from bench.engine.verify import Verification, new_emulation
 from bench.errors import DocumentError, RunFolderError
+from bench.live.lines_view import LinesView
 from bench.measurement.campaign import read_campaign
-from bench.progress_view import ProgressView
 from bench.run_store.compensation_file import read_compensation
 from bench.run_store.journal import read_journal
 from bench.station.instruments import Emulation
@@ -61,7 +61,7 @@ steps:
 
 
 def watched(job):
-    return ProgressView(Console(file=io.StringIO(), width=80), job.plan)
+    return LinesView(Console(file=io.StringIO(), width=80), job.plan)
 
 
 @pytest.fixture(scope="module")

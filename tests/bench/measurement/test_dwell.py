@@ -27,8 +27,10 @@ def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
     assert row.sigma_dph == tuple(measured.estimate.sigma_dph)
     assert row.paper_bias_dph == tuple(measured.paper.bias_dph)
     assert row.fit_p_value == measured.estimate.fit.p_value
-    # An epoch a second over 150 s, and what the commands around them take.
-    assert all(151 <= len(window.time_s) <= 152 for window in measured.windows)
+    # An epoch a second over 150 s, and over what the commands around them take.
+    for window in measured.windows:
+        assert np.diff(window.time_s) == pytest.approx(1.0)
+        assert 150.0 <= window.time_s[-1] - window.time_s[0] < 152.0
     assert np.abs(np.subtract(row.gyro_c, 25.0)).max() < 5.0
 
 

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from bench.engine.operator import ConsentingOperator
 from bench.engine.session import prepare_job, run_job
+from bench.live.lines_view import LinesView
 from bench.measurement.residual_check import check_residuals
-from bench.progress_view import ProgressView
 from bench.station.instruments import Emulation
 from drivers.ins import Compensation
 
@@ -39,7 +39,7 @@ def run(path, compensation=None):
     procedure = path / "residuals.yaml"
     procedure.write_text(PROCEDURE)
     job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0), compensation=compensation)
-    with ProgressView(Console(file=io.StringIO(), width=80), job.plan) as progress:
+    with LinesView(Console(file=io.StringIO(), width=80), job.plan) as progress:
         _, outcome = run_job(job, path / "run", progress, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     return [dwell.row for dwell in outcome.dwells], outcome.verifications, job.station.site

@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import json
 import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
+from bench.bias.acceptance import judge
 from bench.bias.bins import BiasBin, bin_biases, write_bins
+from bench.bias.tables.acceptance_file import write_acceptance
 from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.bias.tables.verification_table import write_verification
+from bench.bias.verdicts import Acceptance, AcceptanceLimits
 from bench.clock import VirtualClock
 from bench.documents import find_document
-from bench.report.bias_figure import bias_figure
+from bench.report.closure.page import write_closure_page
+from bench.report.comparison.page import write_verify_page
 from bench.report.content import read_run
-from bench.report.figures import save_figure
+from bench.report.figures.bias import bias_figure
 from bench.report.html import render, write_report
-from bench.report.sections import Section, SectionFigure, SectionTable
+from bench.report.page.figure_files import with_figure_files
+from bench.report.page.sections import Section, SectionFigure, SectionTable
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import Journal
-from tests.bench.report.test_verification_section import ALIGNMENT, ROW
+from tests.bench.report.made_up_closure import clean
+from tests.bench.report.made_up_comparison import confirmed
+from tests.bench.report.verification.test_section import ALIGNMENT, ROW
 
 
 @dataclass
@@ -33,6 +43,8 @@ class Page(HTMLParser):
     words: list[str] = field(default_factory=list)
     loads: list[str] = field(default_factory=list)
     tags: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)
+    anchors: list[str] = field(default_factory=list)
     open_tags: list[str] = field(default_factory=list)
     in_style: bool = False
     style: str = ""
@@ -44,7 +56,10 @@ class Page(HTMLParser):
         self.tags.append(tag)
         if tag not in ("meta", "img", "br"):
             self.open_tags.append(tag)
-        self.loads += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+        named = [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+        self.loads += [value for value in named if not value.startswith("#")]
+        self.links += [value[1:] for value in named if value.startswith("#")]
+        self.anchors += [value or "" for name, value in attrs if name == "id"]
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open_tags.pop() == tag
@@ -72,6 +87,19 @@ def page_of(folder: RunFolder) -> Page:
     return page_with(write_report(folder).read_text(encoding="utf-8"))
 
 
+def text_of(folder: RunFolder, prepared_by: str = "") -> str:
+    """Text of the report without figures, which take most of the time."""
+    return page_with(render(read_run(folder), [], prepared_by=prepared_by)).text
+
+
+@pytest.fixture
+def copy(run_folder: RunFolder, tmp_path: Path) -> RunFolder:
+    """A copy of the run to change."""
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(run_folder.path, folder.path, ignore=shutil.ignore_patterns("figures"))
+    return folder
+
+
 @pytest.fixture(scope="module")
 def page(run_folder: RunFolder) -> Page:
     return page_of(run_folder)
@@ -93,13 +121,92 @@ def test_head_says_what_was_run_and_how_it_ended(page: Page) -> None:
     for words in (
         "The run finished.",
         "procedure six_position_fig7",
-        "station emulated",
-        "started (UTC) 2000-01-01 00:00:00",
+        "bench emulated",
+        "started 2000-01-01 00:00:00 UTC",
         "duration 1:01 h",
         "72 measured, 1 of them flagged",
         "seed 0, world gyro_a",
     ):
         assert words in page.text
+
+
+def test_contents_lead_to_every_part(page: Page) -> None:
+    assert len(page.links) > 10
+    assert page.links == page.anchors
+
+
+def test_sign_off_has_blank_lines_but_for_the_name_given(empty_folder: RunFolder) -> None:
+    text = text_of(empty_folder, "A. <Smith>")
+    assert "name date signature prepared by A. <Smith> checked by released by Contents" in text
+
+
+def test_report_can_go_elsewhere(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
+    write_dwells(empty_folder.dwells, equal_dwells[:2])
+    out = empty_folder.path / "elsewhere"
+    assert write_report(empty_folder, out=out) == out / "report.html"
+    assert not empty_folder.report.exists()
+    assert not empty_folder.figures.exists()
+
+
+def test_operator_host_and_local_time_are_told(copy: RunFolder) -> None:
+    own = json.loads(copy.provenance.read_text())
+    own |= {"operator": "smith", "host": "bench-3", "utc_offset_s": 19_800.0}
+    copy.provenance.write_text(json.dumps(own))
+    text = text_of(copy)
+    assert "started by smith on bench-3" in text
+    assert "started 2000-01-01 00:00:00 UTC, 2000-01-01 05:30:00 local time (UTC+05:30)" in text
+    assert "ended 2000-01-01 01:01:27 UTC, 2000-01-01 06:31:27 local time" in text
+
+
+def test_a_verdict_stands_in_the_head_with_its_judgements_below(
+    copy: RunFolder, dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.1)
+    write_acceptance(copy.acceptance, judge(dwells, bins, limits))
+    text = text_of(copy)
+    assert "Unit rejected. X gyro, Y gyro and Z gyro are beyond the limit of 0.006 deg/h" in text
+    assert "Limits of the procedure: 0.006 deg/h between two positions in one temperature bin and" in text
+    assert re.search(r"X gyro -25 to -20 X-Down above Z-Up fail \S+ ± \S+ \S+ \S+ 6\.0", text)
+
+
+def test_without_limits_the_report_says_that_nothing_was_judged(copy: RunFolder) -> None:
+    write_acceptance(copy.acceptance, Acceptance())
+    assert "Unit not judged. The procedure states no acceptance limits." in text_of(copy)
+
+
+def test_the_report_is_tied_to_its_data(page: Page, run_folder: RunFolder) -> None:
+    assert hashlib.sha256(run_folder.dwells.read_bytes()).hexdigest() in page.text
+    assert "telemetry/*.parquet" in page.text
+
+
+def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
+    empty_folder: RunFolder, equal_dwells: list[DwellRow]
+) -> None:
+    folder = empty_folder
+    write_dwells(folder.dwells, equal_dwells[:1])
+    folder.closure.mkdir()
+    write_closure_page(folder.closure, clean(), "the run", folder.dwells)
+    folder.verify.mkdir()
+    write_verify_page(folder.verify, confirmed(), folder.dwells)
+    page = page_with(render(read_run(folder), []))
+    assert "Search for effects Clean." in page.text
+    assert "Proof of a compensation Confirmed." in page.text
+    figures = {path.read_bytes() for path in folder.path.glob("*/figures/*.png")}
+    assert figures == {base64.b64decode(load.partition(",")[2]) for load in page.loads}
+    write_dwells(folder.dwells, equal_dwells[:2])
+    changed = text_of(folder)
+    assert "Search for effects Clean." not in changed
+    assert "closure: dwells.csv has changed since, so it is left out." in changed
+
+
+def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
+    for place in (empty_folder.closure, empty_folder.verify):
+        place.mkdir()
+    (empty_folder.closure / "findings.json").write_text("{}")
+    (empty_folder.verify / "comparison.html").write_text("")
+    text = text_of(empty_folder)
+    assert "findings.json: holds no findings" in text
+    assert "verify/findings.json is missing" in text
 
 
 def test_instruments_versions_and_assumptions_are_there(page: Page) -> None:
@@ -236,9 +343,8 @@ def test_sections_stand_before_the_dwells(
         [drawn],
         [SectionTable("its caption", ["temperature / °C", "X gyro"], [["72", "1.0 ± 0.2"]])],
     )
-    path = empty_folder.path / "made_up.png"
-    save_figure(drawn.figure, path)
-    page = page_with(render(read_run(empty_folder), [path], [section]))
+    sections = with_figure_files(empty_folder.path, [section])
+    page = page_with(render(read_run(empty_folder), [], sections))
     assert (
         "One bias for all positions What <follows> is made up. the caption its caption "
         "temperature / °C X gyro 72 1.0 ± 0.2 Dwells Biases" in page.text

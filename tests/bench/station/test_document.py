@@ -31,7 +31,7 @@ def test_every_mistake_is_listed_with_its_place(changed):
 def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_told(changed, latitude_deg):
     path = changed(("latitude_deg: 36.4", f"latitude_deg: {latitude_deg}"))
     with pytest.raises(
-        DocumentError, match=r"station\.yaml:6:\d+: gyrocompassing has no answer .* -85 to 85 deg"
+        DocumentError, match=r"station\.yaml:7:\d+: gyrocompassing has no answer .* -85 to 85 deg"
     ):
         Station(path)
 

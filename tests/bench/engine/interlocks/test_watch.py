@@ -160,6 +160,16 @@ def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(w
     assert "-60 to 95 degC" in trips["case_temperature"].text
 
 
+def test_temperatures_that_come_after_the_first_look_at_an_ins_trip_nothing_before_the_next_look(watched):
+    bench = watched()
+    bench.ins.case_c = math.nan
+    assert bench.poll(1.0) == {}
+    bench.clock.sleep(9.0)
+    assert bench.trips() == {}
+    bench.ins.case_c = 28.0
+    assert bench.poll(1.0) == {}
+
+
 def test_temperatures_that_the_signal_map_has_not_trip_nothing(watched):
     bench = watched(name="example_bench")
     bench.ins.electronics_c, bench.ins.case_c = np.full(3, math.nan), math.nan

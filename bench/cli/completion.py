@@ -1,0 +1,70 @@
+"""What the shell completes: names of shipped files, and run folders.
+
+Paths are left to the shell itself, which offers them where no name fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from bench.shipped import shipped_names
+
+_RUNS = Path("runs")
+_JOURNAL = "journal.jsonl"
+_MOST_RUNS = 200
+#: What `gyrobench new procedure --like` takes beside shipped names; as bench.authoring.new_files has them.
+TEMPLATE_NAMES = ("check", "six_position", "verification")
+
+Completion = Callable[[str], list[str]]
+
+
+def _shipped(kind: str) -> Completion:
+    def complete(incomplete: str) -> list[str]:
+        return _beginning_with(incomplete, shipped_names(kind))
+
+    return complete
+
+
+complete_procedure = _shipped("procedures")
+complete_station = _shipped("stations")
+complete_world = _shipped("worlds")
+complete_faults = _shipped("faults")
+complete_import_map = _shipped("imports")
+
+
+def complete_template(incomplete: str) -> list[str]:
+    """Names of templates of a new procedure."""
+    return _beginning_with(incomplete, [*TEMPLATE_NAMES, *shipped_names("procedures")])
+
+
+def complete_table(incomplete: str) -> list[str]:
+    """Installed dialects of rate tables."""
+    from drivers.dialects import RATE_TABLES, installed
+
+    return _beginning_with(incomplete, installed(RATE_TABLES))
+
+
+def complete_chamber(incomplete: str) -> list[str]:
+    """Installed dialects of chambers."""
+    from drivers.dialects import CHAMBERS, installed
+
+    return _beginning_with(incomplete, installed(CHAMBERS))
+
+
+def complete_run(incomplete: str) -> list[str]:
+    """Run folders under ``runs``, or under the folder that is being typed; the newest first."""
+    typed = Path(incomplete)
+    folder = typed if incomplete.endswith("/") else typed.parent
+    if not incomplete:
+        folder = _RUNS
+    try:
+        found = [path.parent for path in folder.glob(f"*/{_JOURNAL}")]
+    except OSError:
+        return []
+    newest_first = sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+    return _beginning_with(incomplete, map(str, newest_first[:_MOST_RUNS]))
+
+
+def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]

@@ -1,0 +1,85 @@
+"""`gyrobench emulate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli.options import EMULATED, STATION_HELP, FaultsOption, SeedOption, WorldOption
+
+_PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
+
+
+class CanServer(StrEnum):
+    """What the emulated INS speaks."""
+
+    slcan = "slcan"
+    socketcand = "socketcand"
+
+
+def emulate(
+    station: Annotated[str, typer.Option(help=STATION_HELP)] = EMULATED,
+    world: WorldOption = "gyro_a",
+    seed: SeedOption = 0,
+    faults: FaultsOption = None,
+    faults_log: Annotated[
+        Path | None, typer.Option(help="File to which each injected fault is added as JSON.")
+    ] = None,
+    tcp: Annotated[
+        bool, typer.Option("--tcp", help="TCP ports of the loopback, not pseudo-terminals.")
+    ] = False,
+    table_port: Annotated[str, typer.Option(help=_PORT_HELP.format("rate table"))] = "",
+    chamber_port: Annotated[str, typer.Option(help=_PORT_HELP.format("chamber"))] = "",
+    ins_port: Annotated[str, typer.Option(help=_PORT_HELP.format("INS"))] = "",
+    can: Annotated[
+        CanServer | None, typer.Option(help="What the INS speaks; else as the station says.")
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=1.0, max=100.0, help="How many times as fast as real time.")
+    ] = 1.0,
+    for_s: Annotated[
+        float | None, typer.Option(min=0.0, help="End after so many seconds of real time.")
+    ] = None,
+    write_station: Annotated[
+        Path | None, typer.Option(help="Station file to write, with which the bench can be used at once.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One line of JSON for programs.")] = False,
+) -> None:
+    """Serve the emulated table, chamber and INS to any program on this computer, until Ctrl-C.
+
+    Exit codes: 0 ended as told, 2 an option or file is wrong, or a port is taken.
+
+    Example: gyrobench emulate --speed 10 --write-station mine.yaml
+    """
+    from bench.documents import find_document
+    from bench.emulation.guide import guide
+    from bench.emulation.process import EmulatorProcess, end_at_sigterm
+    from bench.emulation.serving import serve_options
+    from bench.emulation.station_file import write_station_file
+    from bench.station.station import Station
+
+    bench = Station(find_document("stations", station))
+    ports = {"table": table_port, "chamber": chamber_port, "ins": ins_port}
+    options = serve_options(bench, ports, tcp=tcp, can=can)
+    options += ["--world", world, "--seed", str(seed), "--speed", str(speed)]
+    options += [f"--faults={faults}"] if faults else []
+    options += [f"--faults-log={faults_log}"] if faults_log else []
+    options += [f"--for-s={for_s}"] if for_s is not None else []
+    end_at_sigterm()
+    with EmulatorProcess(options) as emulators:
+        if emulators.urls:
+            if write_station:
+                write_station_file(write_station, bench, emulators.urls, speed)
+            told = (
+                json.dumps(emulators.urls)
+                if as_json
+                else guide(emulators.urls, bench.file, speed, write_station)
+            )
+            typer.echo(told)
+        code = emulators.wait()
+    sys.exit(code)

@@ -1,0 +1,71 @@
+"""`gyrobench export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli.options import RunArgument
+
+_WHAT = "dwells, bins, joint, verification, telemetry, navigation, can, compensation"
+
+
+def export(
+    run_folder: RunArgument,
+    what: Annotated[
+        str, typer.Option(help=f"Some of {_WHAT}, with commas between; by default all but navigation.")
+    ] = "",
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format", help="Some of parquet, csv, blf, mf4, with commas between; by default parquet,blf."
+        ),
+    ] = "",
+    dwell: Annotated[
+        int | None, typer.Option(min=1, help="Navigation of this dwell alone; by default of the whole run.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write; by default export in the run.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Write the data of a run for other tools, with units and where they came from.
+
+    Tables, readings and decoded navigation are written as Parquet or CSV, raw CAN frames as one BLF or MDF4
+    file, the compensation as tables and as the YAML file that `gyrobench run` takes. A run that was cut off
+    gives what it holds.
+
+    Example: gyrobench export runs/six_position_fig7-001 --what dwells,can --format csv,mf4
+    """
+    from bench.export.run_export import export_run
+    from bench.export.wanted import Format, Wanted, What
+    from bench.run_store.folder import open_run_folder
+
+    wanted = Wanted(
+        [What(name) for name in _chosen(what, list(What), "--what")],
+        [Format(name) for name in _chosen(formats, list(Format), "--format")],
+        dwell,
+    )
+    folder = open_run_folder(run_folder)
+    exported = export_run(folder, wanted, out or folder.path / "export", force)
+    for path in exported.files:
+        typer.echo(f"{_size(path):>9}  {path}")
+    for kind, why in exported.lacks.items():
+        typer.echo(f"without {kind}: {why}")
+
+
+def _chosen(text: str, allowed: list[str], option: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in allowed:
+            raise typer.BadParameter(f"'{name}' is none of {', '.join(allowed)}", param_hint=option)
+    return list(dict.fromkeys(names))
+
+
+def _size(path: Path) -> str:
+    size = float(path.stat().st_size)
+    for unit in ("B", "kB"):
+        if size < 1000.0:
+            return f"{size:.0f} {unit}"
+        size /= 1000.0
+    return f"{size:.1f} MB"

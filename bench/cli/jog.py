@@ -1,0 +1,49 @@
+"""`gyrobench jog`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
+
+
+def jog(
+    station: StationArgument = EMULATED,
+    commands: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="COMMAND...", help="Commands to carry out; without any, they are typed."),
+    ] = None,
+    leave: Annotated[
+        bool,
+        typer.Option(
+            "--leave", help="Leave chamber, unit and servos as they are at the end; the table stops."
+        ),
+    ] = False,
+    world: WorldOption = "gyro_a",
+    seed: SeedOption = 0,
+    faults: FaultsOption = None,
+) -> None:
+    """Move the table, set the chamber and watch the INS by hand, within the limits of the station.
+
+    Commands are typed one a line, come from a pipe, or are given as arguments, each in quotes; `help`
+    lists them. The interlocks of the station are watched all the time: a trip brings the bench to its
+    safe state and says why. Ctrl-C stops the table. At the end the bench is left in its safe state.
+
+    Exit codes: 0 all was done, 1 a command could not be carried out or an interlock tripped, 3 an
+    instrument can't be reached or a run holds the bench.
+
+    Example: gyrobench jog my_bench.yaml "table outer 30" "chamber 40 at 1.5" "watch 60"
+    """
+    from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, fail
+    from bench.errors import BenchInUseError
+    from bench.jog.session import jog_bench
+    from bench.station.instruments import Emulation
+
+    try:
+        all_done = jog_bench(station, commands or [], Emulation(world, seed, faults or ""), leave)
+    except BenchInUseError as error:
+        fail(error, EXIT_INSTRUMENT)
+    if not all_done:
+        raise typer.Exit(EXIT_NOT_FINISHED)

@@ -1,0 +1,53 @@
+"""`gyrobench monitor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_HELP = "Run folder, or a folder of runs: then a list of them, each with its page."
+
+
+def monitor(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help=_HELP)],
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of this machine's loopback; 0 for any free one.")
+    ] = 8765,
+    for_s: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
+    open_browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser here.")] = False,
+) -> None:
+    """Show a run, or a folder of runs, in a browser: live while it goes on, as a record after it.
+
+    The page is read only, needs nothing from outside, and is served on this machine alone (127.0.0.1).
+    From another one it is reached through ssh: the command says how. Ctrl-C ends it; the run goes on.
+
+    Example: gyrobench monitor runs/six_position_fig7-001 --open
+    """
+    import contextlib
+    import getpass
+    import socket
+    import threading
+    import webbrowser
+
+    from bench.clock import WallClock
+    from bench.errors import RunFolderError
+    from bench.monitor.server import MonitorServer
+    from bench.monitor.site import Site
+
+    if not run.is_dir():
+        raise RunFolderError(f"{run}: there is no such folder. Give a run folder, or a folder of runs")
+    with MonitorServer(Site(run, WallClock().utc).answer, port) as server:
+        local = server.server_port
+        typer.echo(f"{run} is shown at {server.url} until Ctrl-C.")
+        typer.echo("From another machine, leave this open there, and look at the same address:")
+        typer.echo(f"  ssh -N -L {local}:127.0.0.1:{local} {getpass.getuser()}@{socket.gethostname()}")
+        if open_browser:
+            webbrowser.open(server.url)
+        if for_s is not None:
+            ending = threading.Timer(for_s, server.shutdown)
+            ending.daemon = True
+            ending.start()
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()

@@ -1,0 +1,107 @@
+"""`gyrobench new procedure`, `gyrobench new station` and `gyrobench new world`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli.completion import complete_chamber, complete_table, complete_template, complete_world
+from bench.cli.exit_codes import EXIT_WRONG_INPUT, fail
+from bench.errors import DocumentError
+
+new = typer.Typer(
+    help="Write a commented file to start from: every key with its meaning, bounds and default.\n\n"
+    "Example: gyrobench new procedure my_check --like check",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+_Name = Annotated[str, typer.Argument(help="Name of the new one: letters, digits, underscore, hyphen.")]
+_Out = Annotated[
+    Path | None, typer.Option(help="File to write, - for standard output; by default NAME.yaml here.")
+]
+
+
+@new.command()
+def procedure(
+    name: _Name,
+    like: Annotated[
+        str,
+        typer.Option(
+            help="Start from six_position, check, verification, another shipped one, or a file.",
+            autocompletion=complete_template,
+        ),
+    ] = "check",
+    out: _Out = None,
+) -> None:
+    """Write a procedure file.
+
+    Example: gyrobench new procedure my_check --like check
+    """
+    from bench.authoring.new_files import new_procedure
+
+    path = out or Path(f"{name}.yaml")
+    _write(path, new_procedure(name, like, path))
+    if path != _STANDARD_OUTPUT:
+        typer.echo(f"{path}: written. Look at it with: gyrobench plan {path}")
+
+
+@new.command()
+def station(
+    name: _Name,
+    table: Annotated[
+        str | None,
+        typer.Option(help="Dialect of the rate table's controller.", autocompletion=complete_table),
+    ] = None,
+    chamber: Annotated[
+        str | None, typer.Option(help="Dialect of the chamber's controller.", autocompletion=complete_chamber)
+    ] = None,
+    out: _Out = None,
+) -> None:
+    """Write a station file: fill in ports, limits, mounting and signals, then look with `gyrobench check`.
+
+    Example: gyrobench new station my_bench --chamber watlow_f4
+    """
+    from bench.authoring.new_files import new_station
+
+    path = out or Path(f"{name}.yaml")
+    _write(path, new_station(name, path, table, chamber))
+    if path != _STANDARD_OUTPUT:
+        typer.echo(f"{path}: written. Fill it in, then look with: gyrobench check {path}")
+
+
+@new.command()
+def world(
+    name: _Name,
+    like: Annotated[
+        str, typer.Option(help="Shipped world, or a file, to copy.", autocompletion=complete_world)
+    ] = "quick",
+    out: _Out = None,
+) -> None:
+    """Copy a world file, to change what is true of an emulated bench.
+
+    Example: gyrobench new world hidden --like gyro_b
+    """
+    from bench.authoring.new_files import new_world
+
+    path = out or Path(f"{name}.yaml")
+    _write(path, new_world(name, like, path))
+    if path != _STANDARD_OUTPUT:
+        typer.echo(f"{path}: written. Change it, look at it with: gyrobench validate {path}")
+
+
+_STANDARD_OUTPUT = Path("-")
+
+
+def _write(path: Path, text: str) -> None:
+    if path == _STANDARD_OUTPUT:
+        typer.echo(text, nl=False)
+        return
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        why = "is there already; name another with --out" if path.exists() else str(error.strerror)
+        fail(DocumentError(f"{path}: {why}. Nothing was written."), EXIT_WRONG_INPUT)

@@ -1,0 +1,48 @@
+"""`gyrobench report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli.options import RunArgument
+
+
+def report(
+    run_folder: RunArgument,
+    by: Annotated[
+        str, typer.Option(metavar="NAME", help="Who prepares it, for the sign-off; by default a blank line.")
+    ] = "",
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Write report.pdf too, for signing: A4, pages numbered.")
+    ] = False,
+    before: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="Run before a change of the unit, to be set beside this one."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write; by default the run's.")] = None,
+) -> None:
+    """Write the report of a run anew, from what its folder holds.
+
+    What `close` and `verify` found in the run is taken in.
+
+    Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
+    """
+    from bench.bias.tables.acceptance_file import read_acceptance
+    from bench.live.console import PatientConsole
+    from bench.report.html import write_report
+    from bench.report.terminal.acceptance import acceptance_summary
+    from bench.run_store.folder import open_run_folder
+
+    folder = open_run_folder(run_folder)
+    page = write_report(folder, by, out, open_run_folder(before) if before else None)
+    console = PatientConsole(markup=False, highlight=False)
+    if folder.acceptance.exists():
+        console.print(acceptance_summary(read_acceptance(folder.acceptance)))
+    console.print(f"Report   {page}", soft_wrap=True)
+    if pdf:
+        from bench.report.pdf import write_pdf
+
+        console.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)

@@ -1,0 +1,38 @@
+"""`gyrobench schema`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli.validate import Kind
+
+
+def schema(
+    kind: Annotated[
+        Kind | None,
+        typer.Argument(help="Print the schema of this kind of file; without it say where they are."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write all of them to.")] = None,
+) -> None:
+    """Give the JSON Schemas of the YAML files, for editors that complete, explain and check.
+
+    An editor with the YAML language server finds the schema by the first line of a file, which
+    `gyrobench new` writes; without a kind this prints that line for each.
+
+    Example: gyrobench schema procedure
+    """
+    from bench.authoring.kinds import KINDS
+    from bench.authoring.schemas import editor_line, schema_of, schema_text
+
+    if kind is not None:
+        typer.echo(schema_text(schema_of(KINDS[kind.value])), nl=False)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        for each in KINDS.values():
+            (out / each.schema_name).write_text(schema_text(schema_of(each)), encoding="utf-8")
+    if kind is None and out is None:
+        for each in KINDS.values():
+            typer.echo(editor_line(each, Path.cwd() / "a.yaml"), nl=False)

@@ -1,0 +1,82 @@
+"""`gyrobench validate`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.cli.completion import complete_station
+from bench.cli.exit_codes import EXIT_WRONG_INPUT
+from bench.cli.json_output import JsonOption, print_json
+
+if TYPE_CHECKING:
+    from bench.authoring.checking import FileCheck
+
+
+class Kind(StrEnum):
+    """Kinds of file; the names are those of bench.authoring.kinds."""
+
+    PROCEDURE = "procedure"
+    STATION = "station"
+    WORLD = "world"
+    FAULTS = "faults"
+    IMPORT = "import"
+    COMPENSATION = "compensation"
+
+
+def validate(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="YAML files.")],
+    as_kind: Annotated[
+        Kind | None, typer.Option("--as", help="What the files are meant to be; by default their keys tell.")
+    ] = None,
+    station: Annotated[
+        str | None,
+        typer.Option(
+            help="Station that procedures are to run on: their plan is checked too.",
+            autocompletion=complete_station,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say of each file what it is and everything that is wrong with it, with places.
+
+    With --json: {"files": [{"file", "kind", "ok", "found", "problems": [{"line", "column", "message"}]}]}.
+
+    Exit codes: 0 all files are right, 2 one is wrong or its kind can't be told.
+
+    Example: gyrobench validate my_procedure.yaml --station my_bench.yaml
+    """
+    from bench.authoring.checking import check_file
+    from bench.authoring.kinds import KINDS
+    from bench.documents import find_document
+    from bench.station.station import Station
+
+    kind = KINDS[as_kind.value] if as_kind else None
+    bench = Station(find_document("stations", station)) if station else None
+    checks = [check_file(path, kind, bench) for path in files]
+    if as_json:
+        print_json({"files": [_record(check) for check in checks]})
+    else:
+        for check in checks:
+            typer.echo(_line(check))
+    if not all(check.is_good for check in checks):
+        raise typer.Exit(EXIT_WRONG_INPUT)
+
+
+def _line(check: FileCheck) -> str:
+    if not check.is_good:
+        return check.text
+    return f"{check.path}: a good {check.kind} file{f', {check.found}' if check.found else ''}"
+
+
+def _record(check: FileCheck) -> dict[str, object]:
+    return {
+        "file": check.path,
+        "kind": check.kind or None,
+        "ok": check.is_good,
+        "found": check.found or None,
+        "problems": check.problems(),
+    }

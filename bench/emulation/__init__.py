@@ -1,0 +1,1 @@
+"""The emulated bench as a program of its own: started, told to people, and its station file written."""

@@ -1,0 +1,27 @@
+"""Preflight of the messages: who is told, and whether the secrets for that are there."""
+
+from __future__ import annotations
+
+from bench.errors import DocumentError
+from bench.messages.secret import read_secret
+from bench.phrases import listed, spoken
+from bench.station.check import Check
+from bench.station.messages import Receiver
+from bench.station.station import Station
+
+
+def message_checks(station: Station) -> list[Check]:
+    """Look at each receiver; nothing is sent."""
+    return [_check(receiver) for receiver in station.file.messages]
+
+
+def _check(receiver: Receiver) -> Check:
+    what = receiver.kind
+    try:
+        read_secret(receiver)
+    except DocumentError as error:
+        return Check.of(
+            "messages", what, False, str(error), "Put the secret there, or leave the receiver out."
+        )
+    events = listed([spoken(event) for event in receiver.on])
+    return Check.of("messages", what, True, f"{receiver.address} is told of: {events}", "")

@@ -1,0 +1,122 @@
+"""What the INS put out, decoded: one row for each epoch of its output.
+
+Attitude is told as a quaternion, since Euler angles have no value where an axis stands upright, and as
+roll, pitch and yaw of the sequence ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``; body axes and East-North-Up, yaw
+positive about Up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from bench.errors import RunFolderError
+from bench.export.calendar_times import UTC_FIELD, calendar_times
+from bench.export.columns import field_of
+from bench.export.destination import Destination
+from bench.export.placed_parts import PlacedLog, PlacedPart
+from bench.measurement.dwell import MeasurementSetup
+from bench.measurement.marks import DwellMarks
+from bench.navigation.attitude import euler_rpy321
+from bench.navigation.positions import AXES
+from bench.run_store.folder import RunFolder
+from drivers.ins.frames import FrameBlock
+from drivers.ins.navigation_data import NavigationData
+
+Array = NDArray[np.float64]
+
+_ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"
+_EPOCH = datetime.fromtimestamp(0.0, UTC)
+_MEASURED = (
+    "time_s",
+    "ins_time_s",
+    *(f"velocity_{axis}_mps" for axis in ("east", "north", "up")),
+    *(f"quaternion_{part}" for part in "wxyz"),
+    *(f"{angle}_deg" for angle in ("roll", "pitch", "yaw")),
+    *(f"gyro_{axis}_c" for axis in AXES),
+    *(f"board_{axis}_c" for axis in AXES),
+    "case_c",
+)
+_WHOLE = ("part", "dwell", "segment", "mode")
+SCHEMA = pa.schema(
+    [UTC_FIELD, *(field_of(name) for name in _MEASURED), *(pa.field(name, pa.int64()) for name in _WHOLE)]
+)
+
+
+def export_navigation(
+    folder: RunFolder, setup: MeasurementSetup, name: str, destination: Destination, dwell: int | None = None
+) -> None:
+    """Write decoded navigation of a run, or of one finished dwell; one part of the log is read at a time.
+
+    Raises
+    ------
+    RunFolderError
+        The log can't be read, there is no such dwell, or the file can't be written.
+    """
+    batches = _batches(folder, setup, dwell)
+    destination.table(name, SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)
+
+
+def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
+    log = PlacedLog(folder)
+    finished = log.finished
+    wanted = {number for number, marks in finished.items() if marks.dwell == dwell}
+    if dwell is not None and not wanted:
+        numbers = sorted(marks.dwell for marks in finished.values())
+        known = f"finished are {numbers[0]} to {numbers[-1]}" if numbers else "none is finished"
+        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}; {known}")
+    for part in log:
+        if dwell is None or part.number in wanted:
+            yield _table(part, setup, finished.get(part.number), log.began_s)
+
+
+def _table(part: PlacedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
+    """Table of one part; frames beyond those of its dwell belong to none."""
+    data = setup.decode(FrameBlock.from_messages(part.messages))
+    values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))
+    columns = {name: pa.array(column, pa.float64(), from_pandas=True) for name, column in values.items()}
+    in_dwell = data.row < (marks.frame_count if marks else 0)
+    whole = {
+        "part": np.full(len(data.row), part.number),
+        "dwell": np.where(in_dwell, marks.dwell if marks else 0, 0),
+        "segment": data.segment,
+        "mode": data.mode.astype(np.int64),
+    }
+    utc = calendar_times(_EPOCH, data.timestamp_s)
+    return pa.table({UTC_FIELD.name: utc, **columns, **whole}).select(SCHEMA.names)
+
+
+def _measured(data: NavigationData, began_s: float) -> list[Array]:
+    quaternion = np.full((len(data.row), 4), np.nan)
+    known = np.isfinite(data.attitude).all(axis=(1, 2))
+    if known.any():
+        quaternion[known] = Rotation.from_matrix(data.attitude[known]).as_quat(canonical=True)[
+            :, [3, 0, 1, 2]
+        ]
+    temperatures = data.temperatures
+    inside = np.column_stack([temperatures.optics_c, temperatures.electronics_c, temperatures.case_c])
+    return [
+        data.timestamp_s - began_s,
+        data.ins_time_s,
+        *data.velocity_enu_mps.T,
+        *quaternion.T,
+        *np.rad2deg(euler_rpy321(data.attitude)).T,
+        *_held(inside, temperatures.ins_time_s, data).T,
+    ]
+
+
+def _held(values: Array, time_s: Array, data: NavigationData) -> Array:
+    """Last of the values (m, k), sent at times (m,), at each epoch (n,); NaN before the first."""
+    held = np.full((len(data.row), values.shape[1]), np.nan)
+    restarts = np.concatenate([[0], np.cumsum(np.diff(time_s) < 0.0)])[: len(time_s)]
+    for segment in np.unique(data.segment):
+        epochs, sent = data.segment == segment, restarts == segment
+        last = np.searchsorted(time_s[sent], data.ins_time_s[epochs], side="right") - 1
+        rows = np.flatnonzero(epochs)[last >= 0]
+        held[rows] = values[sent][last[last >= 0]]
+    return held

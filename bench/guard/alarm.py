@@ -1,0 +1,73 @@
+"""Telling people off the bench that the guard had to act: nobody else can any more."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any
+
+from bench.clock import Clock
+from bench.errors import GyrobenchError
+from bench.guard.log import GuardLog
+from bench.guard.watch import Ending
+from bench.messages.message import Message
+from bench.messages.messenger import Messenger
+from bench.run_store.folder import RunFolder
+from bench.run_store.journal import read_journal
+from bench.station.station import Station
+
+#: The guard has nothing else to do; networks come back.
+_PATIENCE_S = 900.0
+
+
+class Alarm:
+    """Sends what the guard has to tell; leaving it waits until that has gone, for a quarter of an hour.
+
+    Parameters
+    ----------
+    station, folder, clock, log
+        Those of the guard.
+    """
+
+    def __init__(self, station: Station, folder: RunFolder, clock: Clock, log: GuardLog) -> None:
+        self._station = station
+        self._folder = folder
+        self._clock = clock
+        self._log = log
+        self._messenger = Messenger(station.file.messages, self._note, _PATIENCE_S)
+
+    def __enter__(self) -> Alarm:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._messenger.__exit__(kind, error, trace)
+
+    def raise_for(self, ending: Ending, found: str) -> None:
+        """Say how the engine ended, and how the bench is."""
+        known = self._run()
+        message = Message(
+            event="guard_acted",
+            why=f"{ending.value[0].upper()}{ending.value[1:]}, so the guard acted. {found}\n"
+            f"When all is in order: gyrobench resume {self._folder.path}",
+            station=self._station.file.station,
+            time=self._clock.utc(),
+            folder=self._folder.path,
+            procedure=known.get("procedure", ""),
+            unit=known.get("unit", ""),
+        )
+        self._messenger.send(message, about=found)
+
+    def _run(self) -> dict[str, str]:
+        """Procedure and unit, as far as the journal tells them."""
+        known: dict[str, str] = {}
+        try:
+            for entry in read_journal(self._folder.journal):
+                known |= {key: str(entry[key]) for key in ("procedure", "unit") if key in entry}
+        except GyrobenchError:
+            pass
+        return known
+
+    def _note(self, event: str, **details: Any) -> None:
+        told = ", ".join(f"{key} {value}" for key, value in details.items())
+        self._log.add(f"{event.replace('_', ' ')}: {told}")

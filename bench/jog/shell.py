@@ -1,0 +1,247 @@
+"""The commands, and what is typed for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.documents import hint
+from bench.jog.display import Display
+from bench.jog.hand import Hand
+from bench.jog.limits import AXES
+from bench.jog.refused import CommandError
+from bench.jog.screen import limit_lines, readings
+from bench.navigation.positions import POSITIONS
+
+_WATCH_S = 60.0
+_LONGEST_WATCH_S = 604_800.0
+_ENDS = {
+    "quit": "leave the bench in its safe state",
+    "leave": "leave it as it is, the table stopped",
+}
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: how it is typed with what that does, and who does it."""
+
+    usages: Mapping[str, str]
+    carry_out: Callable[[list[str]], None]
+
+
+class Shell:
+    """Understands commands and has them carried out.
+
+    Parameters
+    ----------
+    hand, display
+        Who carries them out, and where answers go.
+    """
+
+    def __init__(self, hand: Hand, display: Display) -> None:
+        self._hand = hand
+        self._display = display
+        self._commands: Mapping[str, Command] = {
+            "show": Command({"show": "all readings"}, self._show),
+            "watch": Command({"watch [S]": "follow the readings, for S or 60 s"}, self._watch),
+            "table": Command(
+                {
+                    "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
+                    "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
+                    "table rate outer|inner RATE": "turn on and on, up to the limits",
+                },
+                self._table,
+            ),
+            "stop": Command({"stop": "stop the table"}, lambda words: self._alone(words, hand.stop)),
+            "home": Command({"home [at RATE]": "all axes to zero"}, self._home),
+            "servo": Command({"servo on|off": "close or open the table's servos"}, self._servo),
+            "chamber": Command(
+                {
+                    "chamber TEMPERATURE [at RAMP]": "set point and on; degC, degC/min",
+                    "chamber on|off": "switch its temperature control",
+                },
+                self._chamber,
+            ),
+            "unit": Command({"unit on|off": "switch the INS"}, self._unit),
+            "ins": Command({"ins align|navigate|standby": "command the INS"}, self._ins),
+            "faults": Command({"faults": "what is reported to be wrong"}, self._faults),
+            "clear": Command(
+                {"clear": "clear the chamber's alarms"}, lambda words: self._alone(words, hand.clear)
+            ),
+            "events": Command({"events": "the chamber's event outputs"}, self._events),
+            "limits": Command({"limits": "what may be asked for"}, self._limits),
+            "help": Command({"help": "this list"}, self._help),
+        }
+
+    def carry_out(self, line: str) -> None:
+        """Understand a line and carry it out.
+
+        Raises
+        ------
+        CommandError
+            It can't be understood, or a limit forbids it.
+        GyrobenchError
+            It failed on the way.
+        """
+        words = line.replace(",", " ").lower().split()
+        if not words:
+            return
+        command = self._commands.get(words[0])
+        if command is None:
+            known = [*self._commands, *_ENDS]
+            raise CommandError(f"unknown command '{words[0]}'{hint(words[0], known)}; `help` lists them")
+        try:
+            command.carry_out(words[1:])
+        except _UsageError as error:
+            usage = "  or  ".join(command.usages)
+            raise CommandError(f"{error or 'not understood'}. It is typed: {usage}") from None
+
+    def _show(self, words: list[str]) -> None:
+        self._alone(words, self._hand.bench.read_instruments)
+        self._tell(readings(self._hand.bench, self._hand.tripped))
+
+    def _watch(self, words: list[str]) -> None:
+        duration_s = _number(words.pop(0), "a time in s") if words else _WATCH_S
+        _nothing_left(words)
+        if not 0.0 < duration_s <= _LONGEST_WATCH_S:
+            raise _UsageError("a time is above 0 s and at most a week")
+        self._hand.watch(duration_s)
+
+    def _table(self, words: list[str]) -> None:
+        what = words.pop(0) if words else ""
+        if what == "rate":
+            axis, rate = _axis(words), _number(_next(words), "a rate in deg/s")
+            _nothing_left(words)
+            self._hand.turn_at(axis, rate)
+            return
+        if what == "to":
+            self._to_position(words)
+            return
+        axis = _axis([what])
+        angle_deg = _number(_next(words), "an angle in deg")
+        self._hand.move({axis: angle_deg}, _rate(words))
+
+    def _to_position(self, words: list[str]) -> None:
+        name = _next(words)
+        if name not in POSITIONS:
+            raise _UsageError(f"no such position{hint(name, POSITIONS)}; they are {', '.join(POSITIONS)}")
+        azimuth_deg = 0.0
+        if words and words[0] != "at":
+            azimuth_deg = _number(words.pop(0), "an azimuth in deg")
+        rate_dps = _rate(words)
+        station = self._hand.bench.station
+        angles_deg = station.table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
+        names = self._hand.limits.axes
+        self._hand.move(
+            {axis: each for axis, each in zip(AXES, angles_deg, strict=True) if axis in names}, rate_dps
+        )
+
+    def _home(self, words: list[str]) -> None:
+        rate_dps = _rate(words)
+        self._hand.move(dict.fromkeys(self._hand.limits.axes, 0.0), rate_dps)
+
+    def _servo(self, words: list[str]) -> None:
+        self._hand.servo_on() if _on(words) else self._hand.servo_off()
+
+    def _chamber(self, words: list[str]) -> None:
+        if words and words[0] in ("on", "off"):
+            self._hand.chamber_switch(_on(words))
+            return
+        temperature_c = _number(_next(words), "a temperature in degC")
+        if words and words[0] == "at":
+            words.pop(0)
+        ramp = _number(words.pop(0), "a ramp in degC/min") if words else None
+        _nothing_left(words)
+        self._hand.chamber_to(temperature_c, ramp)
+
+    def _unit(self, words: list[str]) -> None:
+        self._hand.unit_switch(_on(words))
+
+    def _ins(self, words: list[str]) -> None:
+        command = _next(words)
+        _nothing_left(words)
+        if command not in ("align", "navigate", "standby"):
+            raise _UsageError(f"the INS has no command '{command}' here")
+        self._hand.ins(command)
+
+    def _faults(self, words: list[str]) -> None:
+        self._alone(words, self._hand.bench.read_instruments)
+        now = self._hand.bench.readings
+        told = [f"rate table: {each}" for each in now.table_faults]
+        told += [f"chamber: {each}" for each in now.chamber_alarms]
+        told += [f"interlock tripped: {each}" for each in self._hand.tripped]
+        self._tell(told or ["none"])
+
+    def _events(self, words: list[str]) -> None:
+        _nothing_left(words)
+        self._tell(self._hand.events())
+
+    def _limits(self, words: list[str]) -> None:
+        _nothing_left(words)
+        self._tell(limit_lines(self._hand.limits))
+
+    def _help(self, words: list[str]) -> None:  # noqa: ARG002 - one help for all
+        usages = [usage for command in self._commands.values() for usage in command.usages.items()]
+        self._tell([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_ENDS.items())])
+        self._tell(["Ctrl-C stops the table."])
+
+    def _alone(self, words: list[str], carry_out: Callable[[], None]) -> None:
+        _nothing_left(words)
+        carry_out()
+
+    def _tell(self, lines: list[str]) -> None:
+        for line in lines:
+            self._display.tell(line)
+
+
+class _UsageError(Exception):
+    """Words that do not fit the command."""
+
+
+def _next(words: list[str]) -> str:
+    if not words:
+        raise _UsageError("something is missing")
+    return words.pop(0)
+
+
+def _nothing_left(words: list[str]) -> None:
+    if words:
+        raise _UsageError(f"'{' '.join(words)}' is too much")
+
+
+def _number(word: str, what: str) -> float:
+    try:
+        number = float(word)
+    except ValueError:
+        number = float("nan")
+    if not np.isfinite(number):
+        raise _UsageError(f"'{word}' is not {what}")
+    return number
+
+
+def _axis(words: list[str]) -> str:
+    axis = _next(words)
+    if axis not in AXES:
+        raise _UsageError(f"'{axis}' is no axis")
+    return axis
+
+
+def _rate(words: list[str]) -> float | None:
+    """``at RATE``, or nothing."""
+    if not words:
+        return None
+    if words.pop(0) != "at":
+        raise _UsageError("a rate is typed 'at RATE'")
+    rate_dps = _number(_next(words), "a rate in deg/s")
+    _nothing_left(words)
+    return rate_dps
+
+
+def _on(words: list[str]) -> bool:
+    word = _next(words)
+    _nothing_left(words)
+    if word not in ("on", "off"):
+        raise _UsageError(f"'{word}' is neither on nor off")
+    return word == "on"

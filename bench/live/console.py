@@ -1,0 +1,28 @@
+"""A console for runs of days: whatever becomes of the terminal, the run goes on."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+
+class PatientConsole(Console):
+    """A console that falls silent when nobody reads it any more: that must not end a run."""
+
+    def on_broken_pipe(self) -> None:
+        """Print nothing from here on; standard output goes nowhere, so that closing it succeeds."""
+        self.quiet = True
+        with Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+    def _write_buffer(self) -> None:
+        """Fall silent as well where the terminal has gone."""
+        try:
+            super()._write_buffer()
+        except BrokenPipeError:
+            raise
+        except OSError:
+            self.on_broken_pipe()

@@ -1,0 +1,196 @@
+"""The picture of a run from its folder: what it wrote itself while it goes on, else what it left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.engine.progress import RunProgress, progress_of
+from bench.errors import GyrobenchError, RunFolderError
+from bench.live.picture import (
+    MOST_MESSAGES,
+    Attitude,
+    BenchNow,
+    MeasuredProfile,
+    Message,
+    Picture,
+    PlannedProfile,
+    RunState,
+    read_picture,
+)
+from bench.live.profiles import planned_profile, profile_of_telemetry
+from bench.live.tables import dwells_done, filling_bins
+from bench.procedure.document import load_procedure
+from bench.procedure.plan import Plan
+from bench.report.content import Entry, RunContent, read_run
+from bench.run_store.folder import RunFolder, open_run_folder
+from bench.station.bench_lock import holder_of
+from bench.station.station import Station
+from drivers.ins.readout import InsMode
+
+#: Why a run is over that did not say so itself.
+WITHOUT_A_WORD = "stopped without a word, as after a power cut or a kill"
+
+
+def picture_of(path: Path) -> Picture:
+    """The picture of a run, whether it goes on, is over, or was made by an older gyrobench.
+
+    Raises
+    ------
+    RunFolderError
+        There is no run at that path.
+    """
+    folder = open_run_folder(path)
+    try:
+        picture = read_picture(folder.live)
+    except RunFolderError:
+        return picture_from_records(folder)
+    if picture.state.is_over or holder_of(folder.path) is not None:
+        return picture
+    return replace(
+        picture,
+        state=RunState.STOPPED,
+        reason=WITHOUT_A_WORD,
+        question=None,
+        step=None,
+        dwell=None,
+        alarms=(),
+    )
+
+
+def picture_from_records(folder: RunFolder) -> Picture:
+    """Make a picture from journal, telemetry and tables; what is missing or damaged is left out of it.
+
+    It has no traces of a dwell under way, and of the alarms only what the reason says.
+    """
+    content = read_run(folder)
+    station, plan = _station_and_plan(folder)
+    done = _progress(content, plan)
+    state, reason = _end(folder, done)
+    left_s = _left_s(plan, done) if plan else 0.0
+    rows = content.dwells
+    bench = _bench_at_end(content.telemetry, done.last_s)
+    return Picture(
+        name=content.name,
+        folder=str(folder.path),
+        procedure=str(content.procedure.get("procedure", "")),
+        station=str(content.station.get("station", "")),
+        unit=done.unit or (rows[-1].unit if rows else ""),
+        started_utc=str(content.provenance.get("started_utc", "")),
+        updated_utc=_updated_utc(folder),
+        state=state,
+        reason=reason,
+        now_s=done.last_s,
+        left_s=left_s,
+        planned_s=plan.duration_s if plan else 0.0,
+        dwell_count=plan.dwell_count if plan else len(rows),
+        planned=planned_profile(plan) if plan else PlannedProfile(),
+        measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
+        bench=bench,
+        attitude=_attitude(station, bench, content),
+        dwells=dwells_done(rows),
+        bins=filling_bins(rows, plan.procedure.bin_width_c) if plan else (),
+        messages=tuple(_messages(content.journal))[-MOST_MESSAGES:],
+    )
+
+
+def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
+    try:
+        station = Station(folder.station)
+        return station, station.plan(*load_procedure(folder.procedure))
+    except GyrobenchError:
+        return None, None
+
+
+def _progress(content: RunContent, plan: Plan | None) -> RunProgress:
+    if plan is not None:
+        try:
+            return progress_of(content.journal, plan)
+        except RunFolderError:
+            pass
+    times = [entry["time_s"] for entry in content.journal if isinstance(entry.get("time_s"), int | float)]
+    return RunProgress(last_s=max(map(float, times), default=0.0))
+
+
+def _end(folder: RunFolder, done: RunProgress) -> tuple[RunState, str]:
+    if holder_of(folder.path) is not None:
+        return RunState.RUNNING, ""
+    if done.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
+        return RunState(done.ended), done.reason
+    return RunState.STOPPED, WITHOUT_A_WORD
+
+
+def _left_s(plan: Plan, done: RunProgress) -> float:
+    return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.next_index].start_s
+
+
+def _updated_utc(folder: RunFolder) -> str:
+    changed_s = folder.journal.stat().st_mtime
+    return datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="seconds")
+
+
+def _bench_at_end(telemetry: Mapping[str, NDArray[np.float64]], now_s: float) -> BenchNow | None:
+    """The last reading, as old as it is."""
+    if not telemetry or not len(telemetry["time_s"]):
+        return None
+    last = {name: float(values[-1]) for name, values in telemetry.items()}
+    age_s = max(0.0, now_s - last["time_s"])
+    return BenchNow(
+        chamber_set_c=last["chamber_set_c"],
+        chamber_c=last["chamber_c"],
+        gyro_c=(last["gyro_x_c"], last["gyro_y_c"], last["gyro_z_c"]),
+        electronics_c=(last["board_x_c"], last["board_y_c"], last["board_z_c"]),
+        case_c=last["case_c"],
+        outer_deg=last["outer_deg"],
+        inner_deg=last["inner_deg"],
+        outer_rate_dps=last["outer_rate_dps"],
+        inner_rate_dps=last["inner_rate_dps"],
+        ins_mode=_mode(last["ins_mode"]),
+        table_age_s=age_s,
+        chamber_age_s=age_s,
+        ins_age_s=age_s,
+    )
+
+
+def _mode(code: float) -> str:
+    known = {float(mode): mode.name.lower() for mode in InsMode}
+    return known.get(code, "unknown")
+
+
+def _attitude(station: Station | None, bench: BenchNow | None, content: RunContent) -> Attitude | None:
+    if station is None or bench is None or math.isnan(bench.outer_deg + bench.inner_deg):
+        return None
+    east, north, up = station.table.attitude(bench.outer_deg, bench.inner_deg).tolist()
+    last = content.dwells[-1] if content.dwells else None
+    position, azimuth_deg = (last.position, last.azimuth_deg) if last else ("", math.nan)
+    return Attitude(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))
+
+
+def _messages(journal: Sequence[Entry]) -> Iterator[Message]:
+    """What the journal says that a person was told."""
+    for entry in journal:
+        text = _told(entry)
+        if text and isinstance(entry.get("time_s"), int | float):
+            yield Message(float(entry["time_s"]), text)
+
+
+def _told(entry: Mapping[str, Any]) -> str:
+    match entry.get("event"):
+        case "note":
+            return str(entry.get("text", ""))
+        case "held":
+            return f"Holding, waiting for {entry.get('waits_for')}: {entry.get('why')}"
+        case "continued":
+            return f"Going on, by {entry.get('by')}"
+        case "dwell_given_up":
+            return f"dwell {entry.get('dwell')} is repeated: {entry.get('why')}"
+        case "dwell_skipped":
+            return f"dwell {entry.get('dwell')} is left out"
+    return ""

@@ -1,0 +1,6 @@
+"""Messages off the bench: a webhook, a phone or a mailbox is told when a run needs somebody.
+
+:class:`~bench.messages.message.Message` says what happened, :mod:`~bench.messages.delivery` brings it to
+one receiver, and a :class:`~bench.messages.messenger.Messenger` does that for all receivers of a station
+in threads of their own, so that a dead network holds nothing up.
+"""

@@ -1,0 +1,48 @@
+"""A test message, sent at once to everybody."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bench.clock import WallClock
+from bench.documents import Problem, find_document
+from bench.messages.delivery import deliver
+from bench.messages.message import Message
+from bench.messages.undelivered import UndeliveredError
+from bench.station.document import load_station_file
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a message to one receiver."""
+
+    receiver: str
+    is_sent: bool
+    said: str
+
+
+def send_test(station: str, text: str) -> list[Answer]:
+    """Send a test message to all receivers of a station, one after the other, each once.
+
+    Parameters
+    ----------
+    station : str
+        Station file, or the name of a shipped one.
+
+    Raises
+    ------
+    DocumentError
+        The station file is wrong, or names no receiver.
+    """
+    document, file = load_station_file(find_document("stations", station))
+    if not file.messages:
+        raise document.error([Problem((), "has no `messages`, so there is nobody to tell anything")])
+    message = Message("test", text, file.station, WallClock().utc())
+    answers = []
+    for receiver in file.messages:
+        name = f"{receiver.kind} {receiver.address}"
+        try:
+            answers.append(Answer(name, True, deliver(receiver, message)))
+        except UndeliveredError as error:
+            answers.append(Answer(name, False, str(error)))
+    return answers

@@ -1,0 +1,69 @@
+"""Replaying a recording to the driver of its dialect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import quote
+
+from pydantic import ValidationError
+
+from bench.clock import VirtualClock
+from bench.documents import Problem, problems_of
+from bench.errors import DocumentError
+from bench.recording.questions import answered
+from drivers.chamber import Chamber
+from drivers.chamber.dialect import ChamberDialect
+from drivers.dialects import CHAMBERS, RATE_TABLES, load
+from drivers.rate_table import RateTable
+from drivers.rate_table.dialect import TableDialect
+from drivers.recording.document import Call, Recording, RecordingHeader, read_recording
+from drivers.recording.protocol_replay import SCHEME
+from drivers.serial_line import SerialLine
+
+_DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"
+
+
+def replay(path: Path) -> tuple[Recording, list[Call]]:
+    """Ask the driver again what it was asked while it was recorded, in virtual time.
+
+    Returns
+    -------
+    Recording
+        As read; its header has what the driver made of the replies then.
+    list of Call
+        The same calls, with what it makes of them now.
+
+    Raises
+    ------
+    DocumentError
+        The recording is wrong, or its dialect is not installed.
+    ConnectionFailedError
+        While it is opened, the driver asks something else than then.
+    """
+    recording = read_recording(path)
+    header = recording.header
+    clock = VirtualClock()
+    name = "rate table" if header.instrument == "table" else header.instrument
+    url = f"{SCHEME}{quote(str(path.absolute()))}"
+    line = SerialLine(
+        name, url, clock, header.baudrate or _DEFAULT_BAUDRATE, header.parity or _DEFAULT_PARITY
+    )
+    with line:
+        driver = _driver(recording, header, line)
+        return recording, list(answered(driver, header.calls))
+
+
+def _driver(recording: Recording, header: RecordingHeader, line: SerialLine) -> RateTable | Chamber:
+    try:
+        if header.instrument == "table":
+            table = load(RATE_TABLES, header.dialect, TableDialect)
+            return table.open(line, header.axes or (1, 2), table.options.model_validate(header.options))
+        if header.instrument == "chamber":
+            chamber = load(CHAMBERS, header.dialect, ChamberDialect)
+            return chamber.open(line, chamber.options.model_validate(header.options))
+    except ValidationError as error:
+        problems: list[Problem] = problems_of(error, ("options",))
+        raise DocumentError(
+            "\n".join(f"{recording.path}: {'.'.join(map(str, p.location))}: {p.message}" for p in problems)
+        ) from error
+    raise DocumentError(f"{recording.path}: no driver speaks over a line of the {header.instrument}")

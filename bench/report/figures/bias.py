@@ -1,0 +1,175 @@
+"""Bias against temperature, position by position.
+
+Counterparts of the paper's Figs. 8, 9, 12 and 13.
+
+References
+----------
+Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
+Navigation System Based on Ring Laser Gyroscope", section 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bench.bias.bins import BiasBin, paper_bins
+from bench.bias.tables.dwell_table import DwellRow, paper_rows
+from bench.navigation.positions import AXES, POSITIONS
+from bench.report.style import (
+    POSITION_STYLES,
+    house_style,
+    mark_paper_limit,
+    new_figure,
+    say_empty,
+)
+from bench.report.wording import PAPER, STATE_SPACE, BiasScale, gyro_label, position_label
+
+#: Room above and below the biases, as matplotlib leaves it.
+_MARGIN = 1.1
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """What one estimator gives for one gyro."""
+
+    estimator: str
+    dwells: list[DwellRow]
+    bins: list[BiasBin]
+
+    @property
+    def is_empty(self) -> bool:
+        return not (self.dwells or self.bins)
+
+
+@house_style
+def bias_figure(
+    gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin], span_dph: float = 0.0
+) -> Figure:
+    """Draw one gyro's bias against its own temperature, a line for each position.
+
+    Counterpart of the paper's Figs. 8 and 9, or 12 and 13. Single dwells are faint; the lines
+    join the weighted means of the bins. All with standard uncertainties. What the paper's method
+    gives stands beside it on the same scale, where it is known.
+
+    Parameters
+    ----------
+    gyro : {"x", "y", "z"}
+        Which gyro.
+    dwells : iterable of DwellRow
+        Dwells with flags are left out.
+    bins : iterable of BiasBin
+        Those of other gyros are left out.
+    span_dph : float
+        What the axis spans at least: figures with the same span have the same scale; see
+        :func:`bias_span_dph`.
+    """
+    both = _both_panels(gyro, dwells, bins)
+    panels = both[:1] if both[1].is_empty else both
+    scale = _scale(AXES.index(gyro), panels)
+    figure = new_figure(4.2)
+    all_axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, panel in zip(all_axes, panels, strict=True):
+        _draw_panel(axes, AXES.index(gyro), panel, scale)
+        axes.set(xlabel="temperature of the gyro / °C")
+    all_axes[0].set(ylabel=f"bias / ({scale.unit})")
+    _widen(all_axes[0], span_dph * scale.factor)
+    all_axes[0].set_title(gyro_label(gyro) if len(panels) == 1 else f"{gyro_label(gyro)}, {STATE_SPACE}")
+    if both[0].is_empty:
+        say_empty(all_axes[0], "no dwell gave a bias")
+    if both[0].bins:
+        figure.legend(
+            *all_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(POSITIONS)
+        )
+    return figure
+
+
+def bias_span_dph(dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> float:
+    """Say how far the biases of the gyro that varies most lie apart, with their uncertainties."""
+    rows, every = list(dwells), list(bins)
+    spans = []
+    for axis, gyro in enumerate(AXES):
+        panels = _both_panels(gyro, rows, every)
+        pairs = [(each.bias_dph, each.sigma_dph) for panel in panels for each in panel.bins]
+        pairs += [(row.bias_dph[axis], row.sigma_dph[axis]) for panel in panels for row in panel.dwells]
+        known = [pair for pair in pairs if not math.isnan(sum(pair))]
+        ends = [bias + sign * sigma for bias, sigma in known for sign in (-1.0, 1.0)]
+        spans.append(max(ends) - min(ends) if ends else 0.0)
+    return max(spans)
+
+
+def _both_panels(gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> list[_Panel]:
+    good = [row for row in dwells if not row.flags]
+    own = [each for each in bins if each.gyro == gyro]
+    return [
+        _Panel(STATE_SPACE, good, _filled(own)),
+        _Panel(PAPER, paper_rows(good), _filled(paper_bins(own))),
+    ]
+
+
+def _widen(axes: Axes, span: float) -> None:
+    low, high = axes.get_ylim()
+    if high - low < _MARGIN * span:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - 0.5 * _MARGIN * span, middle + 0.5 * _MARGIN * span)
+
+
+def _filled(bins: Iterable[BiasBin]) -> list[BiasBin]:
+    return [each for each in bins if not each.is_empty]
+
+
+def _scale(axis: int, panels: Iterable[_Panel]) -> BiasScale:
+    pairs = [(each.bias_dph, each.sigma_dph) for panel in panels for each in panel.bins] or [
+        (row.bias_dph[axis], row.sigma_dph[axis]) for panel in panels for row in panel.dwells
+    ]
+    return BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
+
+
+def _draw_panel(axes: Axes, axis: int, panel: _Panel, scale: BiasScale) -> None:
+    axes.set_title(panel.estimator)
+    for position in POSITIONS:
+        _draw_dwells(axes, axis, [row for row in panel.dwells if row.position == position], scale)
+        draw_bins(axes, [each for each in panel.bins if each.position == position], scale)
+    if not panel.is_empty:
+        mark_paper_limit(axes, along="x")
+
+
+def _draw_dwells(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> None:
+    if not rows:
+        return
+    style = POSITION_STYLES[rows[0].position]
+    axes.errorbar(
+        [row.gyro_c[axis] for row in rows],
+        [row.bias_dph[axis] * scale.factor for row in rows],
+        [row.sigma_dph[axis] * scale.factor for row in rows],
+        linestyle="none",
+        marker=style.marker,
+        markersize=3.0,
+        markerfacecolor=style.face,
+        color=style.colour,
+        elinewidth=0.7,
+        alpha=0.35,
+    )
+
+
+def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
+    """Draw the biases of one position with their uncertainties, joined by a line."""
+    if not bins:
+        return
+    style = POSITION_STYLES[bins[0].position]
+    axes.errorbar(
+        [each.temperature_c for each in bins],
+        [each.bias_dph * scale.factor for each in bins],
+        [each.sigma_dph * scale.factor for each in bins],
+        label=position_label(bins[0].position),
+        linestyle=style.line,
+        marker=style.marker,
+        markersize=5.5,
+        markerfacecolor=style.face,
+        color=style.colour,
+        capsize=2.0,
+    )

@@ -1,0 +1,1 @@
+"""Pages of HTML: parts as data, and the templates that lay them out."""

@@ -1,0 +1,37 @@
+"""The verdict on a unit for a terminal of 80 columns."""
+
+from __future__ import annotations
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from bench.bias.verdicts import Acceptance
+from bench.navigation.positions import AXES
+from bench.report.acceptance_wording import deciding_judgement, place_of, verdict_sentence
+from bench.report.terminal.parts import plain_table
+from bench.report.wording import BiasScale, bin_label, gyro_label
+
+
+def acceptance_summary(acceptance: Acceptance) -> RenderableType:
+    """One line for each gyro, and the verdict on the unit."""
+    verdict = Text(f"Unit {acceptance.verdict}. {verdict_sentence(acceptance)}", style="bold")
+    judged = acceptance.judgements
+    if not judged:
+        return verdict
+    scale = BiasScale.of([each.limit_dph for each in judged], [each.sigma_dph for each in judged])
+    heading = f"Acceptance: largest differences in {scale.unit}, limits of the true ones"
+    headers = ["gyro", "verdict", "where", "bin/°C", "measured", "true", "limit"]
+    table = plain_table(headers, words=4, fold=False)
+    for gyro in AXES:
+        worst = deciding_judgement(acceptance, gyro)
+        cells = ["", "", "", "", ""]
+        if worst is not None:
+            cells = [
+                place_of(worst).replace(" above ", " - "),
+                bin_label(worst.bin_low_c, worst.bin_high_c, ".."),
+                scale.text(worst.value_dph),
+                f"{scale.text(worst.at_least_dph)}..{scale.text(worst.at_most_dph)}",
+                scale.text(worst.limit_dph),
+            ]
+        table.add_row(gyro_label(gyro), acceptance.gyros.get(gyro, ""), *map(Text, cells))
+    return Group(Text(heading, style="bold"), table, verdict)

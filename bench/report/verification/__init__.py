@@ -1,0 +1,1 @@
+"""The verification of a calibration, in the report and in the terminal."""

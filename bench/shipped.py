@@ -1,0 +1,20 @@
+"""The files that come with the project: procedures, stations, worlds, ... in folders of their own.
+
+They are in the top folder of the repository, and in ``bench/shipped`` where the package is installed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def shipped_folders(kind: str) -> list[Path]:
+    """Folders with shipped files of a kind, such as ``procedures``; those that exist."""
+    package = Path(__file__).parent
+    folders = [package / "shipped" / kind, package.parent / kind]
+    return [folder for folder in folders if folder.is_dir()]
+
+
+def shipped_names(kind: str) -> list[str]:
+    """Names of the shipped YAML files of a kind, without their ending."""
+    return sorted({path.stem for folder in shipped_folders(kind) for path in folder.glob("*.yaml")})

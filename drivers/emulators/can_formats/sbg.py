@@ -1,0 +1,96 @@
+"""The frames of sbg.dbc: those of SBG Systems' Ellipse, Ekinox and Quanta, little-endian.
+
+Each navigation epoch is EKF_INFO with the time, EKF_QUAT and EKF_VEL_NED; each whole second begins with
+the status and the temperature. A real one takes no commands on CAN: a gateway beside it does, with
+BENCH_COMMAND, and so does this one.
+
+References
+----------
+SBG Systems, CAN protocol specifications and sbgCan.dbc, release 5.2.590.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
+from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from drivers.emulators.world.world import World
+
+STATUS_02, IMU_INFO = 0x102, 0x120
+EKF_INFO, EKF_QUAT, EKF_VEL_NED = 0x130, 0x131, 0x137
+BENCH_COMMAND = 0x7F0
+
+_STATUS = struct.Struct("<Ih")
+_IMU_INFO = struct.Struct("<IHh")
+_TIME = struct.Struct("<I")
+_FOUR, _THREE = struct.Struct("<4h"), struct.Struct("<3h")
+_INT16_MAX = 32767
+_US_PER_SAMPLE = 1_000_000 // SAMPLE_RATE_HZ
+_UNINITIALISED, _AHRS, _NAV_VELOCITY = 0, 2, 3
+_ATTITUDE_VALID, _HEADING_VALID, _VELOCITY_VALID, _ALIGN_VALID = 1 << 4, 1 << 5, 1 << 6, 1 << 27
+_IMU_IS_WELL = 0x3FF
+
+
+class SbgFormat:
+    """Packs and understands them; a :class:`drivers.emulators.can_formats.can_format.CanFormat`."""
+
+    def __init__(self, world: World, epoch_unix_s: float) -> None:
+        self._world = world
+        self._epoch_unix_s = epoch_unix_s
+
+    def count_anew(self) -> None:
+        """There are no counters."""
+
+    def skip_epochs(self, count: int) -> None:
+        """There is no counter that could jump."""
+
+    def receive(self, message: can.Message) -> None:
+        """Take a command of the gateway."""
+        if message.arbitration_id == BENCH_COMMAND and len(message.data) >= 1:
+            obey(self._world.unit, message.data[0])
+
+    def frames(self, epochs: Epochs) -> list[can.Message]:
+        """Pack the epochs, and before those of a whole second the slow frames."""
+        quaternions = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX).astype(int)
+        north_east = np.rint(100.0 * epochs.states[:, [5, 4]]).clip(-_INT16_MAX, _INT16_MAX).astype(int)
+        messages: list[can.Message] = []
+        rows = zip(epochs.sample.tolist(), quaternions.tolist(), north_east.tolist(), strict=True)
+        for sample, quaternion, (north, east) in rows:
+            time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
+            stamp_us = sample * _US_PER_SAMPLE & 0xFFFFFFFF
+            if sample % SAMPLE_RATE_HZ == 0:
+                messages.append(frame(time_s, STATUS_02, _STATUS.pack(_solution(epochs), 0)))
+                messages.append(frame(time_s + FRAME_S, IMU_INFO, self._imu_info(stamp_us)))
+                time_s += 2 * FRAME_S
+            messages += (
+                frame(time_s, EKF_INFO, _TIME.pack(stamp_us)),
+                frame(time_s + FRAME_S, EKF_QUAT, _FOUR.pack(*quaternion)),
+                frame(time_s + 2 * FRAME_S, EKF_VEL_NED, _THREE.pack(north, east, 0)),
+            )
+        return messages
+
+    def _imu_info(self, stamp_us: int) -> bytes:
+        optics_c = self._world.temperatures_c()[1:4]
+        centidegrees = int(np.rint(100.0 * optics_c.mean()).clip(-_INT16_MAX, _INT16_MAX))
+        return _IMU_INFO.pack(stamp_us, _IMU_IS_WELL, centidegrees)
+
+
+def _forward_right_down(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (n, 4) of forward-right-down to North-East-Down, from right-forward-up to East-North-Up."""
+    w, x, y, z = quaternions.T
+    return np.stack([w, y, x, -z], axis=-1)
+
+
+def _solution(epochs: Epochs) -> int:
+    """Solution status: mode in bits 0 to 3, what is valid above."""
+    mode = {Mode.ALIGN: _AHRS, Mode.NAVIGATE: _NAV_VELOCITY}.get(epochs.mode, _UNINITIALISED)
+    if epochs.mode is Mode.NAVIGATE:
+        mode |= _ATTITUDE_VALID | _HEADING_VALID | _VELOCITY_VALID
+    elif epochs.alignment:
+        mode |= _ATTITUDE_VALID | _HEADING_VALID
+    return mode | (_ALIGN_VALID if epochs.alignment else 0)

@@ -1,0 +1,50 @@
+"""The emulators' own files from outside: ``python -m drivers.emulators.documents check world FILE``.
+
+The bench never reads a world file or a list of faults. Whoever wants one checked, or its JSON
+Schema, asks this program.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from bench.documents import StrictModel, read_document, validate
+from bench.errors import DocumentError
+from bench.json_schema import json_schema
+from drivers.emulators.faults.document import FaultList
+from drivers.emulators.world.document import WorldFile
+
+_WRONG_FILE = 2
+_KINDS: dict[str, tuple[type[StrictModel], str]] = {
+    "world": (WorldFile, "gyrobench world behind emulated instruments"),
+    "faults": (FaultList, "gyrobench list of faults"),
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Check a file, or print the schema of a kind; returns the exit code, 2 for a wrong file."""
+    parser = argparse.ArgumentParser(prog="python -m drivers.emulators.documents", description=__doc__)
+    tasks = parser.add_subparsers(dest="task", required=True)
+    for task, meaning in (("check", "check a file"), ("schema", "print a JSON Schema")):
+        of_task = tasks.add_parser(task, help=meaning)
+        of_task.add_argument("kind", choices=_KINDS)
+        if task == "check":
+            of_task.add_argument("file", type=Path)
+    asked = parser.parse_args(arguments)
+    model, title = _KINDS[asked.kind]
+    if asked.task == "schema":
+        sys.stdout.write(json.dumps(json_schema(model, title)) + "\n")
+        return 0
+    try:
+        validate(read_document(asked.file), model)
+    except DocumentError as error:
+        sys.stderr.write(f"{error}\n")
+        return _WRONG_FILE
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

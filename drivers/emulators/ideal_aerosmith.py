@@ -1,0 +1,208 @@
+"""Emulator of an Ideal Aerosmith single-axis table controller at its serial port.
+
+Commands are three letters and a number; each ends with a prompt, and a question mark before it says
+that the command was not understood. Source: programs that drive such tables; there is no public
+manual. Sinusoids and calibration are not emulated.
+
+Assumptions where the sources are silent: the state that ``STA`` tells (1 moving, 0 not); that
+absolute and relative moves give their prompt at once; that motions need the motor switched on.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Literal
+
+from drivers.emulators.dialect import TableEmulation
+from drivers.emulators.text_requests import TextRequests, decimal
+from drivers.emulators.world.table_axis import TableAxis
+
+#: The axis of the world that such a table has.
+AXIS = 2
+_PROMPT = b">"
+_COMMAND = re.compile(r"([A-Z]{3}|P(?=[-+.\d]))(.*)")
+_DEFAULT_TOLERANCE_DEG = 0.01
+_STANDSTILL_DPS = 1e-3
+
+
+class IdealAerosmithEmulator:
+    """The controller over its one axis.
+
+    Parameters
+    ----------
+    axis : TableAxis
+        Its physics.
+    done : {0, 1}
+        What ``MCO`` answers when a motion is complete: programs in the field disagree.
+    jog_prompt : {"late", "at_once"}
+        When the prompt of ``JOG`` comes: with the stop or the next ``STA``, or at once.
+    decimals : int
+        Decimals of the numbers that are read.
+    latency_s : float
+        Time that the controller takes to answer.
+    """
+
+    def __init__(
+        self,
+        axis: TableAxis,
+        *,
+        done: Literal[0, 1] = 1,
+        jog_prompt: Literal["late", "at_once"] = "late",
+        decimals: int = 4,
+        latency_s: float = 0.02,
+    ) -> None:
+        self.axis = axis
+        self.latency_s = latency_s
+        self._done = done
+        self._jog_prompt = jog_prompt
+        self._decimals = decimals
+        self._now_s = 0.0
+        self._requests = TextRequests()
+        self._zero_deg = self._home_deg = 0.0
+        self._set_defaults()
+        #: Commands with a number, and those without.
+        self._with_number: dict[str, Callable[[float], bytes | None]] = {
+            "JOG": self._jog,
+            "MOV": self._move_to,
+            "P": self._move_to,
+            "RMO": lambda way_deg: self._move_to(self._position_deg + way_deg),
+            "VEL": self._set_velocity,
+            "ACL": self._set_acceleration,
+            "SRV": self._set_servo,
+            "DIR": self._set_direction,
+            "HOF": self._set_home,
+            "MCO": self._motion_complete,
+        }
+        self._alone: dict[str, Callable[[], bytes | None]] = {
+            "HOM": lambda: self._move_to(self._home_deg),
+            "STO": self._stop,
+            "PPO": lambda: self._number(self._position_deg),
+            "PVE": lambda: self._number(self.axis.encoder(self._now_s).rate_dps),
+            "STA": lambda: b"1" if self.axis.is_moving(self._now_s) else b"0",
+            "MCO": lambda: self._motion_complete(_DEFAULT_TOLERANCE_DEG),
+            "ZER": self._zero,
+            "PZR": self._zero,
+        }
+
+    def feed(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes; return the replies to the commands that they complete."""
+        self._now_s = now_s
+        return b"".join(self._reply(request) for request in self._requests.take(data))
+
+    def is_servoed(self, axis: int) -> bool:
+        """Whether the motor is switched on."""
+        if axis != AXIS:
+            raise KeyError(axis)
+        return self._servo
+
+    def power_off(self, now_s: float) -> None:
+        """Lose power: the brake stops the axis."""
+        self.axis.release(now_s)
+        self._requests.forget()
+        self._set_defaults()
+
+    def power_on(self, now_s: float) -> None:
+        """Come back with the motor off and the defaults."""
+
+    def _set_defaults(self) -> None:
+        self._servo = False
+        self._direction = 1.0
+        self._target_deg = self.axis.rest_position_deg
+        self._owes_prompt = False
+        self.axis.limits = self.axis.parameters.limits
+
+    @property
+    def _position_deg(self) -> float:
+        return self.axis.encoder(self._now_s).position_deg - self._zero_deg
+
+    def _reply(self, request: str) -> bytes:
+        parts = _COMMAND.fullmatch(request.upper())
+        name, rest = (parts[1], parts[2]) if parts else ("", "")
+        owed = b""
+        if self._owes_prompt and name in ("STO", "STA"):
+            self._owes_prompt, owed = False, _PROMPT
+        answer = self._execute(name, rest)
+        if name == "JOG" and answer == b"" and self._jog_prompt == "late":
+            self._owes_prompt = True
+            return b""
+        if answer is None:
+            answer = b"?"
+        return owed + (answer + b"\r" if answer else b"") + _PROMPT
+
+    def _execute(self, name: str, rest: str) -> bytes | None:
+        """Answer to one command, empty for none; None where it is not understood."""
+        if not rest:
+            alone = self._alone.get(name)
+            return alone() if alone else None
+        with_number, value = self._with_number.get(name), decimal(rest)
+        return with_number(value) if with_number and value is not None else None
+
+    def _number(self, value: float) -> bytes:
+        return f"{value:.{self._decimals}f}".encode("ascii")
+
+    def _jog(self, rate_dps: float) -> bytes | None:
+        if not self._servo or abs(rate_dps) > self.axis.parameters.rate_limit_dps:
+            return None
+        self.axis.turn_at(self._direction * rate_dps, self._now_s)
+        return b""
+
+    def _move_to(self, position_deg: float) -> bytes | None:
+        target_deg, widest = position_deg + self._zero_deg, self.axis.parameters.limits
+        if not self._servo or not widest.low_deg <= target_deg <= widest.high_deg:
+            return None
+        self._target_deg = target_deg
+        self.axis.move_to(target_deg, self._now_s)
+        return b""
+
+    def _stop(self) -> bytes:
+        self.axis.stop(self._now_s)
+        return b""
+
+    def _set_velocity(self, rate_dps: float) -> bytes | None:
+        if not 0.0 < rate_dps <= self.axis.parameters.rate_limit_dps:
+            return None
+        self.axis.limits = replace(self.axis.limits, rate_dps=rate_dps)
+        return b""
+
+    def _set_acceleration(self, acceleration_dps2: float) -> bytes | None:
+        if not 0.0 < acceleration_dps2 <= self.axis.parameters.acceleration_limit_dps2:
+            return None
+        self.axis.limits = replace(self.axis.limits, acceleration_dps2=acceleration_dps2)
+        return b""
+
+    def _set_servo(self, state: float) -> bytes | None:
+        if state not in (0.0, 1.0):
+            return None
+        self._servo = bool(state)
+        if not self._servo:
+            self.axis.release(self._now_s)
+        return b""
+
+    def _set_direction(self, direction: float) -> bytes | None:
+        if direction not in (0.0, 1.0):
+            return None
+        self._direction = -1.0 if direction else 1.0
+        return b""
+
+    def _set_home(self, position_deg: float) -> bytes:
+        self._home_deg = position_deg
+        return b""
+
+    def _zero(self) -> bytes:
+        self._zero_deg = self.axis.encoder(self._now_s).position_deg
+        return b""
+
+    def _motion_complete(self, tolerance_deg: float) -> bytes:
+        state = self.axis.encoder(self._now_s)
+        near = abs(state.position_deg - self._target_deg) <= tolerance_deg
+        is_done = near and abs(state.rate_dps) < _STANDSTILL_DPS
+        return str(self._done if is_done else 1 - self._done).encode("ascii")
+
+
+def _make(axes: Mapping[int, TableAxis]) -> IdealAerosmithEmulator:
+    return IdealAerosmithEmulator(axes[AXIS])
+
+
+DIALECT = TableEmulation(_make)

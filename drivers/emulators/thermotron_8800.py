@@ -1,0 +1,258 @@
+"""Emulator of a Thermotron 8800 chamber controller at its serial port or TCP socket.
+
+Source: Thermotron's published list of computer interface commands, in parts. No programs are
+emulated: the chamber is stopped or runs in manual mode.
+
+Assumptions where the public sources are silent: the codes of refusals; that a query that can't be
+answered is not; that alarms follow their cause; that a process alarm and an open input stop the
+chamber; that set points outside the range of the chamber are refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Literal
+
+from drivers.emulators.dialect import ChamberEmulation, OnEvent
+from drivers.emulators.text_requests import TextRequests, decimal
+from drivers.emulators.world.chamber_air import ChamberAir
+
+_CHANNEL = "1"
+_COMMAND = re.compile(r"([A-Z]{4})(\d*)(?:,([^,]*))?")
+_QUERY = re.compile(r"([A-Z]{4})(\d*)\?")
+_MANUAL = 1 << 4
+_FASTEST_RAMP = 999.0
+_MOST_DEVIATION = 100.0
+_AUXILIARIES_IN_GROUP = 8
+_ALL_AUXILIARIES = (1 << _AUXILIARIES_IN_GROUP) - 1
+#: Bits of ALRM by alarm (1 process, 2 deviation) and side.
+_ALARM_BITS = {(1, False): 4, (1, True): 5, (2, False): 0, (2, True): 1}
+_PROCESS_ALARM = 1
+
+
+class Code(IntEnum):
+    """Answers to a command; all but the first are assumptions."""
+
+    DONE = 0
+    UNKNOWN_COMMAND = 1
+    WRONG_PARAMETER = 2
+    NOT_NOW = 3
+
+
+class Stop(IntEnum):
+    """What stopped the chamber last."""
+
+    COLD_BOOT = 0
+    RUNNING = 1
+    STOP_KEY = 2
+    END_OF_TEST = 3
+    EXTERNAL_INPUT = 4
+    COMPUTER = 5
+    OPEN_INPUT = 6
+    PROCESS_ALARM = 7
+    SYSTEM_MONITOR = 8
+    POWER_FAIL = 9
+    THERM_ALARM = 10
+
+
+class Thermotron8800Emulator:
+    """A Thermotron 8800 that controls the air of an emulated chamber on channel 1.
+
+    Parameters
+    ----------
+    air : ChamberAir
+        The air.
+    on_event : callable, optional
+        Called with number and state of each auxiliary that changes.
+    echo : {"never", "before", "instead"}
+        Whether it repeats what it was sent: never, before each reply, or in place of a command's code.
+    auxiliaries_need_run : bool
+        Whether auxiliaries can be switched, and keep their state, only while the chamber runs.
+    latency_s : float
+        Time that the controller takes to answer.
+
+    Attributes
+    ----------
+    stop_code : Stop
+        Answer to ``SCOD?``.
+    """
+
+    def __init__(
+        self,
+        air: ChamberAir,
+        on_event: OnEvent | None = None,
+        *,
+        echo: Literal["never", "before", "instead"] = "never",
+        auxiliaries_need_run: bool = False,
+        latency_s: float = 0.05,
+    ) -> None:
+        self.air = air
+        self.latency_s = latency_s
+        self.stop_code = Stop.RUNNING if air.running else Stop.COLD_BOOT
+        self._on_event = on_event
+        self._echo = echo
+        self._auxiliaries_need_run = auxiliaries_need_run
+        self._auxiliaries = {"1": 0, "2": 0}
+        self._alarms = 0
+        self._ramp_c_per_min = air.ramp_rate_c_per_min or 0.0
+        self._deviation_c = 0.0
+        self._open_input = False
+        self._requests = TextRequests()
+        self._commands: dict[str, Callable[[str, str | None], Code]] = {
+            "SETP": self._set_set_point,
+            "MRMP": self._set_ramp,
+            "DEVN": self._set_deviation,
+            "AUXE": self._set_auxiliaries,
+            "RUNM": lambda number, value: self._without(number, value, self._run),
+            "STOP": lambda number, value: self._without(number, value, lambda: self._stop(Stop.COMPUTER)),
+            "INIT": lambda number, value: self._without(number, value, self._initialise),
+            "HOLD": lambda number, value: self._without(number, value, lambda: Code.NOT_NOW),
+            "RESM": lambda number, value: self._without(number, value, lambda: Code.NOT_NOW),
+        }
+        self._queries: dict[str, Callable[[str], str | None]] = {
+            "PVAR": lambda channel: self._of_air(channel, f"{self.air.air_c:.3f}"),
+            "SETP": lambda channel: self._of_air(channel, f"{self.air.set_point_c:.3f}"),
+            "MRMP": lambda channel: self._of_air(channel, f"{self._ramp_c_per_min:.3f}"),
+            "DEVN": lambda channel: self._of_air(channel, f"{self._deviation_c:.3f}"),
+            "ALRM": lambda channel: self._of_air(channel, str(self._alarms)),
+            "THTL": lambda channel: self._of_air(channel, f"{100.0 * self.air.power:.1f}"),
+            "AUXE": lambda group: str(self._auxiliaries[group]) if group in self._auxiliaries else None,
+            "MODE": lambda number: None if number else str(_MANUAL if self.air.running else 0),
+            "SCOD": lambda number: None if number else str(int(self.stop_code)),
+            "OPTN": lambda number: None if number else "0",
+            "CHST": lambda number: None if number else str(1 << 8 | 1),
+            "IDEN": lambda number: None if number else "8800",
+            "VRSN": lambda number: None if number else "gyrobench emulator",
+        }
+
+    def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002 - the air is at the present already
+        """Take bytes; return the replies to the requests that they complete."""
+        return b"".join(self._reply(request) for request in self._requests.take(data))
+
+    def power_off(self, now_s: float) -> None:  # noqa: ARG002
+        """Lose power: the chamber stops and its auxiliaries drop."""
+        self.air.running = False
+        self._requests.forget()
+        for group in self._auxiliaries:
+            self._switch_auxiliaries(group, 0)
+
+    def power_on(self, now_s: float) -> None:  # noqa: ARG002
+        """Come back stopped, with the settings as they were."""
+        self.stop_code = Stop.POWER_FAIL
+
+    def break_sensor(self, error: int) -> None:  # noqa: ARG002 - it tells one kind only
+        """Open the temperature input: the chamber stops."""
+        self._open_input = self.air.faults.blind = True
+        self._stop(Stop.OPEN_INPUT)
+
+    def mend_sensor(self) -> None:
+        """Close the temperature input; the chamber stays stopped."""
+        self._open_input = self.air.faults.blind = False
+
+    def raise_alarm(self, number: int, high: bool) -> None:
+        """Give the process alarm (1), which stops the chamber, or the deviation alarm (2) a cause."""
+        self._alarms |= 1 << _ALARM_BITS[number, high]
+        if number == _PROCESS_ALARM:
+            self._stop(Stop.PROCESS_ALARM)
+
+    def end_alarm(self, number: int) -> None:
+        """Take the cause away; the chamber stays stopped."""
+        for (alarm, _), bit in _ALARM_BITS.items():
+            if alarm == number:
+                self._alarms &= ~(1 << bit)
+
+    def _reply(self, request: str) -> bytes:
+        text = request.upper()
+        if query := _QUERY.fullmatch(text):
+            handle = self._queries.get(query[1])
+            answer = handle(query[2]) if handle else None
+        else:
+            answer = str(int(self._execute(text)))
+            if self._echo == "instead" and answer == "0":
+                answer = request
+        lines = [request] if self._echo == "before" else []
+        lines += [answer] if answer is not None else []
+        return b"".join(line.encode("latin-1") + b"\r" for line in lines)
+
+    def _execute(self, text: str) -> Code:
+        command = _COMMAND.fullmatch(text)
+        handle = self._commands.get(command[1]) if command else None
+        return handle(command[2], command[3]) if command and handle else Code.UNKNOWN_COMMAND
+
+    def _of_air(self, channel: str, answer: str) -> str | None:
+        return answer if channel == _CHANNEL else None
+
+    def _without(self, number: str, value: str | None, deed: Callable[[], Code]) -> Code:
+        return Code.WRONG_PARAMETER if number or value is not None else deed()
+
+    def _value(self, channel: str, text: str | None, low: float, high: float) -> float | None:
+        value = decimal(text) if text is not None and channel == _CHANNEL else None
+        return value if value is not None and low <= value <= high else None
+
+    def _set_set_point(self, channel: str, text: str | None) -> Code:
+        limits = self.air.parameters
+        value = self._value(channel, text, limits.low_c, limits.high_c)
+        if value is None:
+            return Code.WRONG_PARAMETER
+        self.air.set_point_c = value
+        return Code.DONE
+
+    def _set_ramp(self, channel: str, text: str | None) -> Code:
+        value = self._value(channel, text, 0.0, _FASTEST_RAMP)
+        if value is None:
+            return Code.WRONG_PARAMETER
+        self._ramp_c_per_min = value
+        self.air.ramp_rate_c_per_min = value or None
+        return Code.DONE
+
+    def _set_deviation(self, channel: str, text: str | None) -> Code:
+        value = self._value(channel, text, 0.0, _MOST_DEVIATION)
+        if value is None:
+            return Code.WRONG_PARAMETER
+        self._deviation_c = value
+        return Code.DONE
+
+    def _set_auxiliaries(self, group: str, text: str | None) -> Code:
+        mask = int(text) if text is not None and re.fullmatch(r"[0-9]{1,3}", text) else -1
+        if group not in self._auxiliaries or not 0 <= mask <= _ALL_AUXILIARIES:
+            return Code.WRONG_PARAMETER
+        if self._auxiliaries_need_run and not self.air.running:
+            return Code.NOT_NOW
+        self._switch_auxiliaries(group, mask)
+        return Code.DONE
+
+    def _switch_auxiliaries(self, group: str, mask: int) -> None:
+        changed = self._auxiliaries[group] ^ mask
+        self._auxiliaries[group] = mask
+        for place in range(_AUXILIARIES_IN_GROUP):
+            if self._on_event and changed >> place & 1:
+                number = _AUXILIARIES_IN_GROUP * (int(group) - 1) + place + 1
+                self._on_event(number, bool(mask >> place & 1))
+
+    def _run(self) -> Code:
+        if self._open_input or self._alarms & (1 << 4 | 1 << 5):
+            return Code.NOT_NOW
+        self.air.running = True
+        self.stop_code = Stop.RUNNING
+        return Code.DONE
+
+    def _stop(self, code: Stop) -> Code:
+        self.air.running = False
+        if self._open_input:
+            code = Stop.OPEN_INPUT
+        elif self._alarms & (1 << 4 | 1 << 5):
+            code = Stop.PROCESS_ALARM
+        self.stop_code = code
+        if self._auxiliaries_need_run:
+            for group in self._auxiliaries:
+                self._switch_auxiliaries(group, 0)
+        return Code.DONE
+
+    def _initialise(self) -> Code:
+        self._deviation_c = 0.0
+        return self._stop(Stop.COMPUTER)
+
+
+DIALECT = ChamberEmulation(Thermotron8800Emulator)

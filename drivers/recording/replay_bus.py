@@ -1,0 +1,76 @@
+"""python-can interface ``replay``: a recorded CAN log as a bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import can
+
+from bench.clock import Clock, WallClock, clock_named
+
+
+class ReplayBus(can.BusABC):
+    """A bus on which the frames of a log come again, with their stamps, as far apart as then.
+
+    Parameters
+    ----------
+    channel : str
+        A log that python-can reads: ``.log`` (candump), ``.asc``, ``.blf`` and others.
+    clock : str
+        Name of the clock that it lives on; wall time without one.
+
+    Raises
+    ------
+    can.CanInitializationError
+        The log can't be read, or there is no such clock.
+    """
+
+    def __init__(self, channel: str, clock: str = "", **options: Any) -> None:
+        try:
+            self._clock: Clock = clock_named(clock) if clock else WallClock()
+            self._log = can.LogReader(channel)
+        except (OSError, ValueError, KeyError) as error:
+            raise can.CanInitializationError(f"can't replay {channel}: {error}") from error
+        self._frames: Iterator[can.Message] = (frame for frame in self._log if frame.is_rx)
+        self._next = next(self._frames, None)
+        first_s = self._next.timestamp if self._next else 0.0
+        self._zero_s = self._clock.now() - first_s
+        self.channel_info = f"recording {channel}"
+        super().__init__(channel, **options)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        raise NotImplementedError  # recv() below has its place
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Wait for a frame that passes the filters, on the clock; None if none came in time.
+
+        Overrides python-can's own, which takes the time from the wall clock.
+        """
+        end_s = None if timeout is None else self._clock.now() + timeout * self._clock.speed
+        while self._next is not None:
+            due_s = self._zero_s + self._next.timestamp
+            if end_s is not None and due_s > end_s:
+                break
+            self._clock.sleep_until(due_s)
+            frame, self._next = self._next, next(self._frames, None)
+            if self._matches_filters(frame):
+                return frame
+        if end_s is not None:
+            self._clock.sleep_until(end_s)
+        return None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
+        """Refuse: nobody is there to take a command.
+
+        Raises
+        ------
+        can.CanOperationError
+            Always.
+        """
+        raise can.CanOperationError(f"a recording takes no commands; 0x{msg.arbitration_id:03X} was sent")
+
+    def shutdown(self) -> None:
+        """Close the log."""
+        self._log.stop()
+        super().shutdown()

@@ -1,0 +1,189 @@
+"""The tap: lines that are opened while a recording is on keep what goes through them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from bench.clock import Clock
+from bench.files import cant_be_written, make_folder
+from drivers.recording.document import RecordingHeader, Transfer, header_text
+
+#: What waits unread when a driver throws it away; more of it is not kept.
+_MOST_DISCARDED = 65536
+
+
+class LinePort(Protocol):
+    """What a line needs of its port; pyserial's have it."""
+
+    timeout: float | None
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have arrived."""
+        ...
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Up to ``size`` bytes that come before the time-out."""
+        ...
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send."""
+        ...
+
+    def flush(self) -> None:
+        """Wait until all is sent."""
+        ...
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has arrived."""
+        ...
+
+    def close(self) -> None:
+        """Close."""
+        ...
+
+
+class RecordingFile:
+    """A recording that is being written; each transfer is in the file at once.
+
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    clock : Clock
+        Gives the times; the recording begins now.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be made.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
+        self._clock = clock
+        self._start_s = clock.now()
+        began = clock.utc().isoformat(timespec="seconds")
+        try:
+            self._file = path.open("x", encoding="utf-8", buffering=1)
+            self._file.write(header_text(header.model_copy(update={"recorded_utc": began})))
+        except OSError as error:
+            raise cant_be_written(path, error) from error
+
+    def add(self, is_sent: bool, data: bytes) -> None:
+        """Keep what went through just now; a full disk ends the recording, not the line."""
+        if data and not self._file.closed:
+            try:
+                self._file.write(Transfer(self._clock.now() - self._start_s, is_sent, data).text())
+            except OSError:
+                self.close()
+
+    def close(self) -> None:
+        """End the recording; a second call does nothing."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+class RecordedPort:
+    """A port that keeps what goes through it; otherwise as the port itself."""
+
+    def __init__(self, port: LinePort, file: RecordingFile) -> None:
+        self._port = port
+        self._file = file
+
+    @property
+    def timeout(self) -> float | None:
+        """Longest wait of a read, s."""
+        return self._port.timeout
+
+    @timeout.setter
+    def timeout(self, timeout_s: float | None) -> None:
+        self._port.timeout = timeout_s
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have arrived."""
+        return self._port.in_waiting
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Read, and keep what came."""
+        data = bytes(self._port.read(size))
+        self._file.add(False, data)
+        return data
+
+    def write(self, data: bytes, /) -> int | None:
+        """Keep and send."""
+        self._file.add(True, data)
+        return self._port.write(data)
+
+    def flush(self) -> None:
+        """Wait until all is sent."""
+        self._port.flush()
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has arrived, and keep it in the recording."""
+        self._port.timeout = 0
+        left = _MOST_DISCARDED
+        while left > 0 and (waiting := self._port.in_waiting):
+            left -= len(self.read(min(waiting, left)))
+        self._port.reset_input_buffer()
+
+    def close(self) -> None:
+        """Close port and recording."""
+        self._port.close()
+        self._file.close()
+
+
+@dataclass(frozen=True)
+class _Tap:
+    folder: Path
+    headers: Mapping[str, RecordingHeader]
+
+
+#: The recording that is on; lines are opened deep inside the bench, in threads of their own too.
+_taps: list[_Tap] = []
+
+
+@contextlib.contextmanager
+def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Iterator[None]:
+    """Record every line that is opened meanwhile, into a new file at each opening.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if absent. Files are named after the instrument and numbered.
+    headers : mapping of str to RecordingHeader
+        By the name that errors give the instrument: "rate table", "chamber". A line whose instrument
+        is not here is not recorded.
+
+    Raises
+    ------
+    RunFolderError
+        The folder can't be made; opening a line raises it where its file can't be.
+    """
+    make_folder(folder)
+    tap = _Tap(folder, headers)
+    _taps.append(tap)
+    try:
+        yield
+    finally:
+        _taps.remove(tap)
+
+
+def tapped(instrument: str, port: LinePort, clock: Clock, baudrate: int, parity: str) -> LinePort:
+    """The port of an instrument, recorded where a recording is on."""
+    for tap in _taps:
+        if instrument in tap.headers:
+            header = tap.headers[instrument].model_copy(update={"baudrate": baudrate, "parity": parity})
+            return RecordedPort(port, RecordingFile(_next_path(tap.folder, header), header, clock))
+    return port
+
+
+def _next_path(folder: Path, header: RecordingHeader) -> Path:
+    number = 1
+    while (path := folder / f"{header.instrument}-{number:03d}.rec").exists():
+        number += 1
+    return path

@@ -1,0 +1,189 @@
+"""The shipped schemas: up to date, true of every shipped file, and false of typical mistakes."""
+
+import copy
+import json
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from bench.authoring.kinds import KINDS, PROCEDURE, STATION, kind_of
+from bench.authoring.schemas import editor_line
+from bench.documents import read_document
+from bench.shipped import shipped_folders
+from tests.bench.command_line import gyrobench
+
+ROOT = Path(__file__).parents[3]
+SCHEMAS = ROOT / "schemas"
+SHIPPED = sorted(
+    path for kind in KINDS.values() if kind.folder for path in (ROOT / kind.folder).glob("*.yaml")
+)
+
+
+def validator(kind):
+    return Draft202012Validator(json.loads((SCHEMAS / kind.schema_name).read_text()))
+
+
+def shipped(kind, name):
+    return copy.deepcopy(read_document(ROOT / kind.folder / f"{name}.yaml").data)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Schemas as the command writes them from the models."""
+    folder = tmp_path_factory.mktemp("made")
+    assert gyrobench("schema", "--out", folder, cwd=folder).returncode == 0
+    return folder
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_the_shipped_schema_is_what_the_models_say(kind, made):
+    text = (made / kind.schema_name).read_text()
+    assert (SCHEMAS / kind.schema_name).read_text() == text, "write them anew: gyrobench schema --out schemas"
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_the_shipped_schema_is_a_schema(kind):
+    Draft202012Validator.check_schema(validator(kind).schema)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_a_shipped_file_fits_its_schema_and_names_it(path):
+    document = read_document(path)
+    kind = kind_of(document)
+    assert [error.message for error in validator(kind).iter_errors(document.data)] == []
+    first = document.text.splitlines()[0]
+    assert first == f"# yaml-language-server: $schema=../schemas/{kind.schema_name}"
+    assert (path.parent / first.partition("=")[2]).is_file()
+
+
+def without(document, *keys):
+    for key in keys[:-1]:
+        document = document[key]
+    del document[keys[-1]]
+
+
+def with_value(document, value, *keys):
+    for key in keys[:-1]:
+        document = document[key]
+    document[keys[-1]] = value
+
+
+STEPS = [
+    {"soak": {}},
+    {"soak": {"for_s": 600, "until_gyro_rate_below_c_per_h": 1}},
+    {"soak": {"for": 600}},
+    {"sok": {"for_s": 600}},
+    {"soak": {"for_s": "600"}},
+    {"soak": {"for_s": 0}},
+    {"go_to": {"position": "z_upp"}},
+    {"go_to": {}},
+    "go_to",
+    {"wait": {"duration_s": 1}, "power_off": None},
+    {"navigate": {"until": {"bias_sigma_below_dph": 0.001}}},
+    {"align": {}},
+    {"chamber": {"temperature_c": "$", "ramp_c_per_min": 1}},
+    {"repeat": {"over": {"cycle": []}, "steps": ["power_off"]}},
+    {"repeat": {"over": {"cycle": [1]}, "steps": [{"wait": {}}]}},
+    {"repeat": {"over": {"cycle": [1]}}},
+]
+
+
+@pytest.mark.parametrize("step", STEPS, ids=str)
+def test_a_mistake_in_a_step_does_not_fit(step):
+    procedure = shipped(PROCEDURE, "ten_minute_check")
+    procedure["steps"].append(step)
+    assert not validator(PROCEDURE).is_valid(procedure)
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        "power_off",
+        {"power_off": None},
+        {"power_off": {"retries": 1}},
+        {"soak": {"for_s": 600}},
+        {
+            "repeat": {
+                "over": {"cycle": [1, 2], "position": ["z_up"]},
+                "steps": [{"go_to": {"position": "$position"}}],
+            }
+        },
+        {"chamber": {"temperature_c": "$chamber_c", "ramp_c_per_min": "$ramp"}},
+        {"navigate": {"until": {"bias_sigma_below_dph": "$sigma"}, "at_most_s": 1200}},
+    ],
+    ids=str,
+)
+def test_a_right_step_fits(step):
+    procedure = shipped(PROCEDURE, "ten_minute_check")
+    procedure["steps"].append(step)
+    assert [error.message for error in validator(PROCEDURE).iter_errors(procedure)] == []
+
+
+@pytest.mark.parametrize(
+    ("value", "keys"),
+    [
+        ("watlow_f5", ("chamber", "dialect")),
+        (-3, ("chamber", "limits", "ramp_c_per_min")),
+        (91, ("location", "latitude_deg")),
+        ([1, 2, 3], ("rate_table", "limits", "inner_deg")),
+        ("sideways", ("rate_table", "inner_axis")),
+        ("guessed", ("ins", "noise")),
+        ("NO_DOT", ("ins", "signals", "velocity_east")),
+        ("warm", ("safe_state", "chamber_c")),
+        (True, ("instruments_period_s",)),
+        (1, ("unknown_key",)),
+    ],
+    ids=str,
+)
+def test_a_mistake_in_a_station_does_not_fit(value, keys):
+    station = shipped(STATION, "quick")
+    with_value(station, value, *keys)
+    assert not validator(STATION).is_valid(station)
+
+
+@pytest.mark.parametrize(
+    "keys", [("chamber", "port"), ("safe_state",), ("ins", "signals", "attitude")], ids=str
+)
+def test_a_station_that_lacks_a_key_does_not_fit(keys):
+    station = shipped(STATION, "quick")
+    without(station, *keys)
+    assert not validator(STATION).is_valid(station)
+
+
+@pytest.mark.parametrize(
+    ("value", "keys"),
+    [
+        ("off", ("safe_state", "chamber_c")),
+        ("estimated", ("ins", "noise")),
+        ({"signal": "A.B", "sign": -1}, ("ins", "signals", "velocity_east")),
+        ([1, 2], ("ins", "signals", "mode", "standby")),
+        ("rpy_321", ("ins", "signals", "attitude", "euler", "sequence")),
+    ],
+    ids=str,
+)
+def test_other_ways_to_write_a_station_fit(value, keys):
+    station = shipped(STATION, "quick")
+    with_value(station, value, *keys)
+    assert [error.message for error in validator(STATION).iter_errors(station)] == []
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_every_key_says_what_it_means(kind):
+    schema = validator(kind).schema
+    sections = {kind.name: schema, **schema["$defs"]} if "$defs" in schema else {kind.name: schema}
+    silent = [
+        f"{name}.{key}"
+        for name, section in sections.items()
+        if name != "entry"
+        for key, each in section.get("properties", {}).items()
+        if not each.get("description") and "const" not in each
+    ]
+    assert silent == []
+
+
+def test_a_file_elsewhere_names_the_schema_by_its_whole_path(tmp_path):
+    line = editor_line(PROCEDURE, tmp_path / "mine.yaml")
+    path = Path(line.strip().partition("=")[2])
+    assert path == shipped_folders("schemas")[0].resolve() / "procedure.schema.json"
+    assert path.is_file()

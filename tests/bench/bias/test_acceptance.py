@@ -1,0 +1,195 @@
+import math
+
+import numpy as np
+import pytest
+
+from bench.bias.acceptance import judge
+from bench.bias.bins import bin_biases
+from bench.bias.tables.acceptance_file import read_acceptance, write_acceptance
+from bench.bias.tables.dwell_table import DwellRow
+from bench.bias.verdicts import Acceptance, AcceptanceLimits
+from bench.errors import DocumentError
+from bench.navigation.positions import POSITIONS
+
+LIMITS = AcceptanceLimits(position_difference_dph=0.006)
+SIGMA_DPH = 0.001
+POSITIONS_IN_ORDER = tuple(POSITIONS)
+STOPS_C = (60.0, 20.0, -10.0)
+
+
+def dwell(number, position, chamber_c, bias_dph, sigma_dph=SIGMA_DPH, gyro_c=None, flags=""):
+    nothing = (math.nan, math.nan, math.nan)
+    gyro_c = chamber_c + 12.0 if gyro_c is None else gyro_c
+    return DwellRow(
+        unit="1001", run="1", dwell=number, cycle=1, position=position, start_s=0.0, end_s=1200.0,
+        since_power_on_s=0.0, gyro_c=(gyro_c,) * 3, gyro_rate_c_per_h=nothing, bias_dph=tuple(bias_dph),
+        sigma_dph=(sigma_dph,) * 3, chamber_set_c=chamber_c, chamber_c=chamber_c, case_c=math.nan,
+        board_c=nothing, flags=flags,
+    )  # fmt: skip
+
+
+def campaign(true_dph=None, random=None, sigma_dph=SIGMA_DPH):
+    """One dwell in each position and at each stop; true biases by position for all gyros and stops."""
+    true_dph = true_dph or {}
+    noise = random.normal(0.0, sigma_dph, (len(STOPS_C), len(POSITIONS), 3)) if random else None
+    rows = []
+    for stop, chamber_c in enumerate(STOPS_C):
+        for place, position in enumerate(POSITIONS):
+            error = noise[stop, place] if random else np.zeros(3)
+            rows.append(
+                dwell(len(rows) + 1, position, chamber_c, true_dph.get(position, 0.0) + error, sigma_dph)
+            )
+    return rows
+
+
+PLANNED = [(chamber_c, position) for chamber_c in STOPS_C for position in POSITIONS]
+
+
+def judged(rows, limits=LIMITS, planned=PLANNED):
+    return judge(rows, bin_biases([row for row in rows if not row.flags]), limits, planned)
+
+
+def test_equal_positions_are_accepted():
+    result = judged(campaign())
+    assert result.verdict == "accepted"
+    assert result.gyros == {"x": "pass", "y": "pass", "z": "pass"}
+    assert len(result.judgements) == 9
+    assert not result.not_measured
+
+
+def test_a_position_far_off_is_rejected_and_named():
+    result = judged(campaign({"y_up": 0.03}))
+    assert result.verdict == "rejected"
+    worst = result.worst("x")
+    assert worst.worst[0] == "y_up"
+    assert worst.value_dph == pytest.approx(0.03)
+    assert worst.at_least_dph < 0.03 < worst.at_most_dph
+
+
+@pytest.mark.parametrize(
+    ("difference_dph", "verdict"), [(0.002, "accepted"), (0.006, "marginal"), (0.02, "rejected")]
+)
+def test_near_the_limit_the_uncertainty_makes_a_marginal_band(difference_dph, verdict):
+    assert judged(campaign({"z_down": difference_dph})).verdict == verdict
+
+
+def test_the_bounds_by_hand():
+    rows = [dwell(1, "z_up", 20.0, (0.0,) * 3, 0.003), dwell(2, "z_down", 20.0, (0.010,) * 3, 0.004)]
+    result = judged(rows, LIMITS, [(20.0, "z_up"), (20.0, "z_down")]).worst("z")
+    assert result.sigma_dph == pytest.approx(0.005)
+    assert result.at_most_dph == pytest.approx(0.010 + 1.644854 * 0.005)
+    # Six differences in all, each of three gyros in both orders: 0.05 / 6 beyond 2.394 sigma.
+    assert result.at_least_dph == pytest.approx(max(0.010 - 2.394 * 0.005, 0.0), abs=1e-5)
+
+
+def test_a_unit_at_the_limit_is_accepted_in_no_more_than_one_of_twenty_runs():
+    random = np.random.default_rng(1)
+    # One pair at one stop is at the limit, all others far within: nothing else keeps the unit from passing.
+    limits = AcceptanceLimits(position_difference_dph=0.03)
+    accepted = 0
+    for _ in range(400):
+        rows = campaign(random=random)
+        for index, bias_dph in enumerate((0.015, -0.015)):
+            bias = (random.normal(bias_dph, SIGMA_DPH), 0.0, 0.0)
+            rows[index] = dwell(index + 1, POSITIONS_IN_ORDER[index], STOPS_C[0], bias)
+        accepted += judged(rows, limits).verdict == "accepted"
+    assert 0 < accepted <= 400 * 0.05 + 3 * math.sqrt(400 * 0.05 * 0.95)
+
+
+def test_a_unit_with_many_positions_at_the_limit_is_rejected_in_no_more_than_one_of_twenty_runs():
+    random = np.random.default_rng(2)
+    at_limit = dict.fromkeys(("z_up", "y_up", "x_up"), LIMITS.position_difference_dph)
+    rejected = sum(judged(campaign(at_limit, random)).verdict == "rejected" for _ in range(400))
+    assert 0 < rejected <= 400 * 0.05 + 3 * math.sqrt(400 * 0.05 * 0.95)
+
+
+def test_the_largest_of_noisy_differences_does_not_reject_equal_positions():
+    random = np.random.default_rng(3)
+    tight = AcceptanceLimits(position_difference_dph=1e-6)
+    verdicts = [judged(campaign(random=random), tight).verdict for _ in range(200)]
+    assert verdicts.count("rejected") <= 200 * 0.05 + 3 * math.sqrt(200 * 0.05 * 0.95)
+    assert "accepted" not in verdicts
+
+
+def test_a_clear_difference_is_rejected_every_time():
+    random = np.random.default_rng(4)
+    assert all(judged(campaign({"x_up": 0.015}, random)).verdict == "rejected" for _ in range(50))
+
+
+def test_a_run_cut_short_is_not_judged_and_says_what_lacks():
+    result = judged(campaign()[:9])
+    assert result.verdict == "not judged"
+    assert result.gyros["x"] == "not measured"
+    lacking = {(each.chamber_set_c, each.position) for each in result.not_measured}
+    assert (20.0, "x_down") in lacking
+    assert (-10.0, "z_up") in lacking
+    assert (60.0, "z_up") not in lacking
+
+
+def test_a_run_cut_short_is_rejected_for_what_it_shows():
+    assert judged(campaign({"y_up": 0.03})[:9]).verdict == "rejected"
+
+
+def test_a_flagged_dwell_counts_as_not_measured():
+    rows = campaign()
+    rows[2] = dwell(3, "y_up", STOPS_C[0], (0.0,) * 3, flags="the INS fell silent")
+    (lacking, *_) = judged(rows).not_measured
+    assert (lacking.chamber_set_c, lacking.position) == (60.0, "y_up")
+
+
+def test_a_position_alone_in_its_bin_is_not_compared_unless_another_cycle_did():
+    rows = campaign()
+    rows[2] = dwell(3, "y_up", STOPS_C[0], (0.0,) * 3, gyro_c=80.0)
+    assert judged(rows).verdict == "not judged"
+    again = dwell(99, "y_up", STOPS_C[0], (0.0,) * 3)
+    assert judged([*rows, again]).verdict == "accepted"
+
+
+def test_biases_known_too_badly_count_as_not_measured():
+    limits = AcceptanceLimits(position_difference_dph=0.1, bias_sigma_dph=0.5 * SIGMA_DPH)
+    assert judged(campaign(), limits).verdict == "not judged"
+
+
+def test_the_size_of_the_bias_has_a_limit_of_its_own():
+    limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.01)
+    result = judged(campaign(dict.fromkeys(POSITIONS, -0.05)), limits)
+    assert result.verdict == "rejected"
+    assert result.worst("x").verdict == "pass"
+    assert result.worst("x", "bias").verdict == "fail"
+    assert result.worst("x", "bias").value_dph == pytest.approx(0.05)
+
+
+def test_without_limits_nothing_is_judged():
+    assert judged(campaign(), None) == Acceptance()
+    assert Acceptance().verdict == "not judged"
+
+
+def test_a_single_position_can_not_be_judged():
+    rows = [dwell(1, "z_up", 20.0, (0.0,) * 3)]
+    result = judged(rows, LIMITS, [(20.0, "z_up")])
+    assert result.verdict == "not judged"
+    assert result.worst("x") is None
+
+
+def test_a_run_without_chamber_is_judged_at_the_temperature_that_it_has():
+    rows = [
+        dwell(number, position, math.nan, (0.0,) * 3, gyro_c=30.0)
+        for number, position in enumerate(POSITIONS, 1)
+    ]
+    assert judged(rows, LIMITS, [(None, position) for position in POSITIONS]).verdict == "accepted"
+
+
+def test_a_verdict_is_read_as_it_was_written(tmp_path):
+    result = judged(campaign({"y_up": 0.03})[:9])
+    write_acceptance(tmp_path / "acceptance.json", result)
+    assert read_acceptance(tmp_path / "acceptance.json") == result
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"verdict": "splendid"}', '{"verdict": "accepted", "more": 1}', "{" * 9999]
+)
+def test_a_file_that_holds_no_verdict_is_refused(tmp_path, text):
+    path = tmp_path / "acceptance.json"
+    path.write_text(text)
+    with pytest.raises(DocumentError, match=r"acceptance\.json: holds no verdict"):
+        read_acceptance(path)

@@ -1,0 +1,94 @@
+"""What the shell offers while a command is typed, by the shells' own protocol."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = (sys.executable, "-c", "import sys; sys.argv[0] = 'gyrobench'; from bench.cli import main; main()")
+
+
+def asked(environment, cwd):
+    answer = subprocess.run(
+        PROGRAM, env=os.environ | environment, cwd=cwd, capture_output=True, text=True, timeout=100
+    )
+    assert answer.stderr == ""
+    return answer.stdout.split()
+
+
+def offered(typed, cwd):
+    """What bash would offer for the last word of a line."""
+    words = f"gyrobench {typed}"
+    return asked(
+        {
+            "_GYROBENCH_COMPLETE": "complete_bash",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - (not words.endswith(" "))),
+        },
+        cwd,
+    )
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("pla", {"plan"}),
+        ("plan six", {"six_position_fig7"}),
+        ("check qui", {"quick"}),
+        ("jog emul", {"emulated"}),
+        ("run x --world gyro", {"gyro_a", "gyro_b"}),
+        ("run x --faults ev", {"every_kind"}),
+        ("verify r --station ex", {"example_bench"}),
+        ("new procedure x --like ch", {"check"}),
+        ("validate --as fau", {"faults"}),
+        ("new station x --chamber wat", {"watlow_f4"}),
+        ("new station x --table acu", {"acutrol3000"}),
+    ],
+)
+def test_bash_is_offered_commands_and_shipped_names(typed, expected, tmp_path):
+    found = set(offered(typed, tmp_path))
+    assert expected <= found
+    assert all(each.startswith(typed.split()[-1]) for each in found)
+
+
+def test_run_folders_are_offered_wherever_they_are(tmp_path):
+    for name in ("runs/a-001", "runs/b-001", "else/c-001"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "journal.jsonl").touch()
+    (tmp_path / "runs" / "no_run").mkdir()
+    assert set(offered("bins ", tmp_path)) == {"runs/a-001", "runs/b-001"}
+    assert offered("close runs/b", tmp_path) == ["runs/b-001"]
+    assert offered("bins else/", tmp_path) == ["else/c-001"]
+
+
+def test_what_fits_no_name_is_left_to_the_shell(tmp_path):
+    assert offered("plan ./mine", tmp_path) == []
+    assert offered("bins ", tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"_GYROBENCH_COMPLETE": "complete_zsh"},
+        {"_GYROBENCH_COMPLETE": "complete_fish", "_TYPER_COMPLETE_FISH_ACTION": "get-args"},
+    ],
+    ids=["zsh", "fish"],
+)
+def test_zsh_and_fish_are_offered_the_same(environment, tmp_path):
+    found = asked(environment | {"_TYPER_COMPLETE_ARGS": "gyrobench plan six"}, tmp_path)
+    assert "six_position_fig7" in " ".join(found)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_for_each_shell_calls_the_command(shell, tmp_path):
+    script = " ".join(asked({"_GYROBENCH_COMPLETE": f"source_{shell}"}, tmp_path))
+    assert f"_GYROBENCH_COMPLETE=complete_{shell}" in script
+
+
+def test_completion_loads_nothing_heavy():
+    code = (
+        "import sys, bench.cli; print([m for m in ('numpy', 'pydantic', 'rich', 'can') if m in sys.modules])"
+    )
+    answer = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, timeout=100)
+    assert answer.stdout.strip() == "[]"

@@ -1,0 +1,82 @@
+"""``gyrobench fleet`` as an engineer types it."""
+
+import json
+
+import pytest
+
+from bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from tests.bench.command_line import gyrobench
+from tests.bench.run_index.sample_runs import copy_run, emulated_run
+from tests.benchmarks.fleet_runs import OUTLIER, make_runs
+
+
+@pytest.fixture
+def place(tmp_path, tmp_path_factory):
+    """Folder with two good runs and a damaged one."""
+    sample = emulated_run(tmp_path_factory.mktemp("sample"))
+    for name, unit in (("a", "1001"), ("b", "1002"), ("broken", "1003")):
+        copy_run(sample, tmp_path / "runs" / name, unit)
+    (tmp_path / "runs" / "broken" / "station.yaml").write_text("station: [")
+    return tmp_path
+
+
+def test_only_what_failed_is_done_again(place):
+    first = gyrobench("fleet", "bins", "runs", "--threads", "--workers", 1, cwd=place)
+    assert first.returncode == EXIT_NOT_FINISHED
+    assert "fleet bins: 3 of 3 runs to do, 1 thread" in first.stdout
+    assert f"failed: {place / 'runs' / 'broken'}" in first.stdout
+    assert "2 done, 1 failed" in first.stdout
+    (place / "runs" / "broken" / "station.yaml").write_bytes(
+        (place / "runs" / "a" / "station.yaml").read_bytes()
+    )
+    second = gyrobench("fleet", "bins", "runs", "--threads", "--json", cwd=place)
+    assert second.returncode == 0, second.stderr
+    assert "1 of 3 runs to do" in second.stderr
+    assert {run["state"] for run in json.loads(second.stdout)["runs"].values()} == {"done"}
+    third = gyrobench("fleet", "bins", "runs", cwd=place)
+    assert third.returncode == 0
+    assert "3 done before" in third.stdout
+
+
+def test_runs_of_an_index_are_chosen_by_what_they_are(place):
+    result = gyrobench(
+        "fleet", "report", "--from-index", "runs", "--unit", "1002", "--threads", "--json", cwd=place
+    )
+    assert result.returncode == 0, result.stderr
+    assert list(json.loads(result.stdout)["runs"]) == [str(place / "runs" / "b")]
+    assert (place / "runs" / "b" / "report.html").exists()
+
+
+def test_mistakes_are_told(place):
+    for wrong in (
+        ["bins"],
+        ["bins", "runs", "--unit", "1001"],
+        ["close", "runs", "--scheduler", "tcp://127.0.0.1:1", "--workers", 2],
+    ):
+        assert gyrobench("fleet", *wrong, cwd=place).returncode == EXIT_WRONG_INPUT
+    nothing = gyrobench("fleet", "bins", "nowhere", cwd=place)
+    assert nothing.returncode == EXIT_NOT_FINISHED
+    assert "there is no run folder" in nothing.stderr
+
+
+def test_the_unit_that_stands_out_of_an_emulated_batch_is_named(tmp_path):
+    make_runs(tmp_path / "runs", OUTLIER + 1, OUTLIER + 1, outlying_dph=0.05)
+    lines = "".join(f"{2000 + unit},B7\n" for unit in range(OUTLIER + 1))
+    (tmp_path / "runs" / "units.csv").write_text(f"unit,batch\n{lines}")
+    result = gyrobench("fleet", "batch", "--batch", "B7", "--out", "batch", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    assert f"1 unit stands out: unit {2000 + OUTLIER} in Y gyro" in result.stdout.replace("\n", " ")
+    content = json.loads((tmp_path / "batch" / "batch.json").read_text())
+    assert {each["unit"] for each in content["standing_out"]} == {str(2000 + OUTLIER)}
+    assert "Batch B7" in (tmp_path / "batch" / "batch.html").read_text()
+
+
+def test_units_of_several_batches_and_too_few_units_are_no_batch(place):
+    (place / "runs" / "units.csv").write_text("unit,batch\n1001,B7\n")
+    several = gyrobench("fleet", "batch", cwd=place)
+    assert several.returncode == EXIT_WRONG_INPUT
+    assert "Give --batch" in several.stderr
+    few = gyrobench("fleet", "batch", "--batch", "B7", cwd=place)
+    assert few.returncode == EXIT_NOT_FINISHED
+    assert "4 units or more" in few.stderr

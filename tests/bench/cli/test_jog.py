@@ -1,0 +1,197 @@
+"""`gyrobench jog` on emulated benches."""
+
+import os
+import subprocess
+
+import pytest
+
+from bench.documents import find_document
+from bench.station.bench_lock import LOCK_DIR_VARIABLE
+from tests.bench.command_line import PROCESS, gyrobench
+
+
+def jog(*arguments, cwd, station="quick"):
+    return gyrobench("jog", station, *arguments, "--world", "quick", cwd=cwd)
+
+
+def answers(run):
+    """What was told after each command, without the courses of motions."""
+    found, command = {}, ""
+    for line in run.stdout.splitlines():
+        if line.startswith("jog> "):
+            command = line.removeprefix("jog> ")
+            found[command] = []
+        else:
+            found.setdefault(command, []).append(line)
+    return found
+
+
+def test_the_table_goes_where_it_is_sent(tmp_path):
+    run = jog("table outer 30", "table inner -100 at 25", "show", cwd=tmp_path)
+    assert run.returncode == 0, run.stdout
+    told = answers(run)
+    assert told["table outer 30"][0] == "servos closed"
+    outer, inner = told["show"][:2]
+    assert float(outer.split()[2]) == pytest.approx(30.0, abs=0.003)
+    assert float(inner.split()[2]) == pytest.approx(-100.0, abs=0.003)
+    assert "servos closed; the unit is in none of the six positions" in told["show"][2]
+
+
+@pytest.mark.parametrize(("position", "azimuth"), [("z_down", 0), ("y_up", 180), ("x_down", 180)])
+def test_the_unit_is_brought_to_a_position(position, azimuth, tmp_path):
+    run = jog(f"table to {position} {azimuth} at 20", "show", cwd=tmp_path)
+    shown = answers(run)["show"][2]
+    assert f"the unit is in {position}, azimuth " in shown
+    assert float(shown.split()[-2]) % 360.0 == pytest.approx(azimuth, abs=0.02)
+
+
+def test_home_brings_all_axes_to_zero(tmp_path):
+    run = jog("table outer 30", "home", "show", cwd=tmp_path)
+    assert "in z_up, azimuth" in answers(run)["show"][2]
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        ("table outer 201", "outside its limits of -200 to 200 deg"),
+        ("table outer 10 at 31", "beyond the limit of 30 deg/s"),
+        ("table outer 10 at 0", "above 0 deg/s"),
+        ("table rate inner 31", "beyond the limit of 30 deg/s"),
+        ("table to z_upp", "did you mean 'z_up'"),
+        ("table to x_up 45", "can't reach"),
+        ("table sideways 3", "'sideways' is no axis"),
+        ("table outer much", "'much' is not an angle in deg"),
+        ("table outer nan", "'nan' is not an angle in deg"),
+        ("table outer 3 4", "typed 'at RATE'"),
+        ("table", "is no axis"),
+        ("chamber 80", "outside the chamber's limits of -50 to 75 degC"),
+        ("chamber 40 at 11", "at most 10 degC/min"),
+        ("chamber", "something is missing"),
+        ("servo maybe", "neither on nor off"),
+        ("ins land", "no command 'land'"),
+        ("watch -3", "above 0 s"),
+        ("stop now", "'now' is too much"),
+        ("tabel outer 3", "did you mean 'table'"),
+    ],
+)
+def test_what_can_not_be_done_is_refused_before_anything_moves(command, why, tmp_path):
+    run = jog(command, "show", cwd=tmp_path)
+    assert run.returncode == 1
+    assert why in run.stdout
+    assert "servos closed" not in run.stdout
+    assert "jog> show" not in run.stdout  # what follows may depend on it
+
+
+def test_a_turn_without_end_is_stopped_before_the_limit(tmp_path):
+    run = jog("table rate outer 20", "watch 30", "show", cwd=tmp_path)
+    assert "the outer axis comes near to its limit" in run.stdout
+    outer = answers(run)["show"][0].split()
+    assert 100.0 < float(outer[2]) < 200.0
+    assert float(outer[4]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_turn_that_has_no_room_is_refused(tmp_path):
+    run = jog("table outer 195 at 30", "table rate outer 20", cwd=tmp_path)
+    assert run.returncode == 1
+    assert "too near to its limit" in run.stdout
+
+
+def test_stop_ends_a_turn(tmp_path):
+    run = jog("table rate inner 5", "watch 4", "stop", "show", cwd=tmp_path)
+    assert run.returncode == 0
+    inner = answers(run)["show"][1].split()
+    assert 10.0 < float(inner[2]) < 40.0
+    assert abs(float(inner[4])) < 0.01
+
+
+def test_the_chamber_goes_to_its_set_point(tmp_path):
+    run = jog("chamber 33 at 5", "watch 300", "show", cwd=tmp_path)
+    shown = answers(run)["show"][3]
+    assert "set point 33.0 degC, on" in shown
+    assert float(shown.split()[2]) == pytest.approx(33.0, abs=1.0)
+
+
+def test_the_ins_is_switched_on_and_commanded(tmp_path):
+    run = jog("unit on", "ins align", "watch 60", "ins navigate", "show", "events", "unit off", cwd=tmp_path)
+    assert run.returncode == 0, run.stdout
+    told = answers(run)
+    assert told["unit on"][-1].startswith("INS on: standby")
+    assert told["ins align"] == ["INS: align, not aligned"]
+    assert told["ins navigate"][0].startswith("INS: navigate")
+    assert any(line.startswith("INS        navigate, finely aligned") for line in told["show"])
+    assert "event 2  on  (the INS)" in told["events"]
+    assert told["unit off"][0] == "INS off"
+
+
+def test_no_line_is_wider_than_80_columns(tmp_path):
+    run = jog(
+        "show", "limits", "unit on", "ins align", "watch 5", "show", "events", "faults", "help", cwd=tmp_path
+    )
+    assert max(map(len, run.stdout.splitlines())) <= 80
+
+
+def test_the_bench_is_left_in_its_safe_state(tmp_path):
+    run = jog("table outer 30", "chamber 40", cwd=tmp_path)
+    assert run.stdout.splitlines()[-4:] == [
+        "rate table stopped",
+        "chamber's set point at 23 degC",
+        "INS left as it is",
+        "rate table's interlocks opened",
+    ]
+
+
+@pytest.mark.parametrize("arguments", [("--leave",), ("leave", "show")])
+def test_the_bench_is_left_as_it_is_where_that_is_asked_for(arguments, tmp_path):
+    run = jog("chamber 40", *arguments, cwd=tmp_path)
+    assert run.returncode == 0
+    assert run.stdout.splitlines()[-1] == "Chamber, unit and servos are left as they are."
+    assert "chamber's set point at 23 degC" not in run.stdout
+
+
+def test_an_interlock_that_trips_brings_the_safe_state_and_says_why(tmp_path):
+    (tmp_path / "panel.yaml").write_text(
+        "faults:\n  - {fault: set_point_changed_at_panel, at_s: 40, to_c: 60}\n"
+    )
+    run = jog("table outer 20", "chamber 30", "watch 300", "show", "--faults", "panel.yaml", cwd=tmp_path)
+    assert run.returncode == 1
+    told = answers(run)["watch 300"]
+    assert "chamber's set point at 23 degC" in told
+    assert any(line.startswith("Interlock chamber_command: the chamber's set point is 60") for line in told)
+    assert "jog> show" not in run.stdout
+
+
+def test_an_axis_that_stalls_is_stopped_and_told(tmp_path):
+    (tmp_path / "stall.yaml").write_text("faults:\n  - {fault: table_stalls, during: turn, axis: outer}\n")
+    run = jog("table outer 90", "--faults", "stall.yaml", cwd=tmp_path)
+    assert run.returncode == 1
+    assert "rate table" in run.stdout
+
+
+def piped(text, cwd, *arguments):
+    return subprocess.run(
+        [*PROCESS, "jog", "quick", "--world", "quick", *arguments],
+        input=text, capture_output=True, text=True, cwd=cwd, timeout=200,
+    )  # fmt: skip
+
+
+def test_commands_come_from_a_pipe_with_comments(tmp_path):
+    run = piped("# to the side\ntable outer 30  # deg\n\nshow\nquit\nnever reached\n", tmp_path)
+    assert run.returncode == 0, run.stdout
+    assert "jog> table outer 30" in run.stdout
+    assert "never" not in run.stdout
+    assert run.stdout.rstrip().endswith("rate table's interlocks opened")
+
+
+def test_a_bench_that_somebody_else_holds_is_not_touched(tmp_path, monkeypatch):
+    monkeypatch.setenv(LOCK_DIR_VARIABLE, str(tmp_path))
+    from bench.clock import WallClock
+    from bench.station.bench_lock import BenchLock
+    from bench.station.station import Station
+
+    path = tmp_path / "real.yaml"
+    text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
+    path.write_text(text.replace("emulator://table", os.devnull))
+    with BenchLock(Station(path), tmp_path / "some_run", WallClock()):
+        run = jog("show", cwd=tmp_path, station="real.yaml")
+    assert run.returncode == 3
+    assert "some_run" in run.stderr

@@ -1,0 +1,89 @@
+"""`gyrobench new`, `validate` and `schema` as they are typed."""
+
+import json
+
+from bench.authoring.new_files import TEMPLATES
+from bench.cli.completion import TEMPLATE_NAMES
+from tests.bench.command_line import gyrobench
+
+
+def test_a_new_procedure_can_be_planned_at_once(tmp_path):
+    made = gyrobench("new", "procedure", "mine", "--like", "check", cwd=tmp_path)
+    assert made.returncode == 0
+    assert (tmp_path / "mine.yaml").is_file()
+    assert gyrobench("plan", "mine.yaml", cwd=tmp_path).returncode == 0
+
+
+def test_a_file_that_is_there_is_not_written_over(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("precious")
+    made = gyrobench("new", "station", "mine", cwd=tmp_path)
+    assert made.returncode == 2
+    assert "mine.yaml: is there already" in made.stderr
+    assert path.read_text() == "precious"
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    made = gyrobench("new", "station", "mine", "--out", "nowhere/mine.yaml", cwd=tmp_path)
+    assert made.returncode == 2
+    assert "No such file or directory" in made.stderr
+
+
+def test_a_new_file_can_go_to_standard_output(tmp_path):
+    made = gyrobench("new", "station", "mine", "--out", "-", cwd=tmp_path)
+    assert made.stdout.startswith("# yaml-language-server: $schema=")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_template_is_told_with_the_shipped_ones(tmp_path):
+    made = gyrobench("new", "procedure", "mine", "--like", "nothing", cwd=tmp_path)
+    assert made.returncode == 2
+    assert "ten_minute_check" in made.stderr
+
+
+def test_completion_offers_the_templates():
+    assert set(TEMPLATE_NAMES) == set(TEMPLATES)
+
+
+def test_right_files_are_named_for_what_they_are(tmp_path):
+    gyrobench("new", "procedure", "mine", cwd=tmp_path)
+    gyrobench("new", "station", "bench", cwd=tmp_path)
+    answer = gyrobench("validate", "mine.yaml", "bench.yaml", "--station", "emulated", cwd=tmp_path)
+    assert answer.returncode == 0
+    assert answer.stdout == (
+        "mine.yaml: a good procedure file, 7 steps, 1 dwells, 0.1 h on emulated\n"
+        "bench.yaml: a good station file\n"
+    )
+
+
+def test_wrong_files_are_told_with_places_and_exit_code_2(tmp_path):
+    (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n  - sok\n")
+    answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
+    assert answer.returncode == 2
+    lines = answer.stdout.splitlines()
+    assert lines[0].startswith("p.yaml:3:12: 'duration_s' should be greater than 0")
+    assert lines[1].startswith("p.yaml:4:5: unknown step")
+
+
+def test_a_program_reads_the_same_as_json(tmp_path):
+    (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n")
+    gyrobench("new", "station", "bench", cwd=tmp_path)
+    answer = gyrobench("validate", "p.yaml", "bench.yaml", "--json", cwd=tmp_path)
+    assert answer.returncode == 2
+    wrong, right = json.loads(answer.stdout)["files"]
+    assert (wrong["file"], wrong["kind"], wrong["ok"]) == ("p.yaml", "procedure", False)
+    assert [(each["line"], each["column"]) for each in wrong["problems"]] == [(3, 12)]
+    assert right == {"file": "bench.yaml", "kind": "station", "ok": True, "found": None, "problems": []}
+
+
+def test_a_schema_is_printed_alone(tmp_path):
+    answer = gyrobench("schema", "procedure", cwd=tmp_path)
+    assert json.loads(answer.stdout)["title"] == "gyrobench procedure"
+
+
+def test_a_new_world_is_the_shipped_one_under_another_name(tmp_path):
+    made = gyrobench("new", "world", "hidden", "--like", "gyro_b", cwd=tmp_path)
+    assert made.returncode == 0
+    text = (tmp_path / "hidden.yaml").read_text()
+    assert "\nworld: hidden\n" in text
+    assert gyrobench("validate", "hidden.yaml", cwd=tmp_path).returncode == 0

@@ -1,0 +1,50 @@
+"""`gyrobench report`: the report anew, with a name, as PDF, elsewhere."""
+
+import pytest
+
+from bench.bias.tables.acceptance_file import write_acceptance
+from bench.bias.verdicts import Acceptance
+from bench.clock import VirtualClock
+from bench.run_store.folder import RunFolder
+from bench.run_store.journal import Journal
+from tests.bench.command_line import gyrobench
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run that ended before anything was measured."""
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+        journal.record("run_ended", ended="stopped", reason="by an order", safe_state=[])
+    write_acceptance(folder.acceptance, Acceptance())
+    return folder
+
+
+def test_the_report_is_written_anew_with_the_name_and_the_verdict(run, tmp_path):
+    done = gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Unit not judged. The procedure states no acceptance limits." in done.stdout
+    assert f"Report   {run.report}" in done.stdout
+    assert "A. Smith" in run.report.read_text()
+
+
+def test_a_pdf_stands_beside_the_page_where_it_was_asked_for(run, tmp_path):
+    done = gyrobench("report", run.path, "--pdf", "--out", "signed", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "PDF      signed/report.pdf" in done.stdout
+    assert (tmp_path / "signed" / "report.pdf").read_bytes().startswith(b"%PDF-")
+    assert not run.report.exists()
+
+
+def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
+    done = gyrobench("report", run.path, "--before", run.path, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Before and after" in run.report.read_text()
+
+
+def test_what_is_no_run_is_refused(tmp_path):
+    done = gyrobench("report", tmp_path, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "is no run folder" in done.stderr

@@ -1,0 +1,88 @@
+"""``gyrobench runs`` as an engineer types it."""
+
+import json
+
+import pytest
+
+from bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from tests.bench.command_line import gyrobench
+from tests.bench.run_index.sample_runs import copy_run, emulated_run
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with runs of unit 1001 in seven months, whose x gyro drifts, and one of 1002."""
+    place = tmp_path_factory.mktemp("place")
+    sample = emulated_run(tmp_path_factory.mktemp("sample"))
+    for month in range(1, 8):
+        started = f"2026-{month:02d}-01T08:00:00+00:00"
+        copy_run(sample, place / "runs" / f"of-{month}", "1001", started, x_dph=0.004 * month)
+    copy_run(sample, place / "runs" / "other", "1002", "2026-03-05T08:00:00+00:00")
+    (place / "runs" / "units.csv").write_text("unit,batch\n1001,B7\n1002,B8\n")
+    return place
+
+
+def test_runs_are_listed_newest_first_within_80_columns(place):
+    result = gyrobench("runs", cwd=place)
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[2].split()[:5] == ["of-7", "2026-07-01", "1001", "B7", "quick"]
+    assert "8 runs of 2 units." in result.stdout
+    assert "The newest 3 are shown" in gyrobench("runs", "--most", 3, cwd=place).stdout
+
+
+def test_runs_are_found_and_told_to_programs(place):
+    result = gyrobench("runs", "runs", "--batch", "B7", "--since", "2026-06-01", "--json", cwd=place)
+    content = json.loads(result.stdout)
+    assert [run["path"] for run in content["runs"]] == ["of-7", "of-6"]
+    assert content["runs"][0]["started_utc"] == "2026-07-01T08:00:00"
+    assert content["problems"] == {}
+
+
+def test_the_trend_of_a_unit_names_the_gyro_that_drifts_and_draws_it(place):
+    result = gyrobench("runs", "--unit", "1001", "--trend", "--figure", "drift.png", cwd=place)
+    assert result.returncode == 0, result.stderr
+    assert "Unit 1001 drifts: X gyro at" in result.stdout
+    assert "Y gyro at" not in result.stdout
+    assert (place / "drift.png").read_bytes().startswith(b"\x89PNG")
+    trends = json.loads(gyrobench("runs", "--unit", "1001", "--trend", "--json", cwd=place).stdout)["trends"]
+    slopes = [each["slope_dph_per_month"] for each in trends if each["gyro"] == "x"]
+    assert slopes == pytest.approx([0.00402] * len(slopes), rel=0.02)
+    assert "a trend is of one unit" in gyrobench("runs", "--trend", cwd=place).stderr
+
+
+@pytest.mark.parametrize("by", ["unit", "batch", "bench", "procedure", "month"])
+def test_groups_fit_the_terminal(place, by):
+    result = gyrobench("runs", "--by", by, cwd=place)
+    assert result.returncode == 0, result.stderr
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    first = {"unit": "1001", "batch": "B7", "bench": "quick", "procedure": "fleet_sample", "month": "2026-01"}
+    assert result.stdout.splitlines()[2].startswith(first[by])
+
+
+def test_a_query_is_answered_and_a_wrong_one_told(place):
+    asked = gyrobench(
+        "runs", "--sql", "SELECT unit, count(*) AS n FROM runs GROUP BY 1 ORDER BY 1", cwd=place
+    )
+    assert asked.stdout.split()[-6:-2] == ["1001", "7", "1002", "1"]
+    wrong = gyrobench("runs", "--sql", "DROP TABLE runs", cwd=place)
+    assert wrong.returncode == EXIT_WRONG_INPUT
+    assert "read-only" in wrong.stderr
+
+
+def test_a_run_that_cannot_be_read_is_told_below_the_others(place):
+    broken = place / "runs" / "zz-broken"
+    broken.mkdir()
+    (broken / "journal.jsonl").write_text("{}\n")
+    result = gyrobench("runs", cwd=place)
+    (broken / "journal.jsonl").unlink()
+    assert result.returncode == 0
+    assert "1 run folder can't be read" in result.stdout
+    assert "no provenance.json" in result.stdout
+
+
+def test_mistakes_have_their_exit_codes(place):
+    for wrong in (["--trend", "--by", "unit"], ["--figure", "a.png"], ["--since", "soon"]):
+        assert gyrobench("runs", *wrong, cwd=place).returncode == EXIT_WRONG_INPUT
+    assert gyrobench("runs", "nowhere", cwd=place).returncode == EXIT_NOT_FINISHED

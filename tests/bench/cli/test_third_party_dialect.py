@@ -1,0 +1,213 @@
+"""A package of somebody else adds a chamber's dialect and its emulator; nothing here knows of it."""
+
+import os
+import re
+import subprocess
+
+import pytest
+
+from bench.documents import find_document
+from drivers import dialects
+from tests.bench.command_line import PROCESS, WIDTH, gyrobench
+
+DIALECT = '''
+"""The Acme Frost: "T?" asks for the air, "S?" for the set point, "O?" for its outputs; "S25.5" sets."""
+
+from pydantic import Field
+
+from bench.documents import StrictModel
+from bench.errors import RefusedError, ReplyError
+from drivers.chamber import ChamberReading
+from drivers.chamber.dialect import ChamberDialect
+from drivers.dialects import LineDefaults
+from drivers.text_line import TextLine
+
+
+class Frost:
+    def __init__(self, line, shelf):
+        self._text, self._line, self._shelf = TextLine(line, b"\\n"), line, shelf
+
+    def identify(self):
+        return f"Acme Frost, shelf {self._shelf}"
+
+    def read(self):
+        return ChamberReading(self._number("T?"), self.set_point_c(), self.is_event_on(1))
+
+    def alarms(self):
+        return []
+
+    def clear_alarms(self):
+        pass
+
+    def limits_c(self):
+        raise RefusedError("chamber", "does not tell")
+
+    def set_temperature(self, temperature_c, rate_c_per_min):
+        self._text.ask(f"R{rate_c_per_min or 0:g}")
+        self._text.ask(f"S{temperature_c:g}")
+
+    def set_point_c(self):
+        return self._number("S?")
+
+    def switch(self, on):
+        self.switch_event(1, on)
+
+    def switch_event(self, number, on):
+        self._text.ask(f"{'+' if on else '-'}{number}")
+
+    def is_event_on(self, number):
+        return bool(int(self._number("O?")) >> number & 1)
+
+    def close(self):
+        self._line.close()
+
+    def _number(self, query):
+        return self._text.number(query, self._text.ask(query))
+
+
+class FrostOptions(StrictModel):
+    shelf: int = Field(ge=1, le=9, description="shelf that the unit stands on")
+
+
+DIALECT = ChamberDialect(
+    lambda line, options: Frost(line, options.shelf), FrostOptions, LineDefaults(tcp_port=77)
+)
+'''
+
+EMULATOR = """
+from drivers.emulators.dialect import ChamberEmulation
+
+
+class FrostEmulator:
+    latency_s = 0.01
+
+    def __init__(self, air, on_event):
+        self._air, self._on_event, self._outputs, self._buffer = air, on_event, 0, b""
+
+    def feed(self, data, now_s):
+        *requests, self._buffer = (self._buffer + data).split(b"\\n")
+        return b"".join(self._answer(request.decode()).encode() + b"\\n" for request in requests)
+
+    def _answer(self, request):
+        kind, value = request[:1], request[1:]
+        if value == "?":
+            answers = {"T": self._air.air_c, "S": self._air.set_point_c, "O": self._outputs}
+            return f"{answers[kind]:.2f}"
+        if kind == "S":
+            self._air.set_point_c = float(value)
+        elif kind == "R":
+            self._air.ramp_rate_c_per_min = float(value) or None
+        else:
+            self._switch(int(value), kind == "+")
+        return "ok"
+
+    def _switch(self, number, on):
+        self._outputs = self._outputs | 1 << number if on else self._outputs & ~(1 << number)
+        if number == 1:
+            self._air.running = on
+        self._on_event(number, on)
+
+
+DIALECT = ChamberEmulation(FrostEmulator)
+"""
+
+METADATA = "Metadata-Version: 2.1\nName: acme-frost\nVersion: 1.2\n"
+ENTRY_POINTS = """
+[gyrobench.chambers]
+acme_frost = acme_frost.chamber:DIALECT
+acme_broken = acme_frost.broken:DIALECT
+
+[gyrobench.emulators]
+acme_frost = acme_frost.emulator:DIALECT
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder with the package as pip would leave it."""
+    folder = tmp_path_factory.mktemp("site")
+    package, metadata = folder / "acme_frost", folder / "acme_frost-1.2.dist-info"
+    package.mkdir()
+    metadata.mkdir()
+    (package / "__init__.py").touch()
+    (package / "chamber.py").write_text(DIALECT)
+    (package / "emulator.py").write_text(EMULATOR)
+    (package / "broken.py").write_text("import a_library_that_nobody_has\n")
+    (metadata / "METADATA").write_text(METADATA)
+    (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
+    return folder
+
+
+@pytest.fixture
+def acme_station(tmp_path):
+    """Make a station file of that dialect with these keys."""
+
+    def make(dialect="acme_frost", keys="  shelf: 3\n"):
+        text = find_document("stations", "emulated").read_text()
+        text = text.replace("  dialect: watlow_f4\n", f"  dialect: {dialect}\n").replace(
+            "  address: 1\n", keys
+        )
+        path = tmp_path / "acme.yaml"
+        path.write_text(text)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def installed(site, monkeypatch):
+    """The package as if it had been installed before this process began."""
+    monkeypatch.syspath_prepend(site)
+    dialects._entries.cache_clear()
+    yield site
+    dialects._entries.cache_clear()
+
+
+def test_a_run_goes_through_a_dialect_of_another_package(acme_station, site, tmp_path):
+    command = [*PROCESS, "run", "ten_minute_check", "--station", acme_station().name, "--world", "ideal"]
+    done = subprocess.run(
+        [*command, "--out", "acme-run"], cwd=tmp_path, capture_output=True, text=True, timeout=200,
+        env=os.environ | WIDTH | {"PYTHONPATH": str(site)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Acme Frost, shelf 3" in (tmp_path / "acme-run" / "provenance.json").read_text()
+
+
+def test_a_check_names_the_instrument_of_another_package(acme_station, installed, tmp_path):
+    done = gyrobench("check", acme_station(), "--world", "ideal", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Acme Frost, shelf 3" in done.stdout
+
+
+def test_mistakes_in_the_keys_of_another_package_are_told_with_their_place(acme_station, installed, tmp_path):
+    done = gyrobench("plan", "ten_minute_check", "--station", acme_station(keys=""), cwd=tmp_path)
+    assert done.returncode == 2
+    assert re.search(r"acme\.yaml:\d+:1: the key 'shelf' is missing: shelf that the unit", done.stderr)
+
+
+def test_a_broken_package_is_named_without_a_traceback(acme_station, installed, tmp_path):
+    station = acme_station(dialect="acme_broken")
+    done = gyrobench("plan", "ten_minute_check", "--station", station, cwd=tmp_path)
+    assert done.returncode == 2
+    assert re.search(
+        r"acme\.yaml:\d+:3: the dialect 'acme_broken' of acme-frost 1\.2 can't be imported", done.stderr
+    )
+    assert "ModuleNotFoundError: No module named 'a_library_that_nobody_has'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_broken_package_hurts_no_other_station(installed, tmp_path):
+    assert gyrobench("plan", "ten_minute_check", "--station", "emulated", cwd=tmp_path).returncode == 0
+
+
+def test_a_dialect_without_an_emulator_says_so(acme_station, installed, tmp_path):
+    entry_points = installed / "acme_frost-1.2.dist-info" / "entry_points.txt"
+    before = entry_points.read_text()
+    entry_points.write_text(before.partition("[gyrobench.emulators]")[0])
+    try:
+        done = gyrobench("check", acme_station(), "--world", "ideal", cwd=tmp_path)
+    finally:
+        entry_points.write_text(before)
+    assert done.returncode == 3
+    said = " ".join((done.stdout + done.stderr).split())
+    assert "no dialect 'acme_frost' is installed; installed: acutrol3000, ideal_aerosmith" in said

@@ -1,0 +1,45 @@
+"""The page, the file and the terminal say the same of a batch."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from bench.fleet.batch_model import fit_batch
+from bench.fleet.batch_report import batch_summary, write_batch
+from bench.run_index.run_biases import LEVEL
+from tests.bench.fleet.test_batch_model import POSITIONS, batch
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    values = batch(np.random.default_rng(3), names=(LEVEL, *POSITIONS), outlier=("z", "x_up", 0.03))
+    return fit_batch(values)
+
+
+def test_page_and_file_name_the_unit_that_stands_out(fitted, tmp_path):
+    page = write_batch(tmp_path / "batch", "B7", fitted, "30 runs").read_text()
+    assert "<h1>Batch B7</h1>" in page
+    assert "1 unit of 10 stands out" in page
+    assert "Z gyro at 20 to 25 °C, X-Up less the mean" in page
+    content = json.loads((tmp_path / "batch" / "batch.json").read_text())
+    assert [each["unit"] for each in content["standing_out"]] == ["0"]
+    assert len(content["quantities"]) == 12
+    names = sorted(path.name for path in (tmp_path / "batch" / "figures").iterdir())
+    assert names == ["batch_levels.png", "batch_positions.png"]
+
+
+def test_the_terminal_needs_80_columns_and_no_colour(fitted):
+    console = Console(width=80, no_color=True, file=io.StringIO())
+    console.print(batch_summary("B7", fitted))
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= 80
+    assert "1 unit stands out: unit 0 in Z gyro at 20 to 25 °C, X-Up" in text.replace("\n", " ")
+
+
+def test_a_batch_of_like_units_says_so(tmp_path):
+    page = write_batch(tmp_path, "", fit_batch(batch(np.random.default_rng(8))), "30 runs").read_text()
+    assert "10 units alike" in page
+    assert "No unit stands out" in page

@@ -1,0 +1,46 @@
+"""Runs may be named in several ways."""
+
+import pytest
+
+from bench.errors import RunFolderError
+from bench.fleet.choice import runs_in_index, runs_named
+from bench.run_index.index import RunIndex
+from bench.run_index.run_files import open_store
+from bench.run_index.selection import Selection
+from tests.bench.run_index.sample_runs import copy_run
+
+
+@pytest.fixture
+def root(tmp_path):
+    for name in ("a", "b", "deep/c"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "journal.jsonl").write_text("{}\n")
+    return tmp_path
+
+
+def test_runs_are_named_by_folder_root_and_pattern_each_once(root, monkeypatch):
+    every = [root / "a", root / "b", root / "deep" / "c"]
+    assert runs_named([str(root)]) == every
+    assert runs_named([str(root / "b"), str(root)]) == [root / "b", root / "a", root / "deep" / "c"]
+    assert runs_named([str(root / "[ab]")]) == every[:2]
+    monkeypatch.chdir(root)
+    assert runs_named(["d*"]) == every[2:]
+
+
+def test_a_name_without_run_is_told(root):
+    (root / "empty").mkdir()
+    for name in ("nothing", "no*", "empty"):
+        with pytest.raises(RunFolderError, match="there is no run folder"):
+            runs_named([str(root / name)])
+
+
+def test_runs_are_chosen_from_an_index(sample, tmp_path):
+    copy_run(sample, tmp_path / "a", "1001")
+    copy_run(sample, tmp_path / "b", "1002")
+    index = RunIndex(open_store(str(tmp_path)))
+    index.update()
+    assert runs_in_index(str(tmp_path), index, Selection(unit="1002")) == [tmp_path / "b"]
+    with pytest.raises(RunFolderError, match="no run is as asked for"):
+        runs_in_index(str(tmp_path), index, Selection(unit="1003"))
+    with pytest.raises(RunFolderError, match="can't be written"):
+        runs_in_index("memory://bucket", index, Selection())

@@ -1,0 +1,41 @@
+"""The record tells what is left to do."""
+
+import pytest
+
+from bench.errors import RunFolderError
+from bench.fleet.jobs import JobKind, JobResult, JobState
+from bench.fleet.record import FleetRecord, read_record
+
+
+@pytest.fixture
+def runs(tmp_path):
+    paths = [tmp_path / name for name in ("a", "b", "c", "d")]
+    for path in paths:
+        path.mkdir()
+        (path / "journal.jsonl").write_text("{}\n")
+    return paths
+
+
+def test_what_failed_was_left_out_is_new_or_has_changed_is_left(runs, tmp_path):
+    record = FleetRecord(JobKind.BINS, tmp_path / "record")
+    for path, state in zip(runs, (JobState.DONE, JobState.FAILED, JobState.SKIPPED), strict=False):
+        record.add(JobResult(str(path), state, "why", 1.0))
+    record.write()
+    again = read_record(JobKind.BINS, tmp_path / "record")
+    assert again.runs == record.runs
+    assert again.left_of(runs) == runs[1:]
+    (runs[0] / "journal.jsonl").write_text("{}\n{}\n")
+    assert again.left_of(runs) == runs
+
+
+def test_no_record_is_an_empty_one(runs, tmp_path):
+    assert read_record(JobKind.CLOSE, tmp_path / "none").left_of(runs) == runs
+
+
+def test_a_damaged_record_and_one_of_another_job_are_refused(tmp_path):
+    FleetRecord(JobKind.BINS, tmp_path).write()
+    with pytest.raises(RunFolderError, match=r"is the record of `gyrobench fleet bins`"):
+        read_record(JobKind.CLOSE, tmp_path)
+    (tmp_path / "fleet.json").write_text("{")
+    with pytest.raises(RunFolderError, match=r"is damaged.*--again"):
+        read_record(JobKind.CLOSE, tmp_path)

@@ -1,0 +1,92 @@
+"""Many runs on real workers: what goes wrong with one stays with it."""
+
+import os
+import signal
+import sys
+
+import cloudpickle
+import pytest
+from distributed import LocalCluster, WorkerPlugin
+
+import bench.fleet.jobs
+from bench.errors import GyrobenchError
+from bench.fleet.cluster import Workers, connected
+from bench.fleet.jobs import JobKind, JobState
+from bench.fleet.record import FleetRecord, read_record
+from bench.fleet.work import work_through
+from tests.bench.run_index.sample_runs import copy_run
+
+
+class DiesOfDeadlyRuns(WorkerPlugin):
+    """Makes a worker end as the kernel ends one that takes all memory, when it opens a run of that name."""
+
+    def setup(self, worker):
+        opened = bench.fleet.jobs.open_run_folder
+
+        def open_or_die(path):
+            if path.name == "deadly":
+                os.kill(os.getpid(), signal.SIGKILL)
+            return opened(path)
+
+        bench.fleet.jobs.open_run_folder = open_or_die
+
+
+@pytest.fixture
+def runs(sample, tmp_path):
+    return [copy_run(sample, tmp_path / name).path for name in ("a", "deadly", "c")]
+
+
+def test_a_run_that_kills_its_worker_fails_and_the_others_are_done(runs, tmp_path):
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    record = FleetRecord(JobKind.BINS, tmp_path / "record")
+    (runs[2] / "station.yaml").write_text("station: [")
+    with connected(Workers(count=1)) as client:
+        client.register_plugin(DiesOfDeadlyRuns())
+        results = {result.path: result for result in work_through(client, record, runs)}
+    assert [results[str(path)].state for path in runs] == [JobState.DONE, JobState.FAILED, JobState.FAILED]
+    assert "its worker was killed" in results[str(runs[1])].text
+    assert "station.yaml" in results[str(runs[2])].text
+    assert read_record(JobKind.BINS, tmp_path / "record").left_of(runs) == runs[1:]
+
+
+def test_threads_do_the_same_and_a_bug_is_a_failure_of_its_run(runs, tmp_path, monkeypatch):
+    def broken(folder):
+        if folder.path.name == "deadly":
+            raise ZeroDivisionError("a bug")
+        return "done"
+
+    monkeypatch.setattr(bench.fleet.jobs, "_DOERS", {JobKind.REPORT: broken})
+    record = FleetRecord(JobKind.REPORT, tmp_path / "record")
+    with connected(Workers(count=2, are_threads=True)) as client:
+        results = {result.path: result for result in work_through(client, record, runs)}
+    assert results[str(runs[1])].text == "ZeroDivisionError: a bug"
+    assert sum(result.state == JobState.DONE for result in results.values()) == 2
+
+
+def test_what_was_done_is_on_record_when_the_rest_is_given_up(runs, tmp_path):
+    record = FleetRecord(JobKind.REPORT, tmp_path / "record")
+    with connected(Workers(count=1, are_threads=True)) as client:
+        work = work_through(client, record, runs)
+        next(work)
+        work.close()
+    assert len(read_record(JobKind.REPORT, tmp_path / "record").left_of(runs)) == 2
+
+
+def test_a_scheduler_of_somebody_else_is_used_and_stays(runs, tmp_path):
+    record = FleetRecord(JobKind.REPORT, tmp_path / "record")
+    with LocalCluster(
+        n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        with connected(Workers(scheduler=cluster.scheduler_address)) as client:
+            (result,) = work_through(client, record, runs[:1])
+        assert result.state == JobState.DONE
+        assert len(cluster.scheduler_info["workers"]) == 1
+
+
+def test_an_address_without_scheduler_is_told(monkeypatch):
+    monkeypatch.setattr("bench.fleet.cluster._PATIENCE_S", 0.5)
+    with (
+        pytest.raises(GyrobenchError, match="no Dask scheduler answers"),
+        connected(Workers(scheduler="tcp://127.0.0.1:9")),
+    ):
+        pass

@@ -1,0 +1,47 @@
+"""The guard tells people off the bench that it had to act."""
+
+import json
+
+import pytest
+
+from tests.bench.guard.served_bench import SmallEngine, is_running, wait_for
+from tests.bench.messages.servers import Server, free_port
+
+pytestmark = pytest.mark.wall_time
+
+
+@pytest.fixture
+def start_engine_told_to(served, tmp_path):
+    """Start an engine in small whose station has a webhook at this address."""
+    engines = []
+
+    def start(url):
+        station = tmp_path / "told.yaml"
+        text = served.station.path.read_text()
+        station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: '{url}', on: [ends]}}\n")
+        engines.append(SmallEngine(station, tmp_path / "run"))
+        return engines[-1]
+
+    yield start
+    for engine in engines:
+        engine.close()
+
+
+def test_a_killed_engine_is_told_as_soon_as_the_network_is_there_and_the_bench_does_not_wait_for_it(
+    start_engine_told_to,
+):
+    port = free_port()
+    engine = start_engine_told_to(f"http://127.0.0.1:{port}")
+    engine.process.kill()
+    wait_for(lambda: "message delayed" in engine.log() and "the bench is in its safe state" in engine.log())
+    server = Server(port=port)
+    wait_for(lambda: not is_running(engine.guard_pid))
+    ((_, _, body),) = server.received
+    server.close()
+    told = json.loads(body)
+    assert (told["event"], told["station"], told["run"]) == ("guard_acted", "emulated", "run")
+    assert told["urgent"]
+    assert (
+        "The engine ended without a word, so the guard acted. The bench is in its safe state." in told["why"]
+    )
+    assert "message sent" in engine.log()

@@ -1,0 +1,118 @@
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.clock import WallClock
+from bench.errors import RunFolderError
+from bench.live.from_folder import WITHOUT_A_WORD, picture_from_records, picture_of
+from bench.live.picture import Picture, Question, RunState
+from bench.run_store.folder import RunFolder
+from bench.station.bench_lock import RunLock
+
+
+@pytest.fixture
+def folder(recorded, tmp_path):
+    """A copy of a run that finished."""
+    shutil.copytree(recorded.folder.path, tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def cut_off(folder, event):
+    """Leave the journal as a kill after an event would."""
+    lines = folder.journal.read_text().splitlines(keepends=True)
+    last = next(number for number, line in enumerate(lines) if json.loads(line)["event"] == event)
+    folder.journal.write_text("".join(lines[: last + 1]))
+
+
+def test_a_run_tells_its_picture_itself(folder, recorded):
+    assert picture_of(folder.path).to_json() == recorded.pictures[-1].to_json()
+
+
+def test_the_records_of_a_run_give_the_same_picture_but_for_what_they_do_not_hold(folder):
+    told, found = picture_of(folder.path), picture_from_records(folder)
+    assert found.dwells == tuple(
+        replace(each, gyro_c=found.dwells[0].gyro_c, bias_dph=found.dwells[0].bias_dph,
+                sigma_dph=found.dwells[0].sigma_dph)
+        for each in told.dwells
+    )  # fmt: skip
+    np.testing.assert_allclose(found.dwells[0].bias_dph, told.dwells[0].bias_dph, atol=1e-9)
+    assert (found.name, found.procedure, found.station, found.unit) == (
+        told.name, told.procedure, told.station, told.unit,
+    )  # fmt: skip
+    assert (found.state, found.reason, found.left_s) == (RunState.FINISHED, "", 0.0)
+    assert found.now_s == pytest.approx(told.now_s, abs=20.0)
+    assert found.planned == told.planned
+    assert len(found.bins) == len(told.bins)
+    assert found.bench.ins_mode in ("navigate", "boot", "unknown")
+    assert found.measured.time_s[-1] == pytest.approx(told.measured.time_s[-1], abs=20.0)
+    np.testing.assert_allclose(found.attitude.body_in_enu, told.attitude.body_in_enu, atol=1e-3)
+    assert Picture.from_json(found.to_json()).to_json() == found.to_json()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{", b"[1, 2]"])
+def test_without_a_picture_or_with_a_damaged_one_the_records_are_read(folder, content):
+    folder.live.unlink()
+    if content is not None:
+        folder.live.write_bytes(content)
+    picture = picture_of(folder.path)
+    assert picture.state is RunState.FINISHED
+    assert len(picture.dwells) == 1
+
+
+def running(folder):
+    return replace(
+        picture_of(folder.path),
+        state=RunState.RUNNING,
+        question=Question("Is the cable free?", ("yes", "no")),
+    )
+
+
+def test_a_run_that_was_killed_is_not_said_to_go_on(folder):
+    folder.live.write_bytes(running(folder).to_json())
+    picture = picture_of(folder.path)
+    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert picture.question is None
+
+
+def test_a_run_that_a_process_holds_goes_on(folder):
+    folder.live.write_bytes(running(folder).to_json())
+    with RunLock(folder.path, WallClock()):
+        picture = picture_of(folder.path)
+    assert picture.state is RunState.RUNNING
+    assert picture.question.text == "Is the cable free?"
+
+
+def test_a_run_that_was_killed_before_it_left_a_picture_has_what_was_on_the_disk(folder):
+    folder.live.unlink()
+    folder.dwells.unlink()
+    cut_off(folder, "powered_on")
+    picture = picture_of(folder.path)
+    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert picture.dwells == ()
+    assert picture.left_s == pytest.approx(picture.planned_s)
+
+
+def test_a_run_whose_procedure_is_damaged_has_its_dwells_still(folder):
+    folder.live.unlink()
+    folder.procedure.write_text("procedure: [")
+    picture = picture_of(folder.path)
+    assert len(picture.dwells) == 1
+    assert picture.planned.time_s == ()
+    assert not math.isnan(picture.now_s)
+
+
+def test_messages_are_those_that_the_journal_tells(folder):
+    folder.live.unlink()
+    entry = {"time_s": 900.0, "utc": "2000-01-01T00:15:00+00:00", "event": "note", "text": "look here"}
+    with folder.journal.open("a") as journal:
+        journal.write(json.dumps(entry) + "\n")
+    assert picture_of(folder.path).messages[-1].text == "look here"
+
+
+def test_what_is_no_run_folder_is_refused(tmp_path):
+    with pytest.raises(RunFolderError):
+        picture_of(tmp_path)

@@ -1,0 +1,84 @@
+import json
+import math
+from dataclasses import fields, replace
+
+import pytest
+
+from bench.errors import RunFolderError
+from bench.live.picture import Picture, RunState, read_picture
+from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
+
+
+@pytest.mark.parametrize("picture", [made_up_picture(), waiting_picture()], ids=["running", "waiting"])
+def test_a_picture_survives_json(picture):
+    text = picture.to_json()
+    again = Picture.from_json(text)
+    assert again.to_json() == text
+    assert again.state is picture.state
+    assert again.question == picture.question
+    assert again.dwell == picture.dwell
+
+
+def test_a_number_that_is_not_known_is_null_and_comes_back_as_nan():
+    text = made_up_picture().to_json()
+    assert b"NaN" not in text
+    assert json.loads(text)["dwells"][4]["bias_dph"] == [None, None, None]
+    assert all(map(math.isnan, Picture.from_json(text).dwells[4].bias_dph))
+
+
+def test_the_plan_of_a_run_that_held_is_behind_its_clock():
+    picture = replace(made_up_picture(), now_s=40_000.0, left_s=20_000.0, planned_s=54_000.0)
+    assert picture.plan_now_s == 34_000.0
+
+
+@pytest.mark.parametrize("state", RunState)
+def test_only_ends_are_over(state):
+    assert state.is_over == (state in ("finished", "stopped", "failed"))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data.pop("now_s"),
+        lambda data: data.update(colour="red"),
+        lambda data: data["step"].update(colour="red"),
+        lambda data: data["step"].update(number="7"),
+        lambda data: data.update(state="asleep"),
+        lambda data: data.update(format=0),
+        lambda data: data["measured"].update(time_s=["noon"]),
+        lambda data: data["measured"]["chamber_c"].pop(),
+        lambda data: data["dwell"]["windows"][0]["time_s"].pop(),
+        lambda data: data["attitude"].update(body_in_enu=[[1.0, 0.0, 0.0]]),
+    ],
+    ids=[
+        "a key less",
+        "a key more",
+        "a key more within",
+        "text for a number",
+        "no state",
+        "an older format",
+        "no number",
+        "a value less",
+        "a time less",
+        "half a matrix",
+    ],
+)
+def test_a_damaged_picture_is_refused_with_its_file(damage, tmp_path):
+    data = json.loads(made_up_picture().to_json())
+    damage(data)
+    path = tmp_path / "live.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(RunFolderError, match=r"live\.json: damaged, or of another version"):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b'{"name": "half'])
+def test_what_is_no_picture_is_refused(text):
+    with pytest.raises(RunFolderError):
+        Picture.from_json(text)
+
+
+def test_every_part_of_the_made_up_picture_is_filled():
+    picture = waiting_picture()
+    empty = {each.name for each in fields(picture) if getattr(picture, each.name) in (None, (), "")}
+    assert empty == {"dwell"}

@@ -1,0 +1,206 @@
+import os
+import threading
+
+import pytest
+
+from bench.live.picture import Message, RunState
+from bench.monitor.site import Site
+from tests.bench.live.made_up_picture import made_up_picture
+from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_picture
+
+
+def text_of(site, target):
+    answer = site.answer(target)
+    assert answer.status == 200
+    return answer.body.decode()
+
+
+def test_the_page_of_a_run_holds_what_it_asks_for_anew(tmp_path):
+    with run_under_way(tmp_path / "mine") as run:
+        site = Site(run, now)
+        page, fragment = text_of(site, "/"), text_of(site, "/fragment")
+    assert fragment in page
+    assert "running" in fragment
+    assert page.startswith("<!DOCTYPE html>")
+    assert '<noscript><meta http-equiv="refresh" content="10"></noscript>' in page
+
+
+def test_the_policy_lets_in_nothing_but_the_style_and_the_script_of_the_page(tmp_path):
+    write_picture(tmp_path / "mine")
+    one, other = (Site(tmp_path / "mine", now).answer("/") for _ in range(2))
+    rules = dict(rule.split(" ", 1) for rule in one.policy.split("; "))
+    nonce = rules["script-src"].removeprefix("'nonce-").removesuffix("'")
+    assert rules["default-src"] == "'none'"
+    assert rules["style-src"] == rules["script-src"]
+    assert rules["connect-src"] == "'self'"
+    assert one.body.decode().count(f'nonce="{nonce}"') == 2
+    assert nonce not in other.policy
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "/station.yaml", "/live.json", "/journal.jsonl", "/can/", "/figures", "/.lock",
+        "/../mine/report.html", "/..%2fmine%2freport.html", "/%2e%2e/mine/", "//etc/passwd", "/etc/passwd",
+        "/report.html/", "/report.html/..", "/closure/closure.html", "/runs/mine/", "/fragment/", "/%00",
+    ],
+)  # fmt: skip
+def test_only_the_pages_of_a_run_have_addresses(tmp_path, target):
+    run = tmp_path / "mine"
+    write_picture(run)
+    for name in ("station.yaml", "report.html"):
+        (run / name).write_text("content")
+    assert Site(run, now).answer(target).status == 404
+
+
+@pytest.mark.parametrize("target", ["/%ff%fe", "/\x00"])
+def test_an_address_that_is_none_is_refused(tmp_path, target):
+    assert Site(tmp_path, now).answer(target).status in (400, 404)
+
+
+def test_what_a_run_left_is_shown_without_its_scripts(tmp_path):
+    run = tmp_path / "mine"
+    write_picture(run, state=RunState.FINISHED)
+    site = Site(run, now)
+    assert "report.html" not in text_of(site, "/")
+    (run / "report.html").write_text("<p>the report</p>")
+    (run / "closure").mkdir()
+    (run / "closure" / "closure.html").write_text("<p>the search</p>")
+    assert '<a id="record-1" href="report.html">Report</a>' in text_of(site, "/")
+    assert text_of(site, "/report.html") == "<p>the report</p>"
+    assert text_of(site, "/closure/closure.html") == "<p>the search</p>"
+    policy = site.answer("/report.html").policy
+    assert "script-src" not in policy
+    assert "sandbox" in policy
+
+
+def test_a_report_that_is_a_link_out_of_the_run_folder_is_not_there(tmp_path):
+    run = tmp_path / "mine"
+    write_picture(run)
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    (run / "report.html").symlink_to(secret)
+    assert Site(run, now).answer("/report.html").status == 404
+
+
+def test_a_report_beyond_all_size_is_refused(tmp_path):
+    run = tmp_path / "mine"
+    write_picture(run)
+    with (run / "report.html").open("wb") as stream:
+        stream.truncate(60_000_000)
+    assert Site(run, now).answer("/report.html").status == 503
+
+
+def test_a_folder_of_runs_lists_those_under_way_and_then_the_newest(tmp_path):
+    for age_s, name in enumerate(("new", "older", "under_way")):
+        write_picture(tmp_path / name, state=RunState.FINISHED)
+        began = tmp_path / name / "procedure.yaml"
+        began.touch()
+        os.utime(began, (1e9 - age_s, 1e9 - age_s))
+    (tmp_path / "no_run").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "new")
+    with run_under_way(tmp_path / "under_way"):
+        page = text_of(Site(tmp_path, now), "/")
+    places = [page.index(f'href="runs/{name}/"') for name in ("under_way", "new", "older")]
+    assert places == sorted(places)
+    assert page.count("<li") == 3
+    assert page.count("finished") == 2
+
+
+def test_each_run_of_a_folder_has_its_page_with_a_way_back(tmp_path):
+    write_picture(tmp_path / "mine")
+    (tmp_path / "mine" / "report.html").write_text("the report")
+    site = Site(tmp_path, now)
+    assert 'href="../../"' in text_of(site, "/runs/mine/")
+    assert "<main" in text_of(site, "/runs/mine/fragment")
+    assert text_of(site, "/runs/mine/report.html") == "the report"
+    assert site.answer("/runs/mine").headers == {"Location": "/runs/mine/"}
+
+
+@pytest.mark.parametrize("target", ["/runs/other/", "/runs/", "/runs/../", "/runs/../mine/", "/runs/%2e%2e/"])
+def test_a_run_that_is_not_in_the_folder_has_no_page(tmp_path, target):
+    write_picture(tmp_path / "mine")
+    assert Site(tmp_path, now).answer(target).status == 404
+
+
+def test_a_run_that_begins_later_gets_its_page_at_the_same_address(tmp_path):
+    site = Site(tmp_path, now)
+    assert "No run has begun here yet" in text_of(site, "/")
+    with run_under_way(tmp_path):
+        assert "running" in text_of(site, "/")
+
+
+def test_names_and_messages_are_text_whatever_is_in_them(tmp_path):
+    name = "<img src=x onerror=alert(1)>&\"'?#%41"
+    write_picture(tmp_path / name, messages=(Message(0.0, "<script>alert(1)</script>"),))
+    site = Site(tmp_path, now)
+    listed = text_of(site, "/fragment")
+    address = "/runs/%3Cimg%20src%3Dx%20onerror%3Dalert%281%29%3E%26%22%27%3F%23%2541/"
+    page = text_of(site, f"{address}fragment")
+    assert f'href="{address.removeprefix("/")}"' in listed
+    for text in (listed, page):
+        assert "<img" not in text
+        assert "<script" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+
+
+def test_a_killed_run_is_told_at_once(tmp_path):
+    run = tmp_path / "mine"
+    site = Site(run, now)
+    with run_under_way(run):
+        assert "running" in text_of(site, "/fragment")
+    assert "stopped without a word" in text_of(site, "/fragment")
+    assert "stopped without a word" in text_of(Site(tmp_path, now), "/fragment")
+
+
+def test_a_run_that_has_fallen_silent_is_told(tmp_path):
+    with run_under_way(tmp_path / "mine", age_s=40.0) as run:
+        alone = text_of(Site(run, now), "/fragment")
+        assert "No news for 40 s" in alone
+        assert "last heard running" in alone
+        assert "No news for 40 s" in text_of(Site(tmp_path, now), "/fragment")
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
+def test_a_damaged_picture_gives_way_to_what_else_the_run_left(tmp_path, kept):
+    run = tmp_path / "mine"
+    write_picture(run)
+    whole = (run / "live.json").read_bytes()
+    (run / "live.json").write_bytes(whole[: int(kept * len(whole))])
+    (run / "journal.jsonl").write_text('{"time_s": 7200.0, "event": "run_ended", "ended": "finished"}\n')
+    for site, target in (
+        (Site(run, now), "/"),
+        (Site(tmp_path, now), "/"),
+        (Site(tmp_path, now), "/runs/mine/"),
+    ):
+        assert "mine" in text_of(site, target)
+        assert "Traceback" not in text_of(site, target)
+
+
+def test_a_folder_that_holds_nothing_to_read_is_told_with_its_file(tmp_path):
+    run = tmp_path / "mine"
+    run.mkdir()
+    (run / "live.json").write_text("{")
+    assert "journal.jsonl" in text_of(Site(run, now), "/")
+    assert "can&#39;t be read" in text_of(Site(tmp_path, now), "/")
+
+
+def test_whoever_looks_while_the_picture_is_written_sees_a_whole_one(tmp_path):
+    done = threading.Event()
+    seen = []
+    with run_under_way(tmp_path / "mine") as run, served(run) as server:
+
+        def write():
+            picture = made_up_picture()
+            for number in range(60):
+                write_picture(run, picture, unit=f"unit-{number}")
+            done.set()
+
+        writer = threading.Thread(target=write)
+        writer.start()
+        while not done.is_set():
+            seen.append(ask(server, "/fragment")[1].decode())
+        writer.join()
+        seen.append(ask(server, "/fragment")[1].decode())
+    assert all("unit unit-" in text and "</main>" in text for text in seen[1:])
+    assert "unit unit-59" in seen[-1]

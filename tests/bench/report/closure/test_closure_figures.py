@@ -1,0 +1,111 @@
+"""The figures of a search for effects: what is drawn, with which values."""
+
+import numpy as np
+import pytest
+
+from bench.report.closure.effect_figure import closure_effect_figure
+from bench.report.closure.error_figure import closure_error_figure, temperature_groups
+from bench.report.closure.evidence_figure import closure_evidence_figure
+from bench.report.closure.residual_figure import closure_residual_figure
+from bench.report.closure.residuals import residuals_dph, rms
+from tests.bench.report.made_up_closure import (
+    ambiguous,
+    clean,
+    explained,
+    unexplained,
+    without_boards,
+)
+
+
+def points(axes, label):
+    [line] = [line for line in axes.get_lines() if line.get_label() == label]
+    return np.array(line.get_xdata()), np.array(line.get_ydata())
+
+
+def texts(figure):
+    return " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+
+
+def test_residuals_are_drawn_before_and_after_against_four_things():
+    closure = explained()
+    figure = closure_residual_figure(closure, "x")
+    assert len(figure.axes) == 8
+    for axes, model in ((figure.axes[0], closure.declared), (figure.axes[4], closure.model)):
+        expected = 1000.0 * residuals_dph(closure, model)[:, 0]
+        for label, chosen in (("searched", closure.searched), ("held out", ~closure.searched)):
+            along, values = points(axes, label)
+            assert along == pytest.approx(closure.campaign.gyro_c[chosen, 0])
+            assert values == pytest.approx(expected[chosen])
+
+
+def test_the_noise_is_a_band_of_one_sigma():
+    figure = closure_residual_figure(explained(), "y")
+    [band] = figure.axes[0].patches
+    assert (band.get_y(), band.get_height()) == pytest.approx((-2.0, 4.0))
+
+
+def test_dwells_of_a_position_stand_together():
+    figure = closure_residual_figure(explained(), "z")
+    along, _ = points(figure.axes[3], "searched")
+    names = np.array(explained().campaign.position)[explained().searched]
+    ticks = [tick.get_text() for tick in figure.axes[-1].get_xticklabels()]
+    assert ticks[0] == "Z-Up"
+    assert np.abs(along[names == "z_up"]).max() < 0.5
+
+
+def test_without_effects_the_declared_model_stands_alone():
+    assert len(closure_residual_figure(clean(), "x").axes) == 4
+
+
+def test_the_evidence_has_a_bar_for_each_effect_as_long_as_its_share():
+    closure = ambiguous()
+    [axes] = closure_evidence_figure(closure).axes
+    lengths = [bar.get_width() for bar in axes.patches]
+    assert lengths == pytest.approx([100.0 * min(max(each.share, 0.0), 1.0) for each in closure.evidence])
+    assert len({bar.get_facecolor() for bar in axes.patches}) == 3
+
+
+def test_an_effect_that_was_not_tried_is_there_with_the_reason():
+    figure = closure_evidence_figure(without_boards())
+    assert "not tried: lacks temperature sensors" in texts(figure)
+    low, high = sorted(figure.axes[0].get_ylim())
+    assert low < 0
+    assert high > len(without_boards().evidence) - 1
+
+
+def test_where_only_noise_is_left_the_bars_are_chances():
+    assert "p = 1.000" in texts(closure_evidence_figure(clean()))
+
+
+def test_the_effect_is_drawn_as_partial_residuals_on_the_line_as_fitted():
+    closure = explained()
+    [found] = closure.effects
+    figure = closure_effect_figure(closure, found)
+    along, line = points(figure.axes[0], "as fitted")
+    assert along == pytest.approx(np.sort(closure.campaign.rate_c_per_h[:, 0]))
+    assert np.diff(line) == pytest.approx(1000.0 * found.sizes_dph[0, 0] * np.diff(along))
+    dwells, values = points(figure.axes[0], "searched")
+    left = values - np.interp(dwells, along, line)
+    assert left == pytest.approx(1000.0 * residuals_dph(closure, closure.model)[closure.searched, 0])
+
+
+def test_a_gyro_that_does_not_show_the_effect_says_so():
+    [found] = explained().effects
+    assert "z" not in found.axes
+    assert "does not show it" in texts(closure_effect_figure(explained(), found))
+
+
+def test_errors_are_pairs_of_bars_with_the_noise():
+    closure = explained()
+    upper, lower = closure_error_figure(closure).axes
+    assert len(upper.patches) == 2 * (3 + 6)
+    errors_dph = residuals_dph(closure, closure.declared)[~closure.searched]
+    assert upper.patches[0].get_height() == pytest.approx(1000.0 * rms(errors_dph[:, 0]))
+    assert len(lower.patches) == 2 * len(temperature_groups(closure))
+
+
+def test_temperature_bins_hold_every_bias_held_out_once():
+    groups = temperature_groups(unexplained())
+    counts = sum(chosen.astype(int) for chosen in groups.values())
+    assert np.array_equal(counts, np.repeat(~unexplained().searched[:, None], 3, axis=1).astype(int))
+    assert len(groups) <= 12

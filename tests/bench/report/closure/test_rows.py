@@ -1,0 +1,42 @@
+"""Rows of the tables about a search for effects."""
+
+from bench.report.closure.rows import effect_table, evidence_table, tried_caption
+from tests.bench.report.made_up_closure import ambiguous, clean, explained, without_boards
+
+
+def test_an_effect_has_its_gyros_size_and_chance():
+    head, rows = effect_table(ambiguous())
+    [row] = [dict(zip(head, row, strict=True)) for row in rows]
+    assert row["effect"] == "temperature rate"
+    assert row["gyros"] == "x and y"
+    assert row["tied with"] == "twin"
+    assert row["size"] == f"{1000.0 * ambiguous().effects[0].rms_dph:.2f}"
+    assert row["p"] == "<1e-09"
+
+
+def test_an_effect_without_rivals_is_tied_with_nothing():
+    head, [row] = effect_table(explained())
+    assert row[head.index("tied with")] == "nothing"
+
+
+def test_every_effect_that_was_tried_has_a_row():
+    head, rows = evidence_table(ambiguous())
+    told = {row[0]: row[1] for row in rows}
+    assert head == ["effect", "", "share", "p", "odds"]
+    assert len(rows) == len(ambiguous().evidence)
+    assert (told["temperature rate"], told["twin"], told["bias jump"]) == ("found", "tied", "")
+
+
+def test_effects_that_lack_an_input_have_no_row():
+    names = [row[0] for row in evidence_table(without_boards())[1]]
+    assert "thermal gradient" not in names
+    assert "time drift" in names
+
+
+def test_columns_that_would_be_empty_are_left_out():
+    head, rows = evidence_table(clean())
+    assert head == ["effect", "", "p"]
+    assert all(len(row) == len(head) for row in rows)
+    assert "share" not in tried_caption(clean())
+    assert "odds" not in tried_caption(clean())
+    assert "odds" in tried_caption(explained())

@@ -1,0 +1,35 @@
+"""The map of correlations of a planned campaign."""
+
+from matplotlib.patches import Rectangle
+
+from bench.closure.effects import all_effects
+from bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from bench.closure.separability import searched_dwells, separability
+from bench.report.figures.separability import separability_figure
+from tests.bench.closure.plans import dwell, planned, shipped
+
+
+def told(plan):
+    return separability(searched_dwells(planned_campaign(plan, PlannedUnit(0.0006))), all_effects())
+
+
+def test_every_pair_shows_its_correlation_and_whether_it_is_told_apart():
+    found = told(shipped("six_position_fig7")[1])
+    axes = separability_figure(found, 0.002, "six_position_fig7").axes[0]
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names == [label.get_text() for label in axes.get_xticklabels()]
+    shown = {
+        (names[round(text.get_position()[1])], names[round(text.get_position()[0])]): text.get_text()
+        for text in axes.texts
+    }
+    assert shown == {pair: f"{value:.2f}" for pair, value in found.correlation.items()}
+    frames = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    centres = {(round(frame.get_y() + 0.44), round(frame.get_x() + 0.46)) for frame in frames}
+    framed = {tuple(sorted((names[row], names[column]))) for row, column in centres}
+    assert framed == set(found.not_told(0.002))
+
+
+def test_a_plan_that_shows_nothing_says_so():
+    _, plan = planned(f"  - power_on\n{dwell('z_up')}")
+    [axes] = separability_figure(told(plan), 0.002, "test").axes
+    assert "fewer than two effects" in axes.texts[0].get_text()

@@ -1,0 +1,131 @@
+"""Tables for a terminal of 80 columns without colour."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from rich.console import Console, RenderableType
+
+from bench.bias.bins import BiasBin
+from bench.bias.equality import compare_positions
+from bench.documents import find_document
+from bench.procedure.document import load_procedure
+from bench.procedure.plan import expand
+from bench.procedure.timeline import timeline_rows
+from bench.report.terminal.tables import bins_table, durations_table, timeline_table
+
+
+def printed(renderable: RenderableType) -> list[str]:
+    """Lines as a plain terminal of 80 columns shows them."""
+    stream = io.StringIO()
+    Console(width=80, file=stream, force_terminal=False, color_system=None).print(renderable)
+    lines = [line.rstrip() for line in stream.getvalue().splitlines()]
+    assert max(map(len, lines)) <= 80
+    assert not any("…" in line or "\x1b" in line for line in lines)
+    return lines
+
+
+def coldest_of_x(bins: list[BiasBin]) -> list[BiasBin]:
+    return [each for each in bins if each.gyro == "x" and each.bin_low_c == -25.0]
+
+
+def test_papers_method_is_explained_where_it_is_shown(bins: list[BiasBin]) -> None:
+    lines = printed(bins_table(bins, compare_positions(bins)))
+    assert sum(line.startswith("paper: the same by the paper's method") for line in lines) == 1
+    assert sum(line.startswith("The paper's method judges otherwise") for line in lines) == 3
+
+
+def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
+    alone = [replace(each, paper_bias_dph=math.nan, paper_sigma_dph=math.nan) for each in bins]
+    lines = printed(bins_table(alone, compare_positions(alone)))
+    assert not any(line.strip().startswith("paper") for line in lines)
+    assert (
+        sum(line.startswith("The paper's method takes two windows half a turn apart") for line in lines) == 1
+    )
+
+
+def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
+    lines = printed(bins_table(bins, compare_positions(bins)))
+    assert lines[0] == "X gyro: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
+    assert lines[1].split() == ["bin", "Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down", "p", "equal"]
+    coldest, by_paper = next((line, below) for line, below in pairwise(lines) if line.startswith("-25..-20"))
+    assert coldest.split()[1:] == [
+        "-6.8±0.6",
+        "-5.0±0.6",
+        "-2.1±0.6",
+        "3.0±0.6",
+        "5.2±0.6",
+        "8.2±0.6",
+        "<1e-09*",
+    ]
+    assert by_paper.split() == [
+        "paper",
+        *(f"{1e3 * each.paper_bias_dph:.1f}±{1e3 * each.paper_sigma_dph:.1f}" for each in coldest_of_x(bins)),
+        "<1e-09*",
+    ]
+    assert next(line for line in lines if line.startswith("  -20..5")).split()[1:] == ["empty"] * 6
+    hottest = next(line for line in lines if line.startswith("  75..80"))
+    assert not hottest.endswith("*")
+    assert sum("gyro: bias" in line for line in lines) == 3
+    assert sum(line.startswith("The bias differs between positions") for line in lines) == 3
+
+
+def test_sentences_of_a_run_without_differences_say_so(equal_bins: list[BiasBin]) -> None:
+    lines = printed(bins_table(equal_bins, compare_positions(equal_bins)))
+    assert sum(line.startswith("No difference between positions") for line in lines) == 3
+    assert {line.split()[0] for line in lines if line.endswith("*")} == {"paper"}
+
+
+@pytest.mark.parametrize(("bias_dph", "narrowing"), [(0.9, 30.0), (123.0, 1000.0), (0.0, 0.01)])
+def test_wide_numbers_put_the_uncertainty_below(
+    bins: list[BiasBin], bias_dph: float, narrowing: float
+) -> None:
+    wide = [
+        replace(each, bias_dph=each.bias_dph - bias_dph, sigma_dph=each.sigma_dph / narrowing)
+        for each in bins
+        if each.gyro == "x"
+    ]
+    lines = printed(bins_table(wide, compare_positions(wide)))
+    assert sum(line.count("±") for line in lines if not line.startswith(("X gyro", "Most"))) >= 36
+
+
+def test_single_position_is_not_compared_and_that_is_said_once(bins: list[BiasBin]) -> None:
+    alone = [each for each in bins if each.position == "z_up"]
+    lines = printed(bins_table(alone, compare_positions(alone)))
+    assert sum(line.startswith("Nothing to compare") for line in lines) == 1
+    assert not any("p equal" in line for line in lines)
+
+
+def test_a_gyro_without_anything_to_compare_says_so_beside_the_others(bins: list[BiasBin]) -> None:
+    some = [each for each in bins if each.position == "z_up" or each.gyro == "y"]
+    lines = printed(bins_table(some, compare_positions(some)))
+    assert sum(line.startswith("Nothing to compare") for line in lines) == 2
+
+
+def test_run_without_biases_says_so() -> None:
+    assert printed(bins_table([], []))[0].startswith("No dwell gave a bias")
+
+
+@pytest.mark.parametrize("name", ["six_position_fig7", "ten_minute_check", "three_temperature_shift"])
+def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
+    plan = expand(*load_procedure(find_document("procedures", name)))
+    rows = timeline_rows(plan)
+    lines = printed(timeline_table(rows, plan.duration_s))
+    starts = [line.split()[0] for line in lines if line[:5].strip()]
+    assert [row.start for row in rows] == [start for start in starts if start[0].isdigit()]
+    assert lines[-1].split()[0] == "all"
+    assert lines[-1].split()[-1] == str(plan.dwell_count)
+
+
+def test_durations_by_kind_end_with_all() -> None:
+    lines = printed(durations_table({"go_to": [(23.0, 25.0)] * 60, "soak": [(5400.0, 3700.0)]}))
+    assert lines[-1].split()[:4] == ["all", "61", "1:53:00", "1:26:40"]
+    assert any(line.startswith("go to           60 0:23:00 0:25:00") for line in lines)
+
+
+def test_nothing_done_says_so() -> None:
+    assert printed(durations_table({})) == ["No step was finished."]

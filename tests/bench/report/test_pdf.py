@@ -1,0 +1,36 @@
+import sys
+
+import pytest
+
+from bench.errors import GyrobenchError
+from bench.report.html import write_report
+from bench.report.pdf import write_pdf
+from bench.run_store.folder import RunFolder
+
+
+def test_a_report_becomes_a_pdf(empty_folder: RunFolder, journal_writer):
+    journal_writer(empty_folder)
+    pdf = write_pdf(write_report(empty_folder), empty_folder.path / "report.pdf")
+    content = pdf.read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert len(content) > 5000
+
+
+def test_nothing_is_fetched_from_outside(tmp_path):
+    (tmp_path / "secret.png").write_bytes(b"not to be read")
+    page = tmp_path / "page.html"
+    page.write_text(f'<img src="file://{tmp_path}/secret.png"><img src="http://127.0.0.1:9/x.png">')
+    assert write_pdf(page, tmp_path / "page.pdf").stat().st_size < 5000
+
+
+def test_a_missing_library_of_the_system_is_told_with_what_to_install(tmp_path, monkeypatch):
+    class Missing:
+        def find_spec(self, name, path=None, target=None):
+            if name == "weasyprint":
+                raise OSError("cannot load library 'libpango-1.0-0'")
+
+    for name in [name for name in sys.modules if name.split(".")[0] == "weasyprint"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [Missing(), *sys.meta_path])
+    with pytest.raises(GyrobenchError, match=r"libpango-1\.0-0.*apt-get install"):
+        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf")

@@ -1,0 +1,49 @@
+"""What the pages tell a reader to type works, in the order in which it stands."""
+
+import pytest
+
+from bench.procedure.document import load_procedure
+from tests.bench.command_line import gyrobench
+from tests.docs.pages import DOCS, blocks, pages
+
+#: Pages with commands that a reader types as they stand.
+TYPED = [page for page in pages() if any(block.language == "console" for block in blocks(page))]
+
+
+@pytest.mark.parametrize("page", TYPED, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_work_one_after_the_other(page, tmp_path):
+    for block in blocks(page):
+        if block.deed == "file":
+            (tmp_path / block.name).write_text(block.text, encoding="utf-8")
+        elif block.deed == "append":
+            with (tmp_path / block.name).open("a", encoding="utf-8") as file:
+                file.write(block.text)
+        elif block.language == "console":
+            for command, *arguments in block.commands():
+                assert command == "gyrobench"
+                result = gyrobench(*arguments, cwd=tmp_path)
+                assert result.returncode == 0, (arguments, result.stdout[-2000:], result.stderr)
+
+
+def test_the_tutorial_s_hidden_effect_is_found_under_its_name(tmp_path_factory):
+    page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    assert "thermal_hysteresis" in page
+    assert "The search names hysteresis" in page
+
+
+def test_the_effect_of_the_page_is_one(tmp_path):
+    from bench.closure.effects.effect import Effect
+
+    [block] = [block for block in blocks(DOCS / "extend/effect.md") if block.language == "python"]
+    names = {}
+    exec(compile(block.text, "effect.md", "exec"), names)  # noqa: S102 - our own page
+    assert isinstance(names["EFFECT"], Effect)
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.stem)
+def test_procedures_shown_on_a_page_are_right(page, tmp_path):
+    for number, block in enumerate(blocks(page)):
+        if block.language == "yaml" and "\nsteps:" in block.text:
+            path = tmp_path / f"{number}.yaml"
+            path.write_text(block.text, encoding="utf-8")
+            load_procedure(path)

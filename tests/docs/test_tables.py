@@ -1,0 +1,78 @@
+"""docs/tables.md names everything that a run folder holds, and nothing that no table has."""
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from bench.bias.bins import BiasBin
+from bench.bias.joint.vertical_pairs import Finding
+from bench.bias.noise.allan import AllanVariance, RateNoise
+from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate
+from bench.bias.tables import dwell_table, verification_table
+from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
+from bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
+from bench.measurement.comparison import ComparisonRow
+from bench.run_store.folder import RunFolder
+from tests.bench.report.made_up_closure import explained
+
+TEXT = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
+
+
+def names(kind):
+    return {field.name for field in fields(kind)}
+
+
+def section(title):
+    [text] = re.findall(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL)
+    return text
+
+
+def named_in_tables(text):
+    """What stands in backticks in the first cell of a row."""
+    cells = re.findall(r"^\|([^|]*)\|", text, re.MULTILINE)
+    return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+
+
+def values_of_findings():
+    return {finding.name.lower() for finding in Finding}
+
+
+@pytest.mark.parametrize(
+    ("title", "expected"),
+    [
+        ("dwells.csv", set(dwell_table.COLUMNS)),
+        ("bias_bins.csv", names(BiasBin)),
+        ("joint.csv", names(JointStopRow) | {"finding"} | values_of_findings()),
+        ("joint_biases.csv", names(JointBiasRow)),
+        ("verification.csv", set(verification_table.COLUMNS)),
+        ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
+        ("predictions.csv", set(PREDICTION_COLUMNS)),
+        ("comparison.csv", names(ComparisonRow)),
+    ],
+)
+def test_the_page_names_the_columns_that_a_table_has_and_no_others(title, expected):
+    assert named_in_tables(section(title)) == expected
+
+
+def test_the_page_names_the_keys_of_what_a_search_for_effects_leaves():
+    document, model = closure_document(explained()), model_document(explained())
+    effect, tried = document["effects"][0], document["tried"][0]
+    assert named_in_tables(section("closure.json")) == {*document, *effect, *tried}
+    assert named_in_tables(section("model.yaml")) == set(model)
+    named = set(re.findall(r"`([a-z_]+)`", section("model.yaml")))
+    assert {*model["effects"][0], *model["declared_dph"]["x"]} <= named
+
+
+def test_the_page_names_what_an_allan_variance_and_its_fit_hold():
+    named = set(re.findall(r"`([a-z_]+)`", section("noise.json")))
+    assert names(AllanVariance) | names(RateNoise) <= named
+
+
+def test_the_page_names_every_file_of_a_run_folder():
+    folder = RunFolder(Path("run"))
+    paths = [value for name in dir(RunFolder) if isinstance(value := getattr(folder, name), Path)]
+    files = {path.name for path in paths if path != folder.path}
+    assert "dwells.csv" in files
+    assert files <= {name.rstrip("/") for name in named_in_tables(section("Files"))}

@@ -1,0 +1,244 @@
+import contextlib
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
+from drivers.chamber import Chamber, ChamberReading
+from drivers.chamber.thermotron_8800 import Thermotron8800
+from drivers.emulators.thermotron_8800 import Stop, Thermotron8800Emulator
+from tests.drivers.conftest import Scripted, any_rig
+
+
+class Bench:
+    def __init__(self, rig, **options):
+        self.rig, self.air, self.events = rig, rig.air, []
+        self.chamber = Thermotron8800Emulator(
+            rig.air, lambda number, on: self.events.append((number, on)), **options
+        )
+        self._line, self.heard = rig.line("chamber", self.chamber)
+
+    def driver(self, **options) -> Chamber:
+        return Thermotron8800(self._line, **options)
+
+    def requests_of(self, action):
+        self.heard.requests.clear()
+        action()
+        return self.heard.requests
+
+
+@pytest.fixture
+def make_bench(rig):
+    return lambda **options: Bench(rig, **options)
+
+
+@pytest.fixture(params=["never", "before", "instead"])
+def bench(request, make_bench):
+    return make_bench(echo=request.param)
+
+
+def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
+    chamber = bench.driver()
+    sent = bench.requests_of(lambda: chamber.set_temperature(22.0, 5.0))
+    assert sent == [b"MRMP1,5.000\r", b"MRMP1?\r", b"SETP1,22.000\r", b"SETP1?\r"]
+    assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (22.0, 5.0)
+    assert chamber.set_point_c() == 22.0
+
+
+def test_without_a_rate_the_ramp_is_zero(bench):
+    chamber = bench.driver()
+    chamber.set_temperature(60.0, 5.0)
+    assert bench.requests_of(lambda: chamber.set_temperature(-40.0, None))[0] == b"MRMP1,0.000\r"
+    assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-40.0, None)
+
+
+def test_a_reading_tells_air_set_point_and_whether_it_runs(bench):
+    chamber = bench.driver()
+    bench.air.air_c = 22.0
+    chamber.set_temperature(60.0, 1.0)
+    assert b"PVAR1?\r" in bench.requests_of(chamber.read)
+    assert chamber.read() == ChamberReading(22.0, 60.0, False)
+    assert bench.requests_of(lambda: chamber.switch(True))[1:3] == [b"RUNM\r", b"MODE?\r"]
+    assert bench.air.running
+    assert chamber.read().is_on
+    assert b"STOP\r" in bench.requests_of(lambda: chamber.switch(False))
+    assert not bench.air.running
+    assert chamber.read().is_on is False
+
+
+def test_auxiliaries_are_switched_one_by_one(bench):
+    chamber = bench.driver()
+    for number in (1, 2, 4, 5):
+        chamber.switch_event(number, True)
+    assert b"AUXE1,59\r" in bench.requests_of(lambda: chamber.switch_event(6, True))
+    chamber.switch_event(9, True)
+    chamber.switch_event(2, False)
+    assert bench.events == [*((n, True) for n in (1, 2, 4, 5, 6, 9)), (2, False)]
+    assert chamber.is_event_on(9)
+    assert not chamber.is_event_on(2)
+
+
+@pytest.mark.parametrize("number", [0, 17])
+def test_there_are_sixteen_auxiliaries(bench, number):
+    with pytest.raises(RefusedError, match=rf"no auxiliary {number}, only 1 to 16"):
+        bench.driver().switch_event(number, True)
+
+
+def test_auxiliaries_that_need_a_running_chamber_are_refused_before_with_what_to_do(make_bench):
+    bench = make_bench(auxiliaries_need_run=True)
+    chamber = bench.driver()
+    with pytest.raises(RefusedError, match=r"AUXE1,2 was refused with code 3\. .*put a chamber step before"):
+        chamber.switch_event(2, True)
+    chamber.switch(True)
+    chamber.switch_event(2, True)
+    assert bench.events == [(2, True)]
+
+
+@pytest.mark.parametrize(
+    ("number", "high", "words"),
+    [
+        (1, False, ["low process alarm (bit 4 of ALRM1?)", "stopped by a process alarm (SCOD? 7)"]),
+        (1, True, ["high process alarm (bit 5 of ALRM1?)", "stopped by a process alarm (SCOD? 7)"]),
+        (2, False, ["low deviation alarm (bit 0 of ALRM1?)"]),
+        (2, True, ["high deviation alarm (bit 1 of ALRM1?)"]),
+    ],
+)
+def test_alarms_are_named(bench, number, high, words):
+    chamber = bench.driver()
+    chamber.switch(True)
+    assert chamber.alarms() == []
+    bench.chamber.raise_alarm(number, high)
+    assert chamber.alarms() == words
+    chamber.clear_alarms()
+    assert chamber.alarms() == words
+    bench.chamber.end_alarm(number)
+    chamber.clear_alarms()
+    assert chamber.alarms() == []
+
+
+@pytest.mark.parametrize("code", Stop)
+def test_the_stop_code_is_an_alarm_where_a_fault_stopped_it(bench, code):
+    chamber = bench.driver()
+    bench.chamber.stop_code = code
+    assert bool(chamber.alarms()) == (code in (4, 6, 7, 8, 9, 10))
+    chamber.clear_alarms()
+    assert chamber.alarms() == []
+
+
+def test_clearing_does_not_stop_a_chamber_that_runs(bench):
+    chamber = bench.driver()
+    chamber.switch(True)
+    chamber.clear_alarms()
+    assert bench.air.running
+
+
+def test_an_open_input_is_a_fault_until_it_is_mended_and_cleared(bench):
+    chamber = bench.driver()
+    chamber.switch(True)
+    bench.chamber.break_sensor(1)
+    with pytest.raises(FaultError, match="open temperature input"):
+        chamber.read()
+    with pytest.raises(RefusedError, match="code 3"):
+        chamber.switch(True)
+    bench.chamber.mend_sensor()
+    chamber.clear_alarms()
+    chamber.switch(True)
+    assert chamber.read().is_on
+
+
+def test_it_comes_back_stopped_from_a_loss_of_power(bench):
+    chamber = bench.driver()
+    chamber.set_temperature(60.0, 5.0)
+    chamber.switch(True)
+    chamber.switch_event(2, True)
+    bench.chamber.power_off(1.0)
+    bench.chamber.power_on(2.0)
+    assert bench.events[-1] == (2, False)
+    assert chamber.alarms() == ["stopped by a power failure (SCOD? 9)"]
+    reading = chamber.read()
+    assert (reading.set_point_c, reading.is_on) == (60.0, False)
+
+
+def test_its_limits_can_not_be_asked_for(bench):
+    with pytest.raises(RefusedError, match="look at its panel"):
+        bench.driver().limits_c()
+
+
+def test_a_set_point_outside_the_controllers_range_is_refused(bench):
+    with pytest.raises(RefusedError, match=r"SETP1,180.000 was refused with code 2"):
+        bench.driver().set_temperature(180.0, None)
+
+
+@pytest.mark.parametrize(
+    ("temperature_c", "rate"),
+    [(math.nan, None), (math.inf, 1.0), (20.0, math.nan), (20.0, 0.0), (20.0, -1.0), (20.0, math.inf)],
+)
+def test_nothing_is_sent_of_what_can_not_be_commanded(bench, temperature_c, rate):
+    chamber = bench.driver()
+    bench.heard.requests.clear()
+    with pytest.raises(RefusedError, match="can't be commanded"):
+        chamber.set_temperature(temperature_c, rate)
+    assert bench.heard.requests == []
+
+
+def test_it_says_what_it_is(bench):
+    assert bench.driver().identify() == "Thermotron 8800, version gyrobench emulator, channel 1"
+
+
+def test_commands_may_end_otherwise(make_bench):
+    bench = make_bench()
+    chamber = bench.driver(ending=b"\r\n")
+    assert bench.requests_of(lambda: chamber.set_point_c()) == [b"SETP1?\r\n"]
+
+
+@pytest.mark.parametrize(
+    ("replies", "error", "message"),
+    [
+        ([], NoReplyError, r"no reply to MODE\? within 1 s .*line ending"),
+        ([b"16"], NoReplyError, r"only '16'"),
+        ([b"what?\r"], ReplyError, r"MODE\? was answered by 'what\?'"),
+        ([b"-1\r"], ReplyError, "answered by '-1'"),
+        ([b"\xff" * 300], ReplyError, r"answered by '\\xff"),
+    ],
+)
+def test_a_controller_that_is_none_is_told(rig, replies, error, message):
+    line, _ = rig.line("chamber", Scripted(*replies))
+    with pytest.raises(error, match=message):
+        Thermotron8800(line)
+
+
+def test_a_set_point_that_is_not_kept_is_refused(rig):
+    kept = [b"20.000\r"] * 30
+    line, _ = rig.line("chamber", Scripted(b"0\r", b"0\r", b"0.000\r", b"0\r", *kept))
+    with pytest.raises(RefusedError, match="holds 20 as SETP1 although 60 was written"):
+        Thermotron8800(line).set_temperature(60.0, None)
+
+
+def test_after_a_late_reply_the_next_question_waits_for_silence(rig):
+    bench = Bench(rig)
+    chamber = bench.driver()
+    bench.chamber.latency_s = 1.5
+    with pytest.raises(NoReplyError):
+        chamber.set_point_c()
+    bench.chamber.latency_s, bench.air.air_c = 0.05, 40.0
+    assert chamber.read().temperature_c == pytest.approx(40.0, abs=0.1)
+
+
+@given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"0\r", b"22.0\r", b"\r", b"nan\r"])))
+def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
+    line, _ = any_rig().line("chamber", Scripted(b"0\r", *replies))
+    chamber = Thermotron8800(line)
+    for action in (
+        chamber.read,
+        chamber.alarms,
+        chamber.clear_alarms,
+        lambda: chamber.set_temperature(20.0, 1.0),
+        lambda: chamber.switch(True),
+        lambda: chamber.switch_event(2, True),
+    ):
+        with contextlib.suppress(InstrumentError):
+            result = action()
+            if isinstance(result, ChamberReading):
+                assert math.isfinite(result.temperature_c)

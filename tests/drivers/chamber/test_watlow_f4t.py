@@ -1,0 +1,204 @@
+import contextlib
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
+from drivers.chamber import Chamber, ChamberReading
+from drivers.chamber.watlow_f4t import WatlowF4T
+from drivers.emulators.watlow_f4t import WatlowF4TEmulator
+from tests.drivers.conftest import Scripted, any_rig
+
+LOOP = b":SOURCE:CLOOP1:"
+
+
+class Bench:
+    def __init__(self, rig, **options):
+        self.air, self.events = rig.air, []
+        self.chamber = WatlowF4TEmulator(
+            rig.air, lambda number, on: self.events.append((number, on)), **options
+        )
+        self._line, self.heard = rig.line("chamber", self.chamber)
+
+    def driver(self, **options) -> Chamber:
+        return WatlowF4T(self._line, **options)
+
+    def requests_of(self, action):
+        self.heard.requests.clear()
+        action()
+        return self.heard.requests
+
+
+@pytest.fixture
+def make_bench(rig):
+    return lambda **options: Bench(rig, **options)
+
+
+@pytest.fixture(params=[1, 4])
+def bench(request, make_bench):
+    return make_bench(decimals=request.param)
+
+
+def test_it_is_asked_who_it_is_and_told_to_speak_of_degrees_celsius(bench):
+    assert bench.requests_of(bench.driver) == [b"*IDN?\n", b":UNIT:TEMPERATURE C\n"]
+    assert "F4T" in bench.driver().identify()
+    assert bench.driver().identify().endswith("control loop 1")
+
+
+def test_a_controller_that_spoke_of_fahrenheit_is_understood(rig):
+    bench = Bench(rig)
+    bench.chamber.feed(b":UNIT:TEMPERATURE F\n", 0.0)
+    bench.air.air_c = 25.0
+    assert bench.chamber.feed(LOOP + b"PVALUE?\n", 0.0) == b"77.0000\n"
+    assert bench.driver().read().temperature_c == pytest.approx(25.0, abs=0.01)
+
+
+def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
+    chamber = bench.driver()
+    sent = bench.requests_of(lambda: chamber.set_temperature(25.0, 5.0))
+    assert sent == [
+        LOOP + b"RRATE 5\n", LOOP + b"RRATE?\n",
+        LOOP + b"RSCALE MINUTES\n", LOOP + b"RSCALE?\n",
+        LOOP + b"RACTION SETPOINT\n", LOOP + b"RACTION?\n",
+        LOOP + b"SPOINT 25\n", LOOP + b"SPOINT?\n",
+    ]  # fmt: skip
+    assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (25.0, 5.0)
+    assert chamber.set_point_c() == 25.0
+
+
+def test_without_a_rate_the_ramp_is_switched_off(bench):
+    chamber = bench.driver()
+    chamber.set_temperature(60.0, 0.5)
+    assert bench.air.ramp_rate_c_per_min == 0.5
+    assert bench.requests_of(lambda: chamber.set_temperature(-12.5, None))[0] == LOOP + b"RACTION OFF\n"
+    assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-12.5, None)
+
+
+def test_a_ramp_too_slow_for_the_controller_to_hold_is_refused(make_bench):
+    with pytest.raises(RefusedError, match=r"holds 0 as RRATE although 0\.04 was written"):
+        make_bench(decimals=1).driver().set_temperature(60.0, 0.04)
+
+
+def test_a_reading_tells_air_set_point_and_whether_it_runs(make_bench):
+    bench = make_bench()
+    chamber = bench.driver()
+    bench.air.air_c = -12.25
+    assert bench.requests_of(chamber.read) == [
+        LOOP + b"ERROR?\n", LOOP + b"PVALUE?\n", LOOP + b"SPOINT?\n", b":OUTPUT1:STATE?\n",
+    ]  # fmt: skip
+    chamber.set_temperature(60.0, 1.0)
+    assert bench.requests_of(lambda: chamber.switch(True))[0] == b":OUTPUT1:STATE ON\n"
+    reading = chamber.read()
+    assert (reading.set_point_c, reading.is_on) == (60.0, True)
+    assert bench.air.running
+    assert bench.requests_of(lambda: chamber.switch(False))[0] == b":OUTPUT1:STATE OFF\n"
+    assert not bench.air.running
+    assert chamber.read().is_on is False
+
+
+def test_outputs_are_switched(bench):
+    chamber = bench.driver(chamber_output=3)
+    chamber.switch_event(2, True)
+    chamber.switch(True)
+    assert bench.events == [(2, True), (3, True)]
+    assert (chamber.is_event_on(2), chamber.is_event_on(4)) == (True, False)
+    with pytest.raises(RefusedError, match="no output 9, only 1 to 8"):
+        chamber.switch_event(9, True)
+
+
+def test_an_error_of_the_loop_is_a_fault_and_an_alarm(bench):
+    chamber = bench.driver()
+    assert chamber.alarms() == []
+    bench.chamber.break_sensor(1)
+    assert chamber.alarms() == ["control loop 1 reports an error"]
+    with pytest.raises(FaultError, match="control loop 1 reports an error; check the temperature sensor"):
+        chamber.read()
+    bench.chamber.mend_sensor()
+    chamber.clear_alarms()
+    assert chamber.alarms() == []
+
+
+def test_outputs_drop_with_its_power(bench):
+    chamber = bench.driver()
+    chamber.switch(True)
+    chamber.switch_event(2, True)
+    bench.chamber.power_off(1.0)
+    bench.chamber.power_on(2.0)
+    assert bench.events == [(1, True), (2, True), (1, False), (2, False)]
+    assert chamber.read().is_on is False
+
+
+def test_its_limits_can_not_be_asked_for(bench):
+    with pytest.raises(RefusedError, match="look at its panel"):
+        bench.driver().limits_c()
+
+
+def test_a_set_point_that_the_controller_passes_over_is_refused(bench):
+    with pytest.raises(RefusedError, match="holds 23 as SPOINT although 180 was written"):
+        bench.driver().set_temperature(180.0, None)
+
+
+@pytest.mark.parametrize(
+    ("temperature_c", "rate"),
+    [(math.nan, None), (math.inf, 1.0), (20.0, math.nan), (20.0, 0.0), (20.0, -1.0), (20.0, math.inf)],
+)
+def test_nothing_is_sent_of_what_can_not_be_commanded(bench, temperature_c, rate):
+    chamber = bench.driver()
+    bench.heard.requests.clear()
+    with pytest.raises(RefusedError, match="can't be commanded"):
+        chamber.set_temperature(temperature_c, rate)
+    assert bench.heard.requests == []
+
+
+def test_another_loop_has_commands_of_its_own(rig):
+    line, heard = rig.line("chamber", Scripted(b"WATLOW,F4T\n", b"", b"25.0\n"))
+    assert WatlowF4T(line, loop=2).set_point_c() == 25.0
+    assert heard.requests[-1] == b":SOURCE:CLOOP2:SPOINT?\n"
+
+
+@pytest.mark.parametrize(("state", "is_on"), [(b"ON", True), (b"off", False), (b"1", True), (b"0", False)])
+def test_a_state_may_be_told_in_words_or_numbers(rig, state, is_on):
+    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", state + b"\r\n"))
+    assert WatlowF4T(line).is_event_on(1) is is_on
+
+
+def test_a_word_may_come_back_short(rig):
+    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", b"", b"OFF\n", b"", b"25.0\n"))
+    WatlowF4T(line).set_temperature(25.0, None)
+    line, _ = rig.line(
+        "chamber",
+        Scripted(b"F4T\n", b"", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n"),
+    )
+    WatlowF4T(line).set_temperature(25.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("reply", "error", "message"),
+    [
+        (b"", NoReplyError, r"no reply to :SOURCE:CLOOP1:ERROR\? within 1 s"),
+        (b"MAYBE\n", ReplyError, "was answered by 'MAYBE'"),
+        (b"\xfe\xff\n", ReplyError, r"was answered by '\\xfe\\xff'"),
+    ],
+)
+def test_a_controller_that_answers_something_else_is_told(rig, reply, error, message):
+    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", reply))
+    with pytest.raises(error, match=message):
+        WatlowF4T(line).read()
+
+
+@given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"NONE\n", b"22.0\n", b"ON\n", b"nan\n"])))
+def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
+    line, _ = any_rig().line("chamber", Scripted(b"F4T\n", b"", *replies))
+    chamber = WatlowF4T(line)
+    for action in (
+        chamber.read,
+        chamber.alarms,
+        lambda: chamber.set_temperature(20.0, 1.0),
+        lambda: chamber.switch(True),
+    ):
+        with contextlib.suppress(InstrumentError):
+            result = action()
+            if isinstance(result, ChamberReading):
+                assert math.isfinite(result.temperature_c)

@@ -1,0 +1,69 @@
+"""Lines to emulated instruments on virtual time."""
+
+from functools import cache
+
+import pytest
+
+from bench.clock import VirtualClock
+from drivers.emulators.bench import BenchAddress, emulated_bench
+from drivers.serial_line import SerialLine
+
+
+class Scripted:
+    """Answers each write with the next of the given replies, then with nothing; remembers what came."""
+
+    latency_s = 0.01
+
+    def __init__(self, *replies):
+        self.replies = list(replies)
+        self.received = []
+
+    def feed(self, data, now_s):
+        self.received.append(data)
+        return self.replies.pop(0) if self.replies else b""
+
+
+class Heard:
+    """An instrument, and every request that it got."""
+
+    def __init__(self, instrument):
+        self.instrument = instrument
+        self.requests = []
+
+    @property
+    def latency_s(self):
+        return self.instrument.latency_s
+
+    def feed(self, data, now_s):
+        self.requests.append(data)
+        return self.instrument.feed(data, now_s)
+
+
+class Rig:
+    """An emulated bench whose table or chamber may be replaced, with lines to it."""
+
+    def __init__(self):
+        self.clock = VirtualClock()
+        self.bench = emulated_bench(BenchAddress(self.clock.name, "ideal"))
+        self.air, self.axis = self.bench.world.air, self.bench.world.axes[2]
+
+    def line(self, name, instrument):
+        """Line to an instrument at the port of that name, and what is heard there."""
+        heard = self.bench.serial[name] = Heard(instrument)
+        url = f"emulator://{name}?clock={self.clock.name}&world=ideal"
+        return SerialLine({"table": "rate table"}.get(name, name), url, self.clock), heard
+
+    def wait(self, duration_s):
+        self.clock.sleep(duration_s)
+        self.bench.advance()
+
+
+@cache
+def any_rig():
+    """One rig for many examples of a test, each with an instrument of its own on it."""
+    return Rig()
+
+
+@pytest.fixture
+def rig():
+    return Rig()

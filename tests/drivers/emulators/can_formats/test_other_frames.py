@@ -1,0 +1,103 @@
+"""What an emulated INS sends in the frames of others, the driver reads back through DBC and shipped map."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bench.documents import find_document
+from bench.errors import DocumentError
+from bench.station.station import Station
+from drivers.emulators.can_formats import CAN_FORMATS
+from drivers.emulators.can_ins import CanInsEmulator
+from drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from drivers.ins.attitude import EulerSequence, euler_angles
+from drivers.ins.dbc_codec import DbcCodec, load_dbc
+from drivers.ins.frames import FrameBlock
+from drivers.ins.navigation_data import decode_navigation
+from drivers.ins.readout import InsMode
+
+#: Largest errors by the resolution of each: velocity, m/s, and attitude, rad. A 32-bit float has steps of
+#: 2^-20 from 8 m/s on.
+RESOLUTION = {"sbg": (0.0051, 1e-4), "canaerospace": (2.0**-21, 5e-7)}
+EPOCHS = 40
+
+
+def states():
+    """Attitudes all over the sphere, velocities up to 10 m/s."""
+    random = np.random.default_rng(3)
+    attitudes = Rotation.random(EPOCHS, random)
+    result = np.zeros((EPOCHS, 8))
+    result[:, :4] = attitudes.as_quat(scalar_first=True)
+    result[:, 4:6] = random.uniform(-10.0, 10.0, (EPOCHS, 2))
+    return result, attitudes.as_matrix()
+
+
+def sent(make_world, name, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
+    """The station of that name, the frames of some epochs, and the states behind them."""
+    emulator = CanInsEmulator(make_world(), epoch_unix_s=0.0)
+    emulator.speak(name)
+    frames = []
+    emulator.listeners.append(frames.extend)
+    result, matrices = states()
+    samples = np.arange(500, 500 + 10 * EPOCHS, 10)
+    emulator._send_epochs(Epochs(samples, result, mode, alignment))
+    station = Station(find_document("stations", f"emulated_{name}"))
+    data = decode_navigation(
+        FrameBlock.from_messages(frames), station.file.ins.signals, DbcCodec(load_dbc(station.dbc_path))
+    )
+    return data, result, matrices
+
+
+@pytest.mark.parametrize("name", RESOLUTION)
+def test_velocities_and_attitudes_come_back_to_the_resolution_of_the_frames(make_world, name):
+    data, result, matrices = sent(make_world, name)
+    of_velocity, of_attitude = RESOLUTION[name]
+    assert len(data.ins_time_s) == EPOCHS
+    assert np.abs(data.velocity_enu_mps[:, :2] - result[:, 4:6]).max() < of_velocity
+    turned = Rotation.from_matrix(data.attitude @ matrices.transpose(0, 2, 1))
+    assert turned.magnitude().max() < 2.0 * of_attitude
+
+
+@pytest.mark.parametrize("name", RESOLUTION)
+def test_epochs_are_a_tenth_of_a_second_apart(make_world, name):
+    data, _, _ = sent(make_world, name)
+    assert np.diff(data.ins_time_s) == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", RESOLUTION)
+@pytest.mark.parametrize(
+    ("mode", "expected"), [(Mode.ALIGN, InsMode.ALIGN), (Mode.NAVIGATE, InsMode.NAVIGATE)]
+)
+def test_the_mode_is_told(make_world, name, mode, expected):
+    data, _, _ = sent(make_world, name, mode)
+    assert set(data.mode.tolist()) == {expected}
+
+
+@pytest.mark.parametrize("name", RESOLUTION)
+def test_gyro_temperatures_are_in_degc(make_world, name):
+    data, _, _ = sent(make_world, name)
+    assert data.temperatures.optics_c == pytest.approx(23.0, abs=0.5)
+
+
+@pytest.mark.parametrize("name", RESOLUTION)
+def test_shipped_dbc_and_map_fit_together(name):
+    Station(find_document("stations", f"emulated_{name}")).check_dbc()
+
+
+def test_frames_that_nobody_knows_are_refused_with_those_that_there_are(make_world):
+    with pytest.raises(DocumentError, match="gyrobench_ins, sbg, canaerospace"):
+        CanInsEmulator(make_world()).speak("nmea2000")
+
+
+def test_every_set_of_frames_has_a_dbc_file_of_its_name():
+    folder = Path(find_document.__code__.co_filename).parents[1] / "drivers" / "ins"
+    assert all((folder / f"{name}.dbc").is_file() for name in CAN_FORMATS)
+
+
+def test_the_aircraft_angles_of_canaerospace_are_those_of_the_attitude(make_world):
+    _, _, matrices = sent(make_world, "canaerospace")
+    roll, pitch, _ = euler_angles(EulerSequence.RPY_321, matrices)
+    assert np.abs(pitch).max() <= np.pi / 2
+    assert np.abs(roll).max() > np.pi / 2

@@ -1,0 +1,149 @@
+"""Programs that are not of this project talk to the served emulators."""
+
+import contextlib
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+import time
+import tty
+from urllib.parse import urlsplit
+
+import can
+import pytest
+from cantools.database import load_file
+from pymodbus import FramerType
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+
+from drivers import ins
+
+WORLD = """
+world: quick
+latitude_deg: 36.4
+thermal:
+  x: {heat_path: [0.0, -0.8, 0.6]}
+  y: {heat_path: [0.6, 0.8, 0.0]}
+  z: {heat_path: [0.8, 0.0, -0.6]}
+ins: {boot_s: 0.2}
+"""
+SPEED = 5.0
+UNIT_POWER_REGISTER = 2010
+
+
+@pytest.fixture(scope="module", params=["terminals and slcan", "tcp and socketcand"])
+def urls(request, tmp_path_factory):
+    """Where the emulators of a bench are that lives five times as fast as real time, its unit on."""
+    world = tmp_path_factory.mktemp("world") / "quick.yaml"
+    world.write_text(WORLD)
+    options = ["--tcp", "--can", "socketcand"] if "tcp" in request.param else []
+    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", str(world), "--speed", str(SPEED)]
+    with subprocess.Popen([*command, "--for-s", "60", *options], stdout=subprocess.PIPE, text=True) as server:
+        served = json.loads(server.stdout.readline())
+        with modbus_client(served["chamber"]) as client:
+            assert not client.write_register(UNIT_POWER_REGISTER, 1).isError()
+        yield served
+        server.terminate()
+        assert server.wait(10) == 0
+
+
+@contextlib.contextmanager
+def modbus_client(url):
+    where = urlsplit(url)
+    if where.scheme == "socket":
+        client = ModbusTcpClient(where.hostname, port=where.port, framer=FramerType.RTU, timeout=5)
+    else:
+        client = ModbusSerialClient(url, baudrate=9600, timeout=5)
+    assert client.connect()
+    yield client
+    client.close()
+
+
+def can_options(url):
+    where = urlsplit(url)
+    if where.scheme == "socketcand":
+        return {
+            "interface": "socketcand",
+            "channel": where.path.strip("/"),
+            "host": where.hostname,
+            "port": where.port,
+        }
+    return {"interface": "slcan", "channel": url, "sleep_after_open": 0.0}
+
+
+def exchanged(url, message, count):
+    """What comes back for a message, by nothing but the operating system."""
+    where = urlsplit(url)
+    if where.scheme == "socket":
+        with socket.create_connection((where.hostname, where.port), timeout=5) as client:
+            client.sendall(message)
+            received = b""
+            while len(received) < count:
+                received += client.recv(count - len(received))
+            return received
+    port = os.open(url, os.O_RDWR | os.O_NOCTTY)
+    try:
+        tty.setraw(port)
+        os.write(port, message)
+        received = b""
+        while len(received) < count:
+            received += os.read(port, count - len(received))
+        return received
+    finally:
+        os.close(port)
+
+
+def test_pymodbus_reads_the_chamber(urls):
+    with modbus_client(urls["chamber"]) as client:
+        assert client.read_holding_registers(0).registers == [5270]
+        assert client.read_holding_registers(100, count=2).registers == [230, 0]
+        assert client.read_holding_registers(3000).exception_code == 2
+
+
+def test_a_terminal_speaks_acl_to_the_table(urls):
+    reply = exchanged(urls["table"], b":Read:Position? 1\r\n", 8)
+    error, length = struct.unpack("<II", reply)
+    assert (error, length) == (0, 8)
+
+
+def test_python_can_receives_frames_which_cantools_decodes_and_which_come_at_the_bench_s_speed(urls):
+    database = load_file(ins.__path__[0] + "/gyrobench_ins.dbc")
+    seen, seconds = {}, []
+    with can.Bus(**can_options(urls["ins"]), ignore_config=True) as bus:
+        end_s = time.monotonic() + 10.0
+        while len(seconds) < 6 and time.monotonic() < end_s:
+            frame = bus.recv(1.0)
+            if frame is None:
+                continue
+            message = database.get_message_by_frame_id(frame.arbitration_id)
+            seen[message.name] = decoded = message.decode(bytes(frame.data), decode_choices=False)
+            if message.name == "SYSTEM_TIME":
+                seconds.append((time.monotonic(), decoded["TIME_S"]))
+    assert seen["INS_IDENTITY"]["SERIAL_NUMBER"] > 0
+    assert seen["GYRO_OPTICS_TEMPERATURE"]["X"] == pytest.approx(23.0, abs=2.0)
+    (first_s, first), (last_s, last) = seconds[1], seconds[-1]
+    assert last - first == 4
+    assert last_s - first_s < 4.0
+
+
+def test_the_logger_of_python_can_writes_what_the_ins_sends(urls, tmp_path):
+    options = can_options(urls["ins"])
+    log = tmp_path / "ins.log"
+    command = [
+        sys.executable,
+        "-m",
+        "can.logger",
+        "-i",
+        options.pop("interface"),
+        "-c",
+        options.pop("channel"),
+    ]
+    extra = ["--bus-kwargs", *(f"{name}={value}" for name, value in options.items())]
+    with subprocess.Popen([*command, "-f", str(log), *extra], stdout=subprocess.DEVNULL) as logger:
+        end_s = time.monotonic() + 20.0
+        while (not log.exists() or log.stat().st_size < 500) and time.monotonic() < end_s:
+            time.sleep(0.05)
+        logger.terminate()
+    with can.LogReader(log) as reader:
+        assert 0x007 in {frame.arbitration_id for frame in reader}

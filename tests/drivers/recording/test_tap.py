@@ -1,0 +1,98 @@
+"""The tap at a line, over pseudo-terminals."""
+
+import os
+import tty
+
+import pytest
+
+from bench.clock import Deadline, WallClock
+from bench.errors import NoReplyError, RunFolderError
+from drivers.recording.document import RecordingHeader, read_recording
+from drivers.recording.tap import recording_lines
+from drivers.serial_line import SerialLine
+
+HEADERS = {"chamber": RecordingHeader(instrument="chamber", dialect="watlow_f4")}
+
+
+@pytest.fixture
+def instrument():
+    """The far end of a pseudo-terminal, and the name of the near one."""
+    far, near = os.openpty()
+    tty.setraw(near)
+    yield far, os.ttyname(near)
+    os.close(far)
+    os.close(near)
+
+
+def exchange(line, far, question, reply):
+    line.write(question)
+    assert os.read(far, 100) == question
+    os.write(far, reply)
+    return line.read(len(reply), Deadline(line.clock, 5.0))
+
+
+def test_everything_that_goes_through_is_kept_in_order_with_its_time(instrument, tmp_path):
+    far, url = instrument
+    with recording_lines(tmp_path, HEADERS), SerialLine("chamber", url, WallClock(), 19200, "N") as line:
+        exchange(line, far, b"one", b"eins")
+        line.clock.sleep(0.05)
+        exchange(line, far, b"two\r", b"zwei")
+    recording = read_recording(tmp_path / "chamber-001.rec")
+    assert [(t.is_sent, t.data) for t in recording.transfers] == [
+        (True, b"one"),
+        (False, b"eins"),
+        (True, b"two\r"),
+        (False, b"zwei"),
+    ]
+    assert recording.transfers[2].time_s - recording.transfers[1].time_s >= 0.05
+    header = recording.header
+    assert (header.dialect, header.baudrate, header.parity) == ("watlow_f4", 19200, "N")
+    assert header.recorded_utc.startswith("20")
+
+
+def test_what_is_thrown_away_unread_is_kept_too(instrument, tmp_path):
+    far, url = instrument
+    with recording_lines(tmp_path, HEADERS), SerialLine("chamber", url, WallClock()) as line:
+        os.write(far, b"noise")
+        line.clock.sleep(0.05)
+        line.discard_input()
+        with pytest.raises(NoReplyError):
+            line.read(1, Deadline(line.clock, 0.02))
+    assert [t.data for t in read_recording(tmp_path / "chamber-001.rec").transfers] == [b"noise"]
+
+
+def test_each_opening_has_a_file_of_its_own(instrument, tmp_path):
+    far, url = instrument
+    with recording_lines(tmp_path, HEADERS), SerialLine("chamber", url, WallClock()) as line:
+        exchange(line, far, b"a", b"b")
+        line.reopen()
+        exchange(line, far, b"c", b"d")
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["chamber-001.rec", "chamber-002.rec"]
+    assert [t.data for t in read_recording(tmp_path / "chamber-002.rec").transfers] == [b"c", b"d"]
+
+
+def test_other_lines_and_later_ones_are_not_recorded(instrument, tmp_path):
+    _, url = instrument
+    with recording_lines(tmp_path, HEADERS), SerialLine("rate table", url, WallClock()) as line:
+        line.write(b"x")
+    with SerialLine("chamber", url, WallClock()) as line:
+        line.write(b"x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_can_not_be_made_is_told(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunFolderError), recording_lines(tmp_path / "file", HEADERS):
+        pass
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_line(instrument, tmp_path):
+    far, url = instrument
+    (tmp_path / "chamber-001.rec").symlink_to("/dev/full")
+    full = tmp_path / "full"
+    full.mkdir()
+    with recording_lines(full, HEADERS), SerialLine("chamber", url, WallClock()) as line:
+        line._port._file._file.close()
+        line._port._file._file = open("/dev/full", "w", buffering=1)  # noqa: PTH123, SIM115
+        assert exchange(line, far, b"one", b"eins") == b"eins"
+        assert exchange(line, far, b"two", b"zwei") == b"zwei"

@@ -1,0 +1,54 @@
+import os
+import socket
+
+import pytest
+
+from drivers.served_ports import PseudoTerminal, TcpPort
+
+
+def test_a_link_that_a_killed_program_left_is_replaced(tmp_path):
+    link = tmp_path / "table"
+    link.symlink_to("/dev/pts/999999")
+    port = PseudoTerminal(link)
+    assert link.resolve().is_char_device()
+    port.unplug()
+    assert not link.is_symlink()
+
+
+def test_a_link_that_leads_somewhere_and_a_file_are_kept(tmp_path):
+    for name, target in (("link", tmp_path), ("file", None)):
+        path = tmp_path / name
+        path.symlink_to(target) if target else path.write_text("mine")
+        with pytest.raises(FileExistsError):
+            PseudoTerminal(path)
+        assert path.exists()
+
+
+def test_what_a_client_writes_is_read_and_the_other_way(tmp_path):
+    port = PseudoTerminal(tmp_path / "port")
+    client = os.open(port.url, os.O_RDWR | os.O_NOCTTY)
+    os.write(client, b"ask\r\n")
+    assert port.read() == b"ask\r\n"
+    assert port.read() == b""
+    assert port.write(b"reply") == 5
+    assert os.read(client, 10) == b"reply"
+    os.close(client)
+    port.unplug()
+
+
+def test_a_port_number_that_is_taken_is_told():
+    first = TcpPort()
+    with pytest.raises(OSError, match="in use"):
+        TcpPort(first.number)
+    first.unplug()
+    second = TcpPort(first.number)
+    assert second.url == first.url
+    second.unplug()
+
+
+def test_a_new_client_is_greeted():
+    port = TcpPort(greet=lambda: b"< hi >")
+    with socket.create_connection(("127.0.0.1", port.number), timeout=5) as client:
+        port.read()
+        assert client.recv(100) == b"< hi >"
+    port.unplug()
