@@ -1,5 +1,6 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
-# make test   install into .venv and run the whole test suite
+# make test   install into .venv and run the test suite, but for what takes long
+# make test-long  whole campaigns, kills, fuzzing
 # make soak   kill, hurt and keep runs going for an hour; writes docs/soak.md
 # make check  style, types, layers
 # make docs   pages of docs/ as HTML, in build/docs
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 # The matrices are small: threads of the linear algebra only get into each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: run test soak check docs audit benchmark install clean
+.PHONY: run test test-long soak check docs audit benchmark install clean
 
 run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
@@ -19,7 +20,10 @@ run: $(VENV)/.installed
 
 # Four workers on two cores: two of them begin with tests that wait in real time.
 test: install
-	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "not long" -n 4 --dist loadfile --no-loadscope-reorder
+
+test-long: install
+	$(BIN)/python -m pytest -m long -n 4 --dist loadfile --no-loadscope-reorder
 
 soak: install
 	$(BIN)/python -m tests.soak all --table docs/soak.md

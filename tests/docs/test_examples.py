@@ -8,9 +8,15 @@ from tests.docs.pages import DOCS, blocks, pages
 
 #: Pages with commands that a reader types as they stand.
 TYPED = [page for page in pages() if any(block.language == "console" for block in blocks(page))]
+#: Pages whose commands take minutes.
+LONG = ("tutorial",)
 
 
-@pytest.mark.parametrize("page", TYPED, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.long] if page.stem in LONG else []) for page in TYPED],
+    ids=lambda page: page.stem,
+)
 def test_the_commands_of_a_page_work_one_after_the_other(page, tmp_path):
     for block in blocks(page):
         if block.deed == "file":

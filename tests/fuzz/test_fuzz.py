@@ -12,6 +12,8 @@ import pytest
 from tests.fuzz.mutations import damaged_bytes, damaged_csv, damaged_dbc, damaged_json, damaged_yaml
 from tests.fuzz.sandbox import HangError, Sandbox
 
+pytestmark = pytest.mark.long
+
 COUNT = 100
 
 

@@ -12,6 +12,8 @@ from tests.soak.long_run import long_run, slope
 from tests.soak.results import PartResult, PartTable, keep, kept, page
 from tests.soak.truth import Agreement
 
+pytestmark = pytest.mark.long
+
 ONE_LEG = """procedure: one_leg
 steps:
   - power_on: {settle_s: 20}

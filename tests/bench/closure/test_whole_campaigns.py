@@ -7,6 +7,8 @@ from bench.closure.closure import close_loop
 from bench.measurement.campaign import read_campaign
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
 
+pytestmark = pytest.mark.long
+
 #: By the cycles that its campaign takes.
 OUTSIDE = {"supply_ripple": 2, "mode_hop": 2, "dither_crossing": 3}
 #: Each effect that the search knows is in one of these.

@@ -50,6 +50,7 @@ def served_station(tmp_path):
         server.terminate()
 
 
+@pytest.mark.long
 @pytest.mark.wall_time
 @pytest.mark.timeout(400)
 def test_a_dwell_in_real_time_gives_the_bias_through_real_ports(run_procedure, served_station, tmp_path):

@@ -15,6 +15,7 @@ from bench.measurement.setup import measurement_setup
 from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH
 from bench.station.station import Station
 
+WORLDS = ("gyro_a", pytest.param("gyro_b", marks=pytest.mark.long))
 #: At 25 degC; over the run it changes by less than 1 ug.
 ACCELEROMETER_UG = {"x": 1.5, "y": -1.0, "z": 2.0}
 
@@ -24,14 +25,14 @@ def chi_square(dwell, true_bias_dph):
     return error @ np.linalg.solve(dwell.estimate.covariance, error)
 
 
-@pytest.mark.parametrize("world", ["gyro_a", "gyro_b"])
+@pytest.mark.parametrize("world", WORLDS)
 def test_errors_of_the_biases_are_as_large_as_their_uncertainties_say(watched_shift_runs, world):
     _, outcome, watcher = watched_shift_runs[world]
     squares = sum(map(chi_square, outcome.dwells, watcher.true_bias_dph))
     assert 0.001 < chi2.cdf(squares, 3 * 12) < 0.999
 
 
-@pytest.mark.parametrize("world", ["gyro_a", "gyro_b"])
+@pytest.mark.parametrize("world", WORLDS)
 def test_fit_tests_of_all_dwells_are_as_chance_would_have_them(shift_runs, world):
     folder, _ = shift_runs[world]
     assert uniformity_p_value([row.fit_p_value for row in read_dwells(folder.dwells)]) > 0.001
@@ -75,7 +76,7 @@ def test_no_rate_is_found_where_there_is_none(shift_runs, world):
     assert together.latitude_error_sigma_arcmin < 0.2
 
 
-@pytest.mark.parametrize("world", ["gyro_a", "gyro_b"])
+@pytest.mark.parametrize("world", WORLDS)
 def test_solving_together_finds_the_accelerometer_biases_of_the_world(shift_runs, world):
     folder, _ = shift_runs[world]
     for stop in read_joint_stops(folder.joint)[:-1]:

@@ -18,6 +18,8 @@ from bench.run_store.telemetry import read_telemetry
 from bench.station.station import Station
 from tests.bench.run_store.disk import Disk, lay_out
 
+pytestmark = pytest.mark.long
+
 PROCEDURE = """procedure: two_dwells
 steps:
   - power_on: {settle_s: 10}

@@ -9,8 +9,7 @@ import pytest
 from bench.bias.tables.dwell_table import read_dwells
 from bench.errors import DocumentError, MeasurementError
 from bench.sensor_log.log_import import import_logs, write_import
-
-from .conftest import NOISE_DPH, RATE_HZ, bias_dph
+from tests.bench.sensor_log.made_up_log import NOISE_DPH, RATE_HZ, bias_dph
 
 
 def imported(log, **changes):
