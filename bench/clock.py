@@ -197,6 +197,15 @@ class VirtualClock(Clock):
         return 0.0
 
 
+def parsed_utc(text: object) -> datetime | None:
+    """Calendar time of ISO 8601 text, UTC where it names no zone; None where it is none."""
+    try:
+        moment = datetime.fromisoformat(str(text))
+    except ValueError:
+        return None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+
+
 class Deadline:
     """A moment on a clock, passed down so that nested waits share one budget of time."""
 

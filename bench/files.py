@@ -1,4 +1,4 @@
-"""Writing files so that they are there whole or not at all, also after a power cut.
+"""Files: written so that they are there whole or not at all, also after a power cut; and their hashes.
 
 A file's content is on the disk once the file is synced; its name, once its folder is.
 """
@@ -6,34 +6,62 @@ A file's content is on the disk once the file is synced; its name, once its fold
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from pathlib import Path
 
 from bench.errors import RunFolderError
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
     """Write a file whole or not at all; when this returns, it is on the disk.
 
     A file of that name is there as it was until the new one takes its place at one stroke.
+
+    Parameters
+    ----------
+    is_synced : bool
+        False for what need not outlive a power cut: that is quicker, and spares the disk.
 
     Raises
     ------
     RunFolderError
         It can't be written.
     """
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = temporary_path(path)
     try:
         with temporary.open("wb") as stream:
             stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
+            if is_synced:
+                stream.flush()
+                os.fsync(stream.fileno())
         temporary.replace(path)
-        sync_folder(path.parent)
+        if is_synced:
+            sync_folder(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise cant_be_written(path, error) from error
+
+
+def temporary_path(path: Path) -> Path:
+    """Where a file is written before it takes its place."""
+    return path.with_name(f".{path.name}.part")
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits.
+
+    Raises
+    ------
+    RunFolderError
+        It can't be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
 
 
 def remove(path: Path) -> None:

@@ -6,6 +6,12 @@ They are in the top folder of the repository, and in ``bench/shipped`` where the
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
+
+#: Shipped procedures that new ones are started from, by what they are for.
+TEMPLATES = MappingProxyType(
+    {"check": "ten_minute_check", "six_position": "six_position_fig7", "verification": "verification"}
+)
 
 
 def shipped_folders(kind: str) -> list[Path]:

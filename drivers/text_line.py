@@ -25,8 +25,9 @@ _NUMBER = re.compile(rb"[-+]?(?:[0-9]{1,15}(?:\.[0-9]{0,15})?|\.[0-9]{1,15})(?:[
 #: Controllers may answer a query before they have done the command before it.
 _SETTLING_TIME_S, _SETTLING_LOOK_S = 2.0, 0.1
 
-#: Controllers may keep tenths alone.
+#: Controllers may keep tenths alone. Of a slow ramp that may be far off in proportion.
 _HALF_A_TENTH = 0.051
+_RAMP_SHARE = 0.05
 
 LINE_ENDINGS = {"cr": b"\r", "crlf": b"\r\n", "lf": b"\n"}
 
@@ -156,6 +157,11 @@ def settles(clock: Clock, is_so: Callable[[], bool]) -> bool:
 def agrees(held: float, written: float) -> bool:
     """Whether a number read back is the one written, as far as a controller keeps it."""
     return abs(held - written) < _HALF_A_TENTH and (held != 0.0 or written == 0.0)
+
+
+def ramp_agrees(held: float, written: float) -> bool:
+    """Whether a ramp read back is the one written, and not far faster or slower in proportion."""
+    return agrees(held, written) and abs(held - written) <= _RAMP_SHARE * abs(written)
 
 
 def _shown(reply: bytes | bytearray) -> str:

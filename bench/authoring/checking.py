@@ -12,6 +12,7 @@ from bench.documents import Document, read_document, validate
 from bench.errors import DocumentError
 from bench.procedure.document import checked_procedure
 from bench.procedure.resolve import resolve
+from bench.procedure.timeline import hours_minutes
 from bench.run_store.compensation_file import read_compensation
 from bench.station.station import Station
 
@@ -96,7 +97,7 @@ def _procedure(document: Document, station: Station | None) -> str:
         return f"{len(resolve(document, procedure))} steps"
     plan = station.plan(document, procedure)
     return (
-        f"{len(plan.steps)} steps, {plan.dwell_count} dwells, {plan.duration_s / 3600.0:.1f} h on "
+        f"{len(plan.steps)} steps, {plan.dwell_count} dwells, {hours_minutes(plan.duration_s)} h on "
         f"{station.file.station}"
     )
 

@@ -17,14 +17,9 @@ from bench.procedure.document import checked_procedure
 from bench.procedure.resolve import resolve
 from bench.procedure.step import Step
 from bench.procedure.steps import STEP_KINDS
+from bench.shipped import TEMPLATES
 from bench.station.document import StationFile
 
-#: Shipped procedures to start from, by what they are for.
-TEMPLATES = {
-    "six_position": "six_position_fig7",
-    "check": "ten_minute_check",
-    "verification": "verification",
-}
 _EXAMPLE_STATION = "example_bench"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 _WORLD_NAME = re.compile(r"^world:.*$", re.MULTILINE)
@@ -39,7 +34,7 @@ def new_procedure(name: str, like: str, path: Path) -> str:
     name : str
         Of the procedure.
     like : str
-        A key of :data:`TEMPLATES`, a shipped procedure, or a file.
+        A key of :data:`bench.shipped.TEMPLATES`, a shipped procedure, or a file.
     path : Path
         Where it is to stand.
 

@@ -1,7 +1,15 @@
 """Are a unit's gyros fit for a rotational INS? Limits, and verdicts that allow for the uncertainty.
 
 A rotational INS averages out a bias that is the same in all positions. So the largest difference of a
-gyro's bias between positions, temperature bin by temperature bin, decides.
+gyro's bias between positions decides. Positions are compared within a stop only, where power-on, cycle and
+temperature are the same, and after what is left of the temperature's part is taken off; see
+:mod:`bench.bias.stop_differences`. They are told by temperature bin.
+
+Passes of one stop are judged by their mean difference, whose uncertainty is smaller, as long as they agree
+(chi-square, Holm over all stops of all gyros). Where they don't, as with an attitude effect that follows
+the way the temperature moves, each pass is judged by itself. Where they do, it is the mean that keeps the
+limit: of passes that differ by less than the test can see, one may be beyond it. At a single stop of a
+single gyro that is easily missed; where a difference comes with one cycle at every stop, it is not.
 
 The largest of several noisy differences is larger than the largest true one: six equal positions show
 some 2.5 times the uncertainty of one. It is therefore not judged as if it were a single difference:
@@ -11,12 +19,12 @@ some 2.5 times the uncertainty of one. It is therefore not judged as if it were 
   has to err for that, so no allowance for the number of pairs is needed (an intersection-union test),
   and a unit with such a difference is accepted with a probability of at most ``1 - confidence``.
 * It fails where *some* pair does: difference less c times its standard uncertainty above the limit. Each
-  of all pairs in all bins of all gyros could err so by chance, so c allows for their number
+  of all pairs at all stops of all gyros could err so by chance, so c allows for their number
   (Bonferroni), and a unit without a difference above the limit is rejected with a probability of at
   most ``1 - confidence``.
 * Between the two it is marginal: the data do not tell, and more cycles would.
 
-Both stand on the stated uncertainties, taken as independent between positions.
+Both stand on the stated uncertainties of the dwells, taken as independent.
 
 References
 ----------
@@ -29,11 +37,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 from scipy.special import ndtri
 
-from bench.bias.bins import BiasBin
+from bench.bias.bins import DEFAULT_WIDTH_C
+from bench.bias.many_comparisons import holm
+from bench.bias.stop_differences import TemperatureCurve, stop_differences, temperature_curve
+from bench.bias.stops import (
+    COMPARED_WITHIN_C,
+    PLANNED_WITHIN_C,
+    PlannedDwell,
+    group_stops,
+    passes_of_stops,
+)
 from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.verdicts import (
     Acceptance,
@@ -45,13 +61,25 @@ from bench.bias.verdicts import (
     RunVerdict,
     Verdict,
 )
-from bench.navigation.positions import AXES
+from bench.navigation.positions import AXES, POSITIONS
 
-#: Set point of the chamber, degC, or None where nothing sets it, and position.
-Place = tuple[float | None, str]
+_Stop = Sequence[DwellRow]
 
-_SAME_C = 1e-6
-_Bins = Sequence[BiasBin]
+#: Passes that chance makes differ so much in fewer runs than this are judged one by one.
+_DISAGREEMENT = 0.05
+
+
+@dataclass(frozen=True)
+class _Value:
+    """What is compared with a limit: a difference or a bias, of one or two positions."""
+
+    axis: int
+    quantity: Quantity
+    temperature_c: float
+    positions: tuple[str, ...]
+    value_dph: float
+    sigma_dph: float
+    passes_agree: bool = True
 
 
 @dataclass(frozen=True)
@@ -64,143 +92,180 @@ class _Factors:
 
 def judge(
     rows: Iterable[DwellRow],
-    bins: Iterable[BiasBin],
     limits: AcceptanceLimits | None,
-    planned: Iterable[Place] = (),
+    planned: Iterable[PlannedDwell] = (),
+    width_c: float = DEFAULT_WIDTH_C,
 ) -> Acceptance:
     """Judge the gyros of one unit; see the module for how.
 
-    A run is accepted only if every planned position was compared with another one at its temperature, in
-    one cycle at least; a gyro that breaks a limit is rejected whatever else is missing.
+    A run is accepted only if every dwell that was planned was compared with all others of its stop, in each
+    cycle; a gyro that breaks a limit is rejected whatever else is missing.
 
     Parameters
     ----------
     rows : iterable of DwellRow
         Dwells; those with flags count as not measured.
-    bins : iterable of BiasBin
-        What :func:`bench.bias.bins.bin_biases` made of the others.
     limits : AcceptanceLimits or None
         Of the procedure.
-    planned : iterable of tuple
-        Set point of the chamber and position of every planned dwell.
+    planned : iterable of PlannedDwell
+        Those that measure biases, in the order of time.
+    width_c : float
+        Width of the temperature bins that the judgements are told by, K.
     """
     if limits is None:
         return Acceptance()
-    measured = [each for each in bins if not each.is_empty and each.sigma_dph <= _most_sigma_dph(limits)]
-    groups = _comparable(measured)
-    judgements = _judgements(groups, limits)
-    missing = _not_measured([row for row in rows if not row.flags], groups, list(planned))
+    in_time = sorted((row for row in rows if not row.flags), key=lambda row: row.dwell)
+    stops = group_stops(in_time, COMPARED_WITHIN_C)
+    known = [[good for stop in stops if (good := _known(stop, axis, limits))] for axis in range(len(AXES))]
+    curves = [temperature_curve(own, axis) for axis, own in enumerate(known)]
+    compared = [[stop for stop in own if len({row.position for row in stop}) > 1] for own in known]
+    values = _differences(compared, curves)
+    if limits.bias_dph is not None:
+        values += _biases(known)
+    judgements = _judgements(values, limits, width_c)
+    missing = _not_measured(known, compared, list(planned), limits)
     gyros = {gyro: _of_gyro(gyro, judgements, missing) for gyro in AXES}
     return Acceptance(
         verdict=_of_run(gyros),
         limits=limits,
         gyros=gyros,
+        stops=max(map(len, compared)),
         judgements=judgements,
         not_measured=missing,
     )
 
 
-def _most_sigma_dph(limits: AcceptanceLimits) -> float:
-    return math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
+def _known(stop: _Stop, axis: int, limits: AcceptanceLimits) -> list[DwellRow]:
+    """Dwells of a stop that tell the bias of a gyro."""
+    most_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
+    return [
+        row
+        for row in stop
+        if not math.isnan(row.gyro_c[axis] + row.bias_dph[axis]) and row.sigma_dph[axis] <= most_dph
+    ]
 
 
-def _comparable(bins: Iterable[BiasBin]) -> list[list[BiasBin]]:
-    """Bins of one gyro and temperature together, where there are two positions or more."""
-    groups: dict[tuple[str, float], list[BiasBin]] = {}
-    for each in bins:
-        groups.setdefault((each.gyro, each.bin_low_c), []).append(each)
-    return [group for _, group in sorted(groups.items()) if len(group) > 1]
-
-
-def _judgements(groups: Sequence[_Bins], limits: AcceptanceLimits) -> list[Judgement]:
-    pairs = sum(len(group) * (len(group) - 1) for group in groups)
-    single = sum(map(len, groups)) if limits.bias_dph is not None else 0
-    risk = 1.0 - limits.confidence
-    factors = _Factors(float(-ndtri(risk)), float(-ndtri(risk / max(pairs + single, 1))))
-    result = []
-    for group in groups:
-        differences = [
-            (
-                high.bias_dph - low.bias_dph,
-                math.hypot(high.sigma_dph, low.sigma_dph),
-                [high.position, low.position],
+def _differences(compared: Sequence[Sequence[_Stop]], curves: Sequence[TemperatureCurve]) -> list[_Value]:
+    """Differences at all stops of all gyros; where the passes of a stop disagree, of each pass."""
+    together = [
+        (axis, passes, stop_differences(passes, axis, curves[axis]))
+        for axis, stops in enumerate(compared)
+        for passes in passes_of_stops(stops, axis)
+    ]
+    p_values = holm([found.p_value for _, _, found in together])
+    values = []
+    for (axis, passes, found), p_value in zip(together, p_values, strict=True):
+        agree = not p_value < _DISAGREEMENT
+        parts = [found] if agree else [stop_differences([each], axis, curves[axis]) for each in passes]
+        values += [
+            _Value(
+                axis,
+                "position difference",
+                part.temperature_c,
+                (each.high, each.low),
+                each.value_dph,
+                each.sigma_dph,
+                agree,
             )
-            for high, low in permutations(group, 2)
+            for part in parts
+            for each in part.differences
         ]
-        result.append(
-            _judged(group, "position difference", differences, limits.position_difference_dph, factors)
-        )
-        if limits.bias_dph is not None:
-            biases = [(abs(each.bias_dph), each.sigma_dph, [each.position]) for each in group]
-            result.append(_judged(group, "bias", biases, limits.bias_dph, factors))
-    return result
+    return values
+
+
+def _biases(known: Iterable[Iterable[_Stop]]) -> list[_Value]:
+    return [
+        _Value(axis, "bias", row.gyro_c[axis], (row.position,), abs(row.bias_dph[axis]), row.sigma_dph[axis])
+        for axis, stops in enumerate(known)
+        for stop in stops
+        for row in stop
+    ]
+
+
+def _judgements(values: Sequence[_Value], limits: AcceptanceLimits, width_c: float) -> list[Judgement]:
+    risk = 1.0 - limits.confidence
+    factors = _Factors(float(-ndtri(risk)), float(-ndtri(risk / max(len(values), 1))))
+    bins: dict[tuple[int, int, bool], list[_Value]] = {}
+    for each in values:
+        key = (each.axis, math.floor(each.temperature_c / width_c), each.quantity == "bias")
+        bins.setdefault(key, []).append(each)
+    return [
+        _judged(bins[key], (key[1] * width_c, (key[1] + 1) * width_c), limits, factors)
+        for key in sorted(bins)
+    ]
 
 
 def _judged(
-    group: _Bins,
-    quantity: Quantity,
-    values: Sequence[tuple[float, float, list[str]]],
-    limit_dph: float,
-    factors: _Factors,
+    values: Sequence[_Value], ends_c: tuple[float, float], limits: AcceptanceLimits, factors: _Factors
 ) -> Judgement:
-    """Judge the values of one gyro and bin, each with its standard uncertainty and its positions."""
-    at_most_dph = max(value + factors.to_pass * sigma for value, sigma, _ in values)
-    at_least_dph = max(value - factors.to_fail * sigma for value, sigma, _ in values)
-    value_dph, sigma_dph, worst = max(values, key=lambda each: each[0])
+    """Judge all values of one gyro, bin and quantity."""
+    quantity = values[0].quantity
+    limit_dph = limits.position_difference_dph
+    if quantity == "bias" and limits.bias_dph is not None:
+        limit_dph = limits.bias_dph
+    at_most_dph = max(each.value_dph + factors.to_pass * each.sigma_dph for each in values)
+    at_least_dph = max(each.value_dph - factors.to_fail * each.sigma_dph for each in values)
+    worst = max(values, key=lambda each: each.value_dph)
+    measured = {position for each in values for position in each.positions}
     verdict: Verdict = "marginal"
     if at_most_dph < limit_dph:
         verdict = "pass"
     elif at_least_dph > limit_dph:
         verdict = "fail"
     return Judgement(
-        gyro=group[0].gyro,
+        gyro=AXES[worst.axis],
         quantity=quantity,
-        bin_low_c=group[0].bin_low_c,
-        bin_high_c=group[0].bin_high_c,
-        positions=[each.position for each in group],
-        worst=worst,
-        value_dph=value_dph,
-        sigma_dph=sigma_dph,
+        bin_low_c=ends_c[0],
+        bin_high_c=ends_c[1],
+        positions=[name for name in POSITIONS if name in measured],
+        worst=list(worst.positions),
+        value_dph=worst.value_dph,
+        sigma_dph=worst.sigma_dph,
         at_least_dph=max(at_least_dph, 0.0),
         at_most_dph=at_most_dph,
         limit_dph=limit_dph,
         verdict=verdict,
+        passes_agree=all(each.passes_agree for each in values),
     )
 
 
 def _not_measured(
-    rows: Sequence[DwellRow], groups: Sequence[_Bins], planned: Sequence[Place]
+    known: Sequence[Sequence[_Stop]],
+    compared: Sequence[Sequence[_Stop]],
+    planned: Sequence[PlannedDwell],
+    limits: AcceptanceLimits,
 ) -> list[NotMeasured]:
-    """Planned positions, of those that have company at their temperature, without a comparison."""
-    at: dict[float | None, list[str]] = {}
-    for set_c, position in planned:
-        if position not in at.setdefault(set_c, []):
-            at[set_c].append(position)
-    return [
-        NotMeasured(gyro=gyro, chamber_set_c=set_c, position=position)
-        for axis, gyro in enumerate(AXES)
-        for set_c, positions in at.items()
-        for position in positions
-        if len(positions) > 1
-        and not any(
-            row.position == position and _is_set(row, set_c) and _is_compared(row, axis, groups)
-            for row in rows
-        )
-    ]
+    """Planned dwells that were not compared with the others of their stop, or not measured at all."""
+    result = []
+    for axis, gyro in enumerate(AXES):
+        found = {row.dwell for stop in known[axis] for row in stop}
+        for stop in group_stops(planned, PLANNED_WITHIN_C):
+            if len({dwell.position for dwell in stop}) > 1:
+                lacking = _outside_largest(stop, compared[axis])
+            else:
+                lacking = [
+                    dwell for dwell in stop if limits.bias_dph is not None and dwell.dwell not in found
+                ]
+            result += [
+                NotMeasured(
+                    gyro=gyro,
+                    cycle=dwell.cycle,
+                    chamber_set_c=None if math.isnan(dwell.chamber_set_c) else dwell.chamber_set_c,
+                    position=dwell.position,
+                )
+                for dwell in lacking
+            ]
+    return result
 
 
-def _is_set(row: DwellRow, set_c: float | None) -> bool:
-    return math.isnan(row.chamber_set_c) if set_c is None else abs(row.chamber_set_c - set_c) < _SAME_C
-
-
-def _is_compared(row: DwellRow, axis: int, groups: Sequence[_Bins]) -> bool:
-    return any(
-        each.gyro == AXES[axis]
-        and each.position == row.position
-        and each.bin_low_c <= row.gyro_c[axis] < each.bin_high_c
-        for group in groups
-        for each in group
-    )
+def _outside_largest(planned: Sequence[PlannedDwell], stops: Iterable[_Stop]) -> list[PlannedDwell]:
+    """Planned dwells of one stop outside the largest part of it that was compared in one."""
+    parts = ({row.dwell for row in stop} for stop in stops)
+    inside = ([dwell for dwell in planned if dwell.dwell in part] for part in parts)
+    largest = max(inside, key=len, default=[])
+    if len({dwell.position for dwell in largest}) < 2:
+        return list(planned)
+    return [dwell for dwell in planned if dwell not in largest]
 
 
 def _of_gyro(gyro: str, judgements: Iterable[Judgement], missing: Iterable[NotMeasured]) -> GyroVerdict:

@@ -19,10 +19,10 @@ RunVerdict = Literal["accepted", "marginal", "rejected", "not judged"]
 
 
 class AcceptanceLimits(StrictModel):
-    """What a gyro has to keep in every temperature bin."""
+    """What a gyro has to keep at every stop of the chamber."""
 
     position_difference_dph: float = Field(
-        gt=0.0, description="largest difference of a gyro's bias between two positions in one bin, deg/h"
+        gt=0.0, description="largest difference of a gyro's bias between two positions at one stop, deg/h"
     )
     bias_dph: float | None = Field(
         default=None,
@@ -32,7 +32,7 @@ class AcceptanceLimits(StrictModel):
     bias_sigma_dph: float | None = Field(
         default=None,
         gt=0.0,
-        description="a bias whose standard uncertainty is larger counts as not measured, deg/h",
+        description="a dwell whose bias has a larger standard uncertainty counts as not measured, deg/h",
     )
     confidence: float = Field(
         default=0.95,
@@ -43,7 +43,7 @@ class AcceptanceLimits(StrictModel):
 
 
 class Judgement(StrictModel):
-    """One gyro in one bin against one limit.
+    """One gyro at the stops of one bin against one limit; a stop is of the bin of its mean temperature.
 
     Attributes
     ----------
@@ -56,6 +56,8 @@ class Judgement(StrictModel):
     at_least_dph, at_most_dph : float
         Limits of the largest true one, each with the probability ``confidence`` that the limits of
         acceptance state: the lower one for all judgements of the run together.
+    passes_agree : bool
+        Whether the stops here had the same differences in each pass; else each pass was judged by itself.
     """
 
     gyro: str = Field(pattern="^[xyz]$")
@@ -70,12 +72,14 @@ class Judgement(StrictModel):
     at_most_dph: float
     limit_dph: float
     verdict: Verdict
+    passes_agree: bool = True
 
 
 class NotMeasured(StrictModel):
-    """A planned position of which a gyro's bias was not compared with another one at that temperature."""
+    """A planned dwell of which a gyro's bias was not compared with the others of its stop."""
 
     gyro: str = Field(pattern="^[xyz]$")
+    cycle: int
     chamber_set_c: float | None
     position: str
 
@@ -89,16 +93,26 @@ class Acceptance(StrictModel):
         None where the procedure states none: then nothing is judged.
     gyros : dict of str to str
         Verdict on each gyro.
+    stops : int
+        Number of stops at which positions were compared.
     """
 
     verdict: RunVerdict = "not judged"
     limits: AcceptanceLimits | None = None
     gyros: dict[str, GyroVerdict] = Field(default_factory=dict)
+    stops: int = 0
     judgements: list[Judgement] = Field(default_factory=list)
     not_measured: list[NotMeasured] = Field(default_factory=list)
 
-    def worst(self, gyro: str, quantity: Quantity = "position difference") -> Judgement | None:
-        """Return the judgement that comes nearest to a fail, or is farthest beyond it; None without any."""
-        own = [each for each in self.judgements if (each.gyro, each.quantity) == (gyro, quantity)]
-        order = ("pass", "marginal", "fail")
-        return max(own, key=lambda each: (order.index(each.verdict), each.at_most_dph), default=None)
+    def deciding(self, gyro: str) -> Judgement | None:
+        """Return what decides on a gyro: nearest to a fail, or farthest beyond it; None without any.
+
+        Of judgements with the same verdict one on a difference comes before one on a bias.
+        """
+        own = [each for each in self.judgements if each.gyro == gyro]
+        return max(own, key=_severity, default=None)
+
+
+def _severity(judged: Judgement) -> tuple[int, bool, float]:
+    order = ("pass", "marginal", "fail")
+    return order.index(judged.verdict), judged.quantity == "position difference", judged.at_most_dph

@@ -38,7 +38,7 @@ from bench.cli.exit_codes import (
     EXIT_WRONG_INPUT,
     fail,
 )
-from bench.errors import DocumentError, GyrobenchError, InstrumentError
+from bench.errors import BenchInUseError, DocumentError, GyrobenchError, InstrumentError
 
 # The matrices of this project are small: threads of the linear algebra only get into each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -53,28 +53,29 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+# In the order of the groups in which the help lists them.
 app.command()(run.run)
 app.command()(resume.resume)
 app.command()(tell.tell)
-app.command()(monitor.monitor)
+app.command()(verify.verify)
 app.command()(plan.plan)
 app.command()(check.check)
-app.command()(bins.bins)
+app.command()(jog.jog)
 app.command()(message.message)
-app.command()(export.export)
+app.command()(monitor.monitor)
 app.command()(report.report)
+app.command()(export.export)
+app.command()(bins.bins)
 app.command()(close.close)
-app.command()(verify.verify)
 app.command("import")(import_log.import_log)
+app.command()(runs.runs)
+app.add_typer(fleet.fleet, name="fleet")
+app.add_typer(new.new, name="new")
+app.command()(validate.validate)
+app.command()(schema.schema)
 app.command()(emulate.emulate)
 app.command()(record.record)
 app.command()(replay.replay)
-app.command()(validate.validate)
-app.command()(schema.schema)
-app.command()(jog.jog)
-app.add_typer(new.new, name="new")
-app.command()(runs.runs)
-app.add_typer(fleet.fleet, name="fleet")
 
 
 def main() -> None:
@@ -83,7 +84,7 @@ def main() -> None:
         app()
     except DocumentError as error:
         fail(error, EXIT_WRONG_INPUT)
-    except InstrumentError as error:
+    except (InstrumentError, BenchInUseError) as error:
         fail(error, EXIT_INSTRUMENT)
     except GyrobenchError as error:
         fail(error, EXIT_NOT_FINISHED)

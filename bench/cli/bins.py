@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bench.cli.bias_tables import print_biases
+from bench.cli.console import console
 from bench.cli.json_output import JsonOption, print_json
 from bench.cli.options import RunArgument
 
@@ -19,7 +20,6 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from bench.bias.tables.acceptance_file import read_acceptance
     from bench.bias.tables.verification_table import read_verification
     from bench.engine.session import measure_again
-    from bench.live.console import PatientConsole
     from bench.report.html import write_report
 
     folder = measure_again(run_folder)
@@ -35,8 +35,8 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
             }
         )
         return
-    console = PatientConsole(markup=False)
-    print_biases(console, read_bins(folder.bias_bins), verification, read_acceptance(folder.acceptance))
+    terminal = console()
+    print_biases(terminal, read_bins(folder.bias_bins), verification, read_acceptance(folder.acceptance))
     results = (
         folder.bias_bins,
         folder.joint,
@@ -46,5 +46,5 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         folder.acceptance,
     )
     tables = [path.name for path in (folder.dwells, *results) if path.exists()]
-    console.print(f"Tables   {', '.join(tables)}")
-    console.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)
+    terminal.print(f"Tables   {', '.join(tables)}")
+    terminal.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)

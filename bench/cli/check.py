@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from bench.cli.completion import complete_procedure
-from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, fail
+from bench.cli.console import console
+from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
 from bench.cli.json_output import JsonOption, print_json
 from bench.cli.options import (
     EMULATED,
@@ -18,7 +19,6 @@ from bench.cli.options import (
     StationArgument,
     WorldOption,
 )
-from bench.errors import BenchInUseError
 
 
 def check(
@@ -45,24 +45,19 @@ def check(
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
-    from rich.console import Console
-
     from bench.engine.preflight.answer import nobody_answers
     from bench.engine.preflight.session import check_bench
     from bench.report.terminal.preflight import preflight_report
     from bench.station.check import Verdict
     from bench.station.instruments import Emulation
 
-    try:
-        checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
-    except BenchInUseError as error:
-        fail(error, EXIT_INSTRUMENT)
+    checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
     is_fit = all(each.verdict is not Verdict.FAIL for each in checks)
     if as_json:
         records = [{**asdict(each), "verdict": each.verdict.lower()} for each in checks]
         print_json({"station": station, "fit": is_fit, "checks": records})
     else:
-        Console(markup=False, highlight=False).print(preflight_report(checks))
+        console().print(preflight_report(checks))
     if nobody_answers(checks):
         raise typer.Exit(EXIT_INSTRUMENT)
     if not is_fit:

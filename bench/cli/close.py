@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from bench.cli.completion import complete_run
+from bench.cli.console import console
 from bench.cli.json_output import JsonOption, print_json
-from bench.cli.search import search, write_search
+from bench.cli.search import search
 
 
 def close(
@@ -37,24 +38,22 @@ def close(
     """
     import json
 
-    from bench.live.console import PatientConsole
+    from bench.report.closure.search_files import write_search
     from bench.report.closure.terminal import closure_summary
-    from bench.report.html import write_report
-    from bench.run_store.folder import RunFolder
 
-    folder = out or (campaign if campaign.is_dir() else campaign.parent) / "closure"
     closure = search(campaign, hold_out_cycle or ())
-    page = write_search(folder, closure, campaign)
+    written = write_search(closure, campaign, out)
+    folder = written.page.parent
     if as_json:
-        if folder == RunFolder(campaign).closure:
-            write_report(RunFolder(campaign))
         found = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
-        print_json({"folder": folder, "report": page, "closure": found})
+        print_json({"folder": folder, "report": written.page, "closure": found})
         return
-    console = PatientConsole(markup=False)
-    console.print(closure_summary(closure))
+    terminal = console()
+    terminal.print(closure_summary(closure))
     tables = "closure.json, predictions.csv, model.yaml"
-    console.print(f"Report   {page}\nFigures  {folder / 'figures'}\nTables   {tables}", soft_wrap=True)
-    if folder == RunFolder(campaign).closure:
-        console.print(f"Also in  {write_report(RunFolder(campaign))}", soft_wrap=True)
-    console.print(f"Folder   {folder}", soft_wrap=True)
+    terminal.print(
+        f"Report   {written.page}\nFigures  {folder / 'figures'}\nTables   {tables}", soft_wrap=True
+    )
+    if written.report:
+        terminal.print(f"Also in  {written.report}", soft_wrap=True)
+    terminal.print(f"Folder   {folder}", soft_wrap=True)

@@ -8,13 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from bench.shipped import shipped_names
+from bench.run_store.folder import RUNS, RunFolder
+from bench.shipped import TEMPLATES, shipped_names
 
-_RUNS = Path("runs")
-_JOURNAL = "journal.jsonl"
 _MOST_RUNS = 200
-#: What `gyrobench new procedure --like` takes beside shipped names; as bench.authoring.new_files has them.
-TEMPLATE_NAMES = ("check", "six_position", "verification")
 
 Completion = Callable[[str], list[str]]
 
@@ -35,7 +32,7 @@ complete_import_map = _shipped("imports")
 
 def complete_template(incomplete: str) -> list[str]:
     """Names of templates of a new procedure."""
-    return _beginning_with(incomplete, [*TEMPLATE_NAMES, *shipped_names("procedures")])
+    return _beginning_with(incomplete, [*TEMPLATES, *shipped_names("procedures")])
 
 
 def complete_table(incomplete: str) -> list[str]:
@@ -57,9 +54,9 @@ def complete_run(incomplete: str) -> list[str]:
     typed = Path(incomplete)
     folder = typed if incomplete.endswith("/") else typed.parent
     if not incomplete:
-        folder = _RUNS
+        folder = RUNS
     try:
-        found = [path.parent for path in folder.glob(f"*/{_JOURNAL}")]
+        found = [path.parent for path in folder.glob(str(RunFolder(Path("*")).journal))]
     except OSError:
         return []
     newest_first = sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import EMULATED, STATION_HELP, FaultsOption, SeedOption, WorldOption
+from bench.cli.options import EMULATED, FaultsOption, SeedOption, StationOption, WorldOption
 
 _PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
 
@@ -23,7 +23,7 @@ class CanServer(StrEnum):
 
 
 def emulate(
-    station: Annotated[str, typer.Option(help=STATION_HELP)] = EMULATED,
+    station: StationOption = EMULATED,
     world: WorldOption = "gyro_a",
     seed: SeedOption = 0,
     faults: FaultsOption = None,
@@ -59,17 +59,14 @@ def emulate(
     from bench.documents import find_document
     from bench.emulation.guide import guide
     from bench.emulation.process import EmulatorProcess, end_at_sigterm
-    from bench.emulation.serving import serve_options
+    from bench.emulation.serving import Life, serve_options
     from bench.emulation.station_file import write_station_file
     from bench.station.station import Station
 
     bench = Station(find_document("stations", station))
     ports = {"table": table_port, "chamber": chamber_port, "ins": ins_port}
-    options = serve_options(bench, ports, tcp=tcp, can=can)
-    options += ["--world", world, "--seed", str(seed), "--speed", str(speed)]
-    options += [f"--faults={faults}"] if faults else []
-    options += [f"--faults-log={faults_log}"] if faults_log else []
-    options += [f"--for-s={for_s}"] if for_s is not None else []
+    life = Life(world, seed, speed, faults or None, faults_log, for_s)
+    options = serve_options(bench, ports, tcp=tcp, can=can, life=life)
     end_at_sigterm()
     with EmulatorProcess(options) as emulators:
         if emulators.urls:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bench.cli.options import RunArgument
+from bench.errors import DocumentError
 
 _WHAT = "dwells, bins, joint, verification, telemetry, navigation, can, compensation"
 
@@ -58,7 +59,7 @@ def _chosen(text: str, allowed: list[str], option: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in allowed:
-            raise typer.BadParameter(f"'{name}' is none of {', '.join(allowed)}", param_hint=option)
+            raise DocumentError(f"{option}: '{name}' is none of {', '.join(allowed)}")
     return list(dict.fromkeys(names))
 
 

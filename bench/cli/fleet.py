@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.cli import fleet_batch
-from bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT, fail
+from bench.cli.console import console
+from bench.cli.exit_codes import EXIT_NOT_FINISHED
 from bench.cli.json_output import JsonOption, print_json
-from bench.cli.runs import (
+from bench.cli.run_selection import (
     BatchOption,
     BenchOption,
     EndedOption,
@@ -21,8 +22,8 @@ from bench.cli.runs import (
     UnitOption,
     UntilOption,
     VerdictOption,
-    day_of,
     open_index,
+    selection_of,
 )
 from bench.errors import DocumentError
 
@@ -101,15 +102,14 @@ def _add_command(kind: str) -> None:
         from bench.fleet.choice import runs_in_index, runs_named
         from bench.fleet.cluster import Workers
         from bench.fleet.jobs import JobKind
-        from bench.run_index.selection import Selection
 
         if scheduler and (workers or threads):
             wrong = "--workers and --threads are of this machine, --scheduler has workers of its own"
-            fail(DocumentError(f"{wrong}; give one or the other"), EXIT_WRONG_INPUT)
-        selection = Selection(unit, batch, bench, procedure, day_of(since), day_of(until), verdict, ended)
-        if bool(runs) == bool(from_index) or (runs and selection != Selection()):
+            raise DocumentError(f"{wrong}; give one or the other")
+        selection = selection_of(unit, batch, bench, procedure, since, until, verdict, ended)
+        if bool(runs) == bool(from_index) or (runs and selection != selection_of()):
             wrong = "give either RUNS or --from-index ROOT, which alone can be asked by unit, date and so on"
-            fail(DocumentError(wrong), EXIT_WRONG_INPUT)
+            raise DocumentError(wrong)
         if from_index:
             paths = runs_in_index(from_index, open_index(from_index, index), selection)
         else:
@@ -138,15 +138,14 @@ def _work(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: 
     from bench.fleet.progress import FleetProgress
     from bench.fleet.record import RECORD
     from bench.fleet.work import work_through
-    from bench.live.console import PatientConsole
 
     left = record.left_of(paths)
-    console = PatientConsole(markup=False, highlight=False, stderr=as_json)
+    terminal = console(as_json)
     clock = WallClock()
     results: list[JobResult] = []
     if left:
-        console.print(f"fleet {record.kind}: {len(left)} of {len(paths)} runs to do, {workers.describe()}")
-        with connected(workers) as client, FleetProgress(console, len(left)) as progress:
+        terminal.print(f"fleet {record.kind}: {len(left)} of {len(paths)} runs to do, {workers.describe()}")
+        with connected(workers) as client, FleetProgress(terminal, len(left)) as progress:
             for result in work_through(client, record, left):
                 results.append(result)
                 progress.advance(result)
@@ -157,9 +156,9 @@ def _work(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: 
         print_json({"kind": record.kind.value, "took_s": clock.now(), "runs": states})
     else:
         for result in not_done:
-            console.print(f"{result.state}: {result.path}\n  {result.text}", soft_wrap=True)
-        console.print(_summary(counts, len(paths) - len(left), clock.now()))
-        console.print(f"Record   {record.folder / RECORD}", soft_wrap=True)
+            terminal.print(f"{result.state}: {result.path}\n  {result.text}", soft_wrap=True)
+        terminal.print(_summary(counts, len(paths) - len(left), clock.now()))
+        terminal.print(f"Record   {record.folder / RECORD}", soft_wrap=True)
     if not_done:
         raise typer.Exit(EXIT_NOT_FINISHED)
 

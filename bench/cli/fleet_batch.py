@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli.exit_codes import EXIT_WRONG_INPUT, fail
+from bench.cli.console import console
 from bench.cli.json_output import JsonOption, print_json
-from bench.cli.runs import (
+from bench.cli.run_selection import (
     BatchOption,
     BenchOption,
     IndexOption,
@@ -17,10 +17,13 @@ from bench.cli.runs import (
     RootArgument,
     SinceOption,
     UntilOption,
-    day_of,
     open_index,
+    selection_of,
 )
 from bench.errors import DocumentError
+
+if TYPE_CHECKING:
+    from bench.run_index.index import RunIndex
 
 
 def batch(
@@ -45,21 +48,33 @@ def batch(
     from bench.fleet.batch_data import read_batch
     from bench.fleet.batch_model import fit_batch
     from bench.fleet.batch_report import batch_document, batch_summary, write_batch
-    from bench.live.console import PatientConsole
-    from bench.run_index.selection import Selection, find_runs
+    from bench.run_index.selection import find_runs
 
     opened = open_index(root, index)
-    runs = find_runs(opened, Selection(None, batch, bench, procedure, day_of(since), day_of(until)))
+    runs = find_runs(opened, selection_of(None, batch, bench, procedure, since, until))
     batches = sorted({run["batch"] for run in runs})
     if len(batches) != 1:
-        what = f"these runs are of the batches {', '.join(map(repr, batches))}" if runs else "no run is meant"
-        fail(DocumentError(f"units of one batch are compared; {what}. Give --batch"), EXIT_WRONG_INPUT)
+        raise DocumentError(_which_batch(opened, root, batch, batches))
     name = batches[0]
     fitted = fit_batch(read_batch(opened, runs))
     page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}")
     if as_json:
         print_json(batch_document(name, fitted))
         return
-    console = PatientConsole(markup=False, highlight=False)
-    console.print(batch_summary(name, fitted))
-    console.print(f"Report   {page}\nFigures  {out / 'figures'}\nTables   batch.json", soft_wrap=True)
+    terminal = console()
+    terminal.print(batch_summary(name, fitted))
+    terminal.print(f"Report   {page}\nFigures  {out / 'figures'}\nTables   batch.json", soft_wrap=True)
+
+
+def _which_batch(opened: RunIndex, root: str, batch: str | None, found: list[str]) -> str:
+    """Say why there is not one batch to compare, and what can be given."""
+    if found:
+        return (
+            f"units of one batch are compared; these runs are of {', '.join(map(repr, found))}. Give --batch"
+        )
+    known = [str(row[0]) for row in opened.query("SELECT DISTINCT batch FROM units ORDER BY batch").rows]
+    what = f"no run here is of batch {batch}" if batch else "no run is meant"
+    if known:
+        return f"{what}; the batches of {root}/units.csv are {', '.join(known)}"
+    where = f"{root}/units.csv, with the columns unit,batch,hardware,note"
+    return f"{what}; which batch a unit is of stands in {where}"

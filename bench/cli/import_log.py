@@ -7,12 +7,19 @@ from typing import Annotated
 
 import typer
 
+from bench.cli.completion import complete_import_map
+
 
 def import_log(
     logs: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="Log of a real IMU, or several in order.")
     ],
-    mapping: Annotated[str, typer.Option("--map", help="What stands where: file or shipped name.")],
+    mapping: Annotated[
+        str,
+        typer.Option(
+            "--map", help="What stands where: file or shipped name.", autocompletion=complete_import_map
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Dwell table to write.")] = Path("dwells.csv"),
 ) -> None:
     """Average logs of a real IMU or INS to a dwell table.

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from bench.cli.exit_codes import EXIT_NOT_FINISHED
 from bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
 
 
@@ -36,14 +37,9 @@ def jog(
 
     Example: gyrobench jog my_bench.yaml "table outer 30" "chamber 40 at 1.5" "watch 60"
     """
-    from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, fail
-    from bench.errors import BenchInUseError
     from bench.jog.session import jog_bench
     from bench.station.instruments import Emulation
 
-    try:
-        all_done = jog_bench(station, commands or [], Emulation(world, seed, faults or ""), leave)
-    except BenchInUseError as error:
-        fail(error, EXIT_INSTRUMENT)
+    all_done = jog_bench(station, commands or [], Emulation(world, seed, faults or ""), leave)
     if not all_done:
         raise typer.Exit(EXIT_NOT_FINISHED)

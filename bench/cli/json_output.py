@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from datetime import date
+from decimal import Decimal
 from enum import Enum
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-
-if TYPE_CHECKING:
-    from bench.engine.session import Job
 
 JSON_HELP = "Print one JSON object in place of text; everything else goes to standard error."
 JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
@@ -24,7 +22,7 @@ def print_json(content: dict[str, Any]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Turn records, arrays and paths into what JSON has."""
+    """Turn records, arrays, times and paths into what JSON has; what else there is becomes its text."""
     if hasattr(value, "model_dump"):  # models of pydantic
         return value.model_dump(mode="json")
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -39,28 +37,8 @@ def plain(value: Any) -> Any:
         return plain(value.value)
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value
-
-
-def plan_record(job: Job, figure: Path) -> dict[str, Any]:
-    """What `gyrobench plan` tells of a plan."""
-    plan = job.plan
-    return {
-        "procedure": plan.procedure.procedure,
-        "station": job.station.file.station,
-        "duration_s": plan.duration_s,
-        "dwells": plan.dwell_count,
-        "figure": figure,
-        "steps": [
-            {
-                "number": planned.number,
-                "step": planned.step.name,
-                "what": planned.step.describe(),
-                "start_s": planned.start_s,
-                "duration_s": planned.duration_s,
-                "dwell": planned.dwell or None,
-                "cycle": planned.cycle,
-            }
-            for planned in plan.steps
-        ],
-    }
+    if isinstance(value, date):  # a datetime is one too
+        return value.isoformat()
+    if isinstance(value, Decimal):
+        return plain(float(value))
+    return value if isinstance(value, str | int | None) else str(value)

@@ -7,11 +7,11 @@ from typing import Annotated
 import typer
 
 from bench.cli.exit_codes import EXIT_INSTRUMENT
-from bench.cli.options import STATION_HELP
+from bench.cli.options import StationArgument
 
 
 def message(
-    station: Annotated[str, typer.Argument(help=STATION_HELP)],
+    station: StationArgument,
     text: Annotated[str, typer.Argument(help="What to tell.")] = "This is a test. Nothing is to be done.",
 ) -> None:
     """Send a test message to everybody that a station file names, and say what each answered.

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
+from bench.cli.completion import complete_run
+
 _HELP = "Run folder, or a folder of runs: then a list of them, each with its page."
 
 
 def monitor(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help=_HELP)],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help=_HELP, autocompletion=complete_run)],
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of this machine's loopback; 0 for any free one.")
     ] = 8765,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from bench.cli.completion import complete_chamber, complete_table, complete_template, complete_world
-from bench.cli.exit_codes import EXIT_WRONG_INPUT, fail
 from bench.errors import DocumentError
+
+_STANDARD_OUTPUT = Path("-")
 
 new = typer.Typer(
     help="Write a commented file to start from: every key with its meaning, bounds and default.\n\n"
@@ -42,10 +44,7 @@ def procedure(
     """
     from bench.authoring.new_files import new_procedure
 
-    path = out or Path(f"{name}.yaml")
-    _write(path, new_procedure(name, like, path))
-    if path != _STANDARD_OUTPUT:
-        typer.echo(f"{path}: written. Look at it with: gyrobench plan {path}")
+    _write(name, out, lambda path: new_procedure(name, like, path), "Look at it with: gyrobench plan")
 
 
 @new.command()
@@ -66,10 +65,12 @@ def station(
     """
     from bench.authoring.new_files import new_station
 
-    path = out or Path(f"{name}.yaml")
-    _write(path, new_station(name, path, table, chamber))
-    if path != _STANDARD_OUTPUT:
-        typer.echo(f"{path}: written. Fill it in, then look with: gyrobench check {path}")
+    _write(
+        name,
+        out,
+        lambda path: new_station(name, path, table, chamber),
+        "Fill it in, then look with: gyrobench check",
+    )
 
 
 @new.command()
@@ -86,16 +87,15 @@ def world(
     """
     from bench.authoring.new_files import new_world
 
+    _write(
+        name, out, lambda path: new_world(name, like, path), "Change it, look at it with: gyrobench validate"
+    )
+
+
+def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: str) -> None:
+    """Write what is made for a path, and say what is next; nothing that exists is written over."""
     path = out or Path(f"{name}.yaml")
-    _write(path, new_world(name, like, path))
-    if path != _STANDARD_OUTPUT:
-        typer.echo(f"{path}: written. Change it, look at it with: gyrobench validate {path}")
-
-
-_STANDARD_OUTPUT = Path("-")
-
-
-def _write(path: Path, text: str) -> None:
+    text = make(path)
     if path == _STANDARD_OUTPUT:
         typer.echo(text, nl=False)
         return
@@ -104,4 +104,5 @@ def _write(path: Path, text: str) -> None:
             file.write(text)
     except OSError as error:
         why = "is there already; name another with --out" if path.exists() else str(error.strerror)
-        fail(DocumentError(f"{path}: {why}. Nothing was written."), EXIT_WRONG_INPUT)
+        raise DocumentError(f"{path}: {why}. Nothing was written.") from error
+    typer.echo(f"{path}: written. {next_step} {path}")

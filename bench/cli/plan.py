@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.cli.json_output import JsonOption, plan_record, print_json
+from bench.cli.console import console
+from bench.cli.json_output import JsonOption, print_json
 from bench.cli.options import EMULATED, ProcedureArgument, StationOption
-from bench.errors import MeasurementError
+from bench.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
     from bench.engine.session import Job
@@ -39,31 +40,50 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
-    from rich.console import Console
-
     from bench.engine.session import prepare_job
     from bench.procedure.timeline import timeline_rows
     from bench.report.figures import plan_figure, save_figure
     from bench.report.terminal.tables import timeline_table
 
     if as_json and separability:
-        raise typer.BadParameter("--separability is told as text only; leave out one of it and --json")
+        raise DocumentError("--separability is told as text only; leave out one of it and --json")
     job = prepare_job(procedure, station)
     path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
     save_figure(plan_figure(job.plan), path)
     if as_json:
-        print_json(plan_record(job, path))
+        print_json(_record(job, path))
         return
-    Console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
+    console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
     typer.echo(f"Figure   {path}")
     if separability:
         _print_separability(job, target_dph)
 
 
+def _record(job: Job, figure: Path) -> dict[str, Any]:
+    plan = job.plan
+    return {
+        "procedure": plan.procedure.procedure,
+        "station": job.station.file.station,
+        "duration_s": plan.duration_s,
+        "dwells": plan.dwell_count,
+        "figure": figure,
+        "steps": [
+            {
+                "number": planned.number,
+                "step": planned.step.name,
+                "what": planned.step.describe(),
+                "start_s": planned.start_s,
+                "duration_s": planned.duration_s,
+                "dwell": planned.dwell or None,
+                "cycle": planned.cycle,
+            }
+            for planned in plan.steps
+        ],
+    }
+
+
 def _print_separability(job: Job, target_dph: float) -> None:
     from functools import partial
-
-    from rich.console import Console
 
     from bench.closure.effects import all_effects
     from bench.closure.planned_campaign import planned_campaign
@@ -82,8 +102,7 @@ def _print_separability(job: Job, target_dph: float) -> None:
         return
     now = separability(searched_dwells(campaign), all_effects())
     advice = advise(job.document, job.plan, partial(plan_on, job.station), unit, now, target_dph)
-    console = Console(markup=False, highlight=False)
-    console.print(separability_summary(now, len(campaign), unit, target_dph, advice))
+    console().print(separability_summary(now, len(campaign), unit, target_dph, advice))
     path = Path(f"separability_{name}.png")
     save_figure(separability_figure(now, target_dph, name), path)
     typer.echo(f"Figure   {path}")

@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.exit_codes import EXIT_INSTRUMENT, fail
 from bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
-from bench.errors import BenchInUseError, DocumentError
+from bench.errors import DocumentError
 
 
 class Instrument(StrEnum):
@@ -68,17 +67,15 @@ def record(
             raise typer.Exit(_run(context, command, station))
     if instrument is None:
         raise DocumentError("record: say which instrument (--instrument table, chamber or ins), or a COMMAND")
-    try:
-        if proxy:
-            recorder.proxy(instrument.value, out, port, for_s)
-        else:
-            recorder.ask(instrument.value, out, for_s)
-    except BenchInUseError as error:
-        fail(error, EXIT_INSTRUMENT)
+    if proxy:
+        recorder.proxy(instrument.value, out, port, for_s)
+    else:
+        recorder.ask(instrument.value, out, for_s)
 
 
 def _run(context: typer.Context, words: list[str], station: str) -> int:
     """Run another command in this process, on this station; returns its exit code."""
+    words = words[1:] if words[0] == "gyrobench" else words
     root = context.find_root()
     known = root.command.get_command(root, words[0])  # type: ignore[attr-defined]
     takes = {parameter.name: parameter for parameter in known.params} if known else {}

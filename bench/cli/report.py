@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from bench.cli.completion import complete_run
+from bench.cli.console import console
 from bench.cli.options import RunArgument
 
 
@@ -20,7 +22,11 @@ def report(
     ] = False,
     before: Annotated[
         Path | None,
-        typer.Option(metavar="RUN", help="Run before a change of the unit, to be set beside this one."),
+        typer.Option(
+            metavar="RUN",
+            help="Run before a change of the unit, to be set beside this one.",
+            autocompletion=complete_run,
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write; by default the run's.")] = None,
 ) -> None:
@@ -31,18 +37,17 @@ def report(
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
     from bench.bias.tables.acceptance_file import read_acceptance
-    from bench.live.console import PatientConsole
     from bench.report.html import write_report
     from bench.report.terminal.acceptance import acceptance_summary
     from bench.run_store.folder import open_run_folder
 
     folder = open_run_folder(run_folder)
     page = write_report(folder, by, out, open_run_folder(before) if before else None)
-    console = PatientConsole(markup=False, highlight=False)
+    terminal = console()
     if folder.acceptance.exists():
-        console.print(acceptance_summary(read_acceptance(folder.acceptance)))
-    console.print(f"Report   {page}", soft_wrap=True)
+        terminal.print(acceptance_summary(read_acceptance(folder.acceptance)))
+    terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
         from bench.report.pdf import write_pdf
 
-        console.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)
+        terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from bench.cli.console import console
 from bench.cli.json_output import JsonOption
 from bench.cli.options import RunArgument, View, ViewOption
 from bench.cli.run_end import print_end
@@ -32,16 +33,15 @@ def resume(
 
     Example: gyrobench resume runs/six_position_fig7-001
     """
-    from bench.engine.session import describe_resumption, prepare_resumption, resume_run
-    from bench.live.console import PatientConsole
+    from bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
     from bench.live.watched import watched
 
-    console = PatientConsole(stderr=as_json, markup=False, highlight=False)
+    terminal = console(as_json)
     resumption = prepare_resumption(run_folder, anyway)
-    console.print(describe_resumption(resumption), soft_wrap=True)
+    terminal.print(describe_resumption(resumption), soft_wrap=True)
     if look:
         return
     job = resumption.job
-    with watched(console, job, view is View.LIVE) as (progress, operator):
+    with watched(terminal, job, view is View.LIVE) as (progress, operator):
         folder, outcome = resume_run(resumption, progress, operator)
-    print_end(console, folder, outcome, as_json)
+    print_end(terminal, folder, outcome, as_json)

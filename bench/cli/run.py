@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bench.cli.completion import complete_run
+from bench.cli.console import console
 from bench.cli.json_output import JsonOption
 from bench.cli.options import (
     EMULATED,
@@ -50,14 +51,13 @@ def run(
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
     from bench.engine.session import prepare_job, run_job
-    from bench.live.console import PatientConsole
     from bench.live.watched import watched
     from bench.run_store.compensation_file import read_compensation
     from bench.station.instruments import Emulation
 
-    console = PatientConsole(stderr=as_json, markup=False)
+    terminal = console(as_json)
     loaded = read_compensation(compensation) if compensation else None
     job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
-    with watched(console, job, view is View.LIVE) as (progress, operator):
+    with watched(terminal, job, view is View.LIVE) as (progress, operator):
         folder, outcome = run_job(job, out, progress, operator)
-    print_end(console, folder, outcome, as_json)
+    print_end(terminal, folder, outcome, as_json)

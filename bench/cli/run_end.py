@@ -24,20 +24,17 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
     from bench.report.html import write_report
     from bench.report.terminal.tables import durations_table
 
-    safe_state = [
-        f"{'FAILED: ' if each.problem else ''}{each.what}{_because(each.problem)}"
-        for each in outcome.safe_state
-    ]
+    safe_state = "\n".join(each.text for each in outcome.safe_state)
     is_finished = outcome.ended == "finished"
     if not is_finished:
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
-        console.print("\n".join(safe_state), soft_wrap=True)
+        console.print(safe_state, soft_wrap=True)
     report = write_report(folder)
     results = outcome.results
     print_biases(console, results.bins, results.verification, results.acceptance)
     console.print(durations_table(outcome.took_s))
     if is_finished:
-        console.print("\n".join(safe_state), soft_wrap=True)
+        console.print(safe_state, soft_wrap=True)
     console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
     if as_json:
         print_json(_record(folder, outcome, report))
@@ -56,7 +53,3 @@ def _record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[str, o
         "verdict": outcome.results.acceptance.verdict,
         "safe_state": outcome.safe_state,
     }
-
-
-def _because(problem: str) -> str:
-    return f": {problem}" if problem else ""

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli.completion import complete_procedure, complete_run, complete_station, complete_world
+from bench.cli.completion import complete_procedure, complete_station, complete_world
+from bench.cli.console import console
 from bench.cli.exit_codes import EXIT_NOT_FINISHED
 from bench.cli.json_output import JsonOption, print_json
-from bench.cli.options import STATION_HELP, View, ViewOption
-from bench.cli.search import search, write_search
+from bench.cli.options import STATION_HELP, RunArgument, View, ViewOption
+from bench.cli.search import search
+
+if TYPE_CHECKING:
+    from bench.closure.closure import Closure
+    from bench.engine.verify import Verification
+    from bench.live.console import PatientConsole
+    from bench.run_store.folder import RunFolder
 
 
 class Compensated(StrEnum):
@@ -24,9 +31,7 @@ class Compensated(StrEnum):
 
 
 def verify(
-    run_folder: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Run folder of a campaign.", autocompletion=complete_run)
-    ],
+    run_folder: RunArgument,
     procedure: Annotated[
         str,
         typer.Option(help="Procedure file, or the name of a shipped one.", autocompletion=complete_procedure),
@@ -62,57 +67,76 @@ def verify(
 
     Example: gyrobench verify runs/six_position_fig7-001
     """
-    from bench.closure.files import is_written, read_held_out_cycles
     from bench.engine.verify import Verification, new_emulation
-    from bench.live.console import PatientConsole
-    from bench.live.watched import watched
-    from bench.measurement.comparison import write_comparison
-    from bench.report.comparison.page import write_verify_page
-    from bench.report.comparison.terminal import verify_plan, verify_summary
-    from bench.report.html import write_report
+    from bench.report.comparison.terminal import verify_plan
     from bench.run_store.folder import open_run_folder
 
-    console = PatientConsole(markup=False, highlight=False, stderr=as_json)
+    terminal = console(as_json)
     run = open_run_folder(run_folder)
-    closure = search(run.path, read_held_out_cycles(run.closure))
-    if not is_written(run.closure, closure):
-        write_search(run.closure, closure, run.path)
-    folder = out or run.verify
+    closure = _search(run)
     verification = Verification(
         run,
         closure,
         procedure,
         station or str(run.station),
         new_emulation(run, world, seed),
-        folder,
+        out or run.verify,
         [each.value for each in only or ()],
     )
     missing = [name for name in verification.wanted if not verification.is_there(name)]
     job = verification.jobs[verification.wanted[0]]
-    console.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
+    terminal.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
-        console.print(f"Compensation: {name}", style="bold")
-        with watched(console, job, view is View.LIVE) as (progress, operator):
-            measured, outcome = verification.measure(name, progress, operator)
-        write_report(measured)
-        if outcome.ended != "finished":
-            console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
-            console.print(f"Folder   {measured.path}", soft_wrap=True)
-            raise typer.Exit(EXIT_NOT_FINISHED)
-    comparison = verification.comparison()
-    write_comparison(folder / "comparison.csv", comparison.leftovers)
+        _measure(terminal, verification, name, view)
+    _tell(terminal, verification, run, as_json)
+
+
+def _search(run: RunFolder) -> Closure:
+    """Search in a run as it was searched before; what is found is written unless it is there."""
+    from bench.closure.files import is_written, read_held_out_cycles
+    from bench.report.closure.search_files import write_search
+
+    closure = search(run.path, read_held_out_cycles(run.closure))
+    if not is_written(run.closure, closure):
+        write_search(closure, run.path)
+    return closure
+
+
+def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
+    """Run the procedure with one compensation; exits where the run does not finish."""
+    from bench.live.watched import watched
+    from bench.report.html import write_report
+
+    terminal.print(f"Compensation: {name}", style="bold")
+    with watched(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
+        measured, outcome = verification.measure(name, progress, operator)
+    write_report(measured)
+    if outcome.ended != "finished":
+        terminal.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        terminal.print(f"Folder   {measured.path}", soft_wrap=True)
+        raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
+    """Compare what was measured, write it, and say what came out."""
+    from bench.measurement.comparison import write_comparison
+    from bench.report.comparison.page import write_verify_page
+    from bench.report.comparison.terminal import verify_summary
+    from bench.report.html import write_report
+
+    folder, comparison = verification.folder, verification.comparison()
+    table = folder / "comparison.csv"
+    write_comparison(table, comparison.leftovers)
     page = write_verify_page(folder, comparison, run.dwells)
+    report = write_report(run) if folder == run.verify else None
     if as_json:
-        if folder == run.verify:
-            write_report(run)
         rows = [row for each in comparison.leftovers for row in (*each.rows, each.total)]
         print_json({"folder": folder, "report": page, "comparison": rows})
         return
-    console.print(verify_summary(comparison))
-    console.print(
-        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {folder / 'comparison.csv'}\n"
-        f"Folder   {folder}",
+    terminal.print(verify_summary(comparison))
+    terminal.print(
+        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
         soft_wrap=True,
     )
-    if folder == run.verify:
-        console.print(f"Also in  {write_report(run)}", soft_wrap=True)
+    if report:
+        terminal.print(f"Also in  {report}", soft_wrap=True)

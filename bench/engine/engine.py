@@ -13,7 +13,7 @@ from bench.engine.dwell_book import DwellBook
 from bench.engine.dwell_recorder import DwellRecorder
 from bench.engine.heartbeat import Heartbeat
 from bench.engine.holding import Holding
-from bench.engine.interlocks import Trip
+from bench.engine.interlocks import Finding, Trip, text_of
 from bench.engine.interruptions import OrderedError, TrippedError, trip_of
 from bench.engine.live_bench import LiveBench
 from bench.engine.orders import GivenOrder, Order
@@ -184,8 +184,9 @@ class Engine:
         faults, self._unseen_faults = self._unseen_faults, ()
         if faults:
             rule = self._bench.station.file.interlocks.table_fault
-            text = f"the table reported {', '.join(faults)} before the run began. Find the cause."
-            trips = [*trips, Trip("table_fault", text, rule)]
+            problem = f"the table reported {', '.join(faults)} before the run began"
+            found = Finding("table_fault", problem, "Find the cause.")
+            trips = [*trips, Trip("table_fault", (found,), rule)]
         if trips:
             raise TrippedError(trips)
 
@@ -337,7 +338,7 @@ class Engine:
 
     def _recover(self, index: int, trips: Sequence[Trip]) -> Standing:
         """Make the bench safe and hold until it may go on."""
-        why = "; ".join(trip.text for trip in trips)
+        why = text_of(trips)
         names = [trip.name for trip in trips]
         actions = self._outputs.apply()  # before anything that a slow disk could hold up
         self._journal.record("tripped", interlocks=names, why=why)
@@ -401,7 +402,7 @@ class Engine:
         self._journal.record("made_safe", actions=[asdict(action) for action in actions])
         for action in actions:
             if action.problem:
-                self._progress.told(f"FAILED: {action.what}: {action.problem}")
+                self._progress.told(action.text)
 
     def _end(self) -> None:
         outcome = self._outcome

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from bench.engine.heartbeat import Heartbeat
-from bench.engine.interlocks import Trip
+from bench.engine.interlocks import Trip, text_of
 from bench.engine.interruptions import TrippedError
 from bench.engine.live_bench import LiveBench
 from bench.engine.orders import Order
@@ -143,7 +143,7 @@ class Holding:
             # Whatever was changed at its panel, the way back commands it anew.
             self._bench.expected = replace(self._bench.expected, chamber_set_c=None, chamber_on=None)
         self._bench.read_instruments()
-        still = "; ".join(trip.text for trip in self._bench.trips())
+        still = text_of(self._bench.trips())
         if still and still != self._said:
             self._heartbeat.note(f"can't go on yet: {still}")
         self._said = still

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.engine.interlocks import Trip
+from bench.engine.interlocks import Finding, Trip, text_of
 from bench.engine.orders import GivenOrder
 from bench.errors import FaultError, GyrobenchError, InstrumentError, InterlockError, RefusedError
 from bench.procedure.steps import PowerOn, Step
@@ -19,7 +19,7 @@ class TrippedError(InterlockError):
     """Interlocks are tripped."""
 
     def __init__(self, trips: Sequence[Trip]) -> None:
-        super().__init__("; ".join(trip.text for trip in trips))
+        super().__init__(text_of(trips))
         self.trips = trips
 
 
@@ -44,4 +44,4 @@ def trip_of(error: GyrobenchError, station: Station, step: Step | None = None) -
     elif isinstance(step, PowerOn):
         name = "ins_silence"
     rule = InterlockRule() if name == "step" else getattr(rules, name)
-    return Trip(name, str(error), rule)
+    return Trip(name, (Finding(name, str(error), ""),), rule)

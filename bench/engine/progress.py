@@ -10,10 +10,12 @@ from typing import Any
 from bench.errors import RunFolderError
 from bench.procedure.approach import end_of_dwell
 from bench.procedure.plan import Plan
+from bench.run_store.run_facts import LONGEST_RUN_S
 
 #: What no run reaches; more is a damaged journal.
-_LONGEST_RUN_S = 1e9
 _MOST_POWER_ONS = 1_000_000
+#: Why a run is over that did not say so itself.
+WITHOUT_A_WORD = "stopped without a word, as after a power cut or a kill"
 
 
 @dataclass
@@ -130,7 +132,7 @@ def _take(progress: RunProgress, entry: Mapping[str, Any], plan: Plan) -> None:
 
 def _time_s(entry: Mapping[str, Any]) -> float:
     time_s = float(entry["time_s"])
-    if not 0.0 <= time_s <= _LONGEST_RUN_S:
+    if not 0.0 <= time_s <= LONGEST_RUN_S:
         raise ValueError(f"{time_s} s is no time of a run")
     return time_s
 

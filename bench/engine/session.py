@@ -1,15 +1,15 @@
-"""A whole run: from file names, or the folder of a run that was cut short, to a run folder with results."""
+"""A whole run: from file names to a run folder with results."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from bench.bias.tables.dwell_table import DwellRow, read_dwells, write_dwells
-from bench.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
+from bench.clock import Clock
 from bench.documents import Document, find_document
 from bench.engine.audience import Audience
 from bench.engine.engine import Engine
@@ -18,7 +18,7 @@ from bench.engine.operator import Operator
 from bench.engine.orders import Orders
 from bench.engine.outcome import RunOutcome
 from bench.engine.people import AnnouncedOperator, People, Progress
-from bench.engine.progress import RunProgress, progress_of
+from bench.engine.progress import RunProgress
 from bench.engine.run_news import RunNews
 from bench.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
 from bench.files import write_whole
@@ -27,24 +27,21 @@ from bench.measurement.calibration import read_calibration
 from bench.measurement.dwell import MeasurementSetup
 from bench.measurement.live import warm_up
 from bench.measurement.replay import replay
-from bench.measurement.results import evaluate, planned_places, write_results
+from bench.measurement.results import evaluate, planned_dwells, write_results
 from bench.measurement.setup import measurement_setup
 from bench.messages.messenger import PATIENCE_S, Messenger
 from bench.procedure.document import load_procedure
 from bench.procedure.plan import Plan
 from bench.run_store.can_log import CanLog
-from bench.run_store.compensation_file import read_compensation, write_compensation
+from bench.run_store.compensation_file import write_compensation
 from bench.run_store.folder import RUNS, RunFolder, create_run_folder, open_run_folder
-from bench.run_store.journal import Journal, read_journal
-from bench.run_store.provenance import read_provenance, started_utc, write_provenance
-from bench.run_store.telemetry import Telemetry, last_reading_s
+from bench.run_store.journal import Journal
+from bench.run_store.provenance import read_provenance, write_provenance
+from bench.run_store.telemetry import Telemetry
 from bench.station.bench_lock import BenchLock, RunLock
 from bench.station.instruments import Emulation, Instruments
 from bench.station.station import Station
 from drivers.ins.compensation import Compensation
-
-#: So many times in a row a run is resumed without finishing anything before somebody has to look at it.
-MOST_RESUMED_IN_VAIN = 5
 
 #: A guard that has just made the bench safe lets go of it within this time.
 _GUARD_TIME_S = 60.0
@@ -71,16 +68,22 @@ class Job:
     @property
     def is_virtual(self) -> bool:
         """Whether it runs on virtual time, where nobody can be asked."""
-        return self.station.file.clock == "virtual"
+        return self.station.is_virtual
+
+    @property
+    def options(self) -> dict[str, str | int]:
+        """How it is run, as provenance and journal keep it; :func:`emulation_of` reads it."""
+        return {"clock": self.station.file.clock, **self.emulated_world()}
 
 
-@dataclass(frozen=True)
-class Resumption:
-    """A run that was cut short, and what is left of it."""
-
-    job: Job
-    folder: RunFolder
-    done: RunProgress
+def emulation_of(folder: RunFolder) -> Emulation:
+    """What stood behind the emulated instruments of a run; the usual where none was emulated."""
+    options = read_provenance(folder).get("options", {})
+    return Emulation(
+        str(options.get("world", Emulation.world)),
+        int(options.get("seed", Emulation.seed)),
+        str(options.get("faults", "")),
+    )
 
 
 def prepare_job(
@@ -158,7 +161,7 @@ def run_job(
     RunFolderError
         The run folder can't be written.
     """
-    clock: Clock = VirtualClock() if job.is_virtual else WallClock(speed=job.station.file.speed)
+    clock = job.station.new_clock()
 
     def write_inputs(folder: RunFolder, instruments: Instruments) -> None:
         _copy_inputs(folder, job)
@@ -166,95 +169,15 @@ def run_job(
             "rate table": instruments.table.identify(),
             "chamber": instruments.chamber.identify(),
         }
-        options = {"clock": job.station.file.clock, **job.emulated_world()}
-        write_provenance(folder, clock.epoch, identities, options)
+        write_provenance(folder, clock.epoch, identities, job.options)
 
     def make_folder() -> RunFolder:
         return create_run_folder(out, job.plan.procedure.procedure)
 
-    return _run(job, clock, make_folder, write_inputs, RunProgress(), RunOutcome(), progress, operator)
+    return carry_out(job, clock, make_folder, write_inputs, RunProgress(), RunOutcome(), progress, operator)
 
 
-def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
-    """Look at the folder of a run that was cut short: what is done, and what is left.
-
-    Parameters
-    ----------
-    anyway : bool
-        Whether to go on with a run that was resumed again and again without finishing anything.
-
-    Raises
-    ------
-    RunFolderError
-        There is no run, it is finished, or it was resumed too often in vain.
-    DocumentError
-        Its procedure, station or DBC file is wrong.
-    """
-    folder = open_run_folder(path)
-    job = _job_of(folder)
-    entries = list(read_journal(folder.journal))
-    try:
-        done = progress_of(entries, job.plan)
-    except RunFolderError as error:
-        raise RunFolderError(f"{folder.journal}: {error}") from error
-    if done.is_over(job.plan) and done.ended == "finished":
-        raise RunFolderError(
-            f"{path}: this run is finished, so there is nothing to resume. If tables or report are missing, "
-            f"write them with: gyrobench bins {path}"
-        )
-    if done.resumed_in_vain >= MOST_RESUMED_IN_VAIN and not anyway:
-        raise RunFolderError(
-            f"{path}: was resumed {done.resumed_in_vain} times without finishing a single step. "
-            "Find out why (the end of journal.jsonl tells), then resume it with --anyway"
-        )
-    return Resumption(job, folder, done)
-
-
-def _job_of(folder: RunFolder) -> Job:
-    """Make the job of a run again from what its folder holds."""
-    options = read_provenance(folder).get("options", {})
-    emulation = Emulation(
-        str(options.get("world", Emulation.world)),
-        int(options.get("seed", Emulation.seed)),
-        str(options.get("faults", "")),
-    )
-    compensation = read_compensation(folder.compensation) if folder.compensation.exists() else None
-    calibration = folder.calibration if folder.calibration.exists() else None
-    return prepare_job(str(folder.procedure), str(folder.station), emulation, calibration, compensation)
-
-
-def resume_run(
-    resumption: Resumption, progress: Progress, operator: Operator
-) -> tuple[RunFolder, RunOutcome]:
-    """Go on with a run that was cut short; raises what :func:`run_job` raises."""
-    job, folder, done = resumption.job, resumption.folder, resumption.done
-    last_s = max(done.last_s, last_reading_s(folder.telemetry))
-    clock: Clock
-    if job.is_virtual:
-        clock = VirtualClock(last_s + RESUME_STEP_S)
-    else:
-        clock = WallClock.resumed(started_utc(folder), last_s, job.station.file.speed)
-    dwells, verifications = replay(folder, measurement_setup(job.station))
-    outcome = RunOutcome(dwells=dwells, verifications=verifications)
-
-    def begin(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
-        _check_unchanged(resumption)
-        write_dwells(folder.dwells, [dwell.row for dwell in dwells])  # the journal may be ahead of it
-
-    return _run(job, clock, lambda: folder, begin, done, outcome, progress, operator)
-
-
-def _check_unchanged(resumption: Resumption) -> None:
-    """Refuse to go on with what another process has gone on with before this one held the run."""
-    done = resumption.done
-    now = progress_of(read_journal(resumption.folder.journal), resumption.job.plan)
-    if replace(now, last_s=done.last_s) != done:
-        raise RunFolderError(
-            f"{resumption.folder.path}: another process went on with this run meanwhile. Resume it again"
-        )
-
-
-def _run(
+def carry_out(
     job: Job,
     clock: Clock,
     folder_for: Callable[[], RunFolder],
@@ -264,6 +187,24 @@ def _run(
     progress: Progress,
     operator: Operator,
 ) -> tuple[RunFolder, RunOutcome]:
+    """Carry out what is left of a job, and evaluate all of it.
+
+    Parameters
+    ----------
+    folder_for : callable
+        Makes or gives the run folder; called when the bench is held and all instruments answer.
+    begin : callable
+        Called then with folder and instruments, before anything is done.
+    done : RunProgress
+        What was done before.
+    outcome : RunOutcome
+        With what was measured before; it is added to.
+
+    Raises
+    ------
+    BenchInUseError, InstrumentError, RunFolderError
+        As :func:`run_job`.
+    """
     setup = measurement_setup(job.station)
     if not job.is_virtual:
         warm_up(setup)  # on wall time no tick may wait for a compiler
@@ -307,7 +248,7 @@ def _run(
             guard.release()
             messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
     try:
-        procedure, planned = job.plan.procedure, planned_places(job.plan)
+        procedure, planned = job.plan.procedure, planned_dwells(job.plan)
         outcome.results = evaluate(
             outcome.dwells,
             outcome.verifications,
@@ -332,7 +273,7 @@ def _record_start(
         procedure=job.plan.procedure.procedure,
         station=job.station.file.station,
         next_step=job.plan.steps[done.next_index].number if not done.is_over(job.plan) else None,
-        options={"clock": job.station.file.clock, **job.emulated_world()},
+        options=job.options,
     )
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
     for limit in setup.resolution:
@@ -345,37 +286,6 @@ def _record_failure(journal: Journal, instrument: str, error: InstrumentError | 
         journal.record("answers_again", instrument=instrument)
     else:
         journal.record("retry", instrument=instrument, error=str(error))
-
-
-def describe_resumption(resumption: Resumption) -> str:
-    """Say what a run folder holds and what resuming it will do."""
-    done, plan = resumption.done, resumption.job.plan
-    how = (
-        f"{done.ended}: {done.reason}"
-        if done.ended
-        else "stopped without a word, as after a power cut or a kill"
-    )
-    lines = [
-        f"{resumption.folder.path}: {plan.procedure.procedure}"
-        f"{f', unit {done.unit}' if done.unit else ''}; the run {how}.",
-        f"{len(done.finished)} of {plan.dwell_count} dwells are finished and stay"
-        f"{f', {len(done.skipped)} were left out' if done.skipped else ''}.",
-    ]
-    if done.under_way:
-        lines.append(f"Under way was: {done.under_way}.")
-    if done.is_over(plan):
-        return "\n".join([*lines, "All steps are done; what is left is to evaluate them."])
-    planned = plan.steps[done.next_index]
-    what = f"dwell {planned.dwell} ({planned.label}), whole" if planned.dwell else planned.step.describe()
-    left_h = (plan.duration_s - planned.start_s) / 3600.0
-    lines.append(
-        f"It goes on with step {planned.number} of {len(plan.steps)}, {what}; some {left_h:.1f} h are left."
-    )
-    if done.next_index:
-        lines.append(
-            "Before that the INS is switched off and on, and temperature and position are approached again."
-        )
-    return "\n".join(lines)
 
 
 def measure_again(path: Path) -> RunFolder:
@@ -395,7 +305,7 @@ def measure_again(path: Path) -> RunFolder:
     dwells, verifications = replay(folder, setup)
     write_dwells(folder.dwells, [dwell.row for dwell in dwells])
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
-    planned = planned_places(station.plan(document, procedure))
+    planned = planned_dwells(station.plan(document, procedure))
     results = evaluate(
         dwells, verifications, calibration, setup, procedure.bin_width_c, procedure.acceptance, planned
     )

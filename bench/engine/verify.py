@@ -15,7 +15,7 @@ from bench.closure.compensation import LoadableModel, declared_model, model_with
 from bench.engine.operator import Operator
 from bench.engine.outcome import RunOutcome
 from bench.engine.people import Progress
-from bench.engine.session import Job, prepare_job, run_job
+from bench.engine.session import Job, emulation_of, prepare_job, run_job
 from bench.errors import DocumentError, RunFolderError
 from bench.measurement.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
 from bench.measurement.replay import replay
@@ -25,6 +25,7 @@ from bench.run_store.compensation_file import read_compensation
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
 from bench.run_store.provenance import read_provenance
+from bench.run_store.run_facts import facts_of
 from bench.station.instruments import Emulation
 from drivers.ins.compensation import Compensation
 
@@ -200,15 +201,14 @@ class Verification:
 
 
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
-    """World of a run, with the next seed: the same unit with new noise and new power-ons.
+    """World of a run, with the next seed: the same unit with new noise and new power-ons, without faults.
 
     Parameters
     ----------
     world, seed : str or None, int or None
         To be taken instead.
     """
-    options = read_provenance(run).get("options", {})
-    known = Emulation(str(options.get("world", Emulation.world)), int(options.get("seed", Emulation.seed)))
+    known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
 
 
@@ -248,12 +248,7 @@ def _check_new(run: RunFolder, job: Job) -> None:
 
 
 def _is_finished(folder: RunFolder) -> bool:
-    if not folder.journal.is_file():
-        return False
-    return any(
-        entry.get("event") == "run_ended" and entry.get("ended") == "finished"
-        for entry in read_journal(folder.journal)
-    )
+    return folder.journal.is_file() and facts_of(read_journal(folder.journal)).ended == "finished"
 
 
 def _is_run_of(folder: RunFolder, job: Job) -> bool:

@@ -118,8 +118,9 @@ class _Mf4Log:
             )
 
     def save(self, path: Path) -> None:
-        """Write the file."""
-        self._file.save(path, overwrite=True, compression=_COMPRESSION)
+        """Write the file, by a stream: of a path the library would change the suffix."""
+        with path.open("wb+") as stream:
+            self._file.save(stream, overwrite=True, compression=_COMPRESSION)
 
     def close(self) -> None:
         """Remove what lies beside it."""

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from bench.errors import RunFolderError
 from bench.export.columns import unit_of
-from bench.files import cant_be_written, make_folder, sync_folder, write_whole
+from bench.files import cant_be_written, make_folder, sync_folder, temporary_path, write_whole
 from bench.reading import parse_json, read_limited
 
 #: Beside the files: what they are.
@@ -76,7 +76,7 @@ class Destination:
         """
         make_folder(self.folder)
         path = self.folder / name
-        temporary = self.folder / f".part-{name}"
+        temporary = temporary_path(path)
         try:
             yield temporary
             temporary.replace(path)

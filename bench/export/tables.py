@@ -13,7 +13,7 @@ from bench.bias.tables.csv_text import read_text
 from bench.errors import DocumentError
 from bench.export.columns import field_of, type_of, unit_of
 from bench.export.destination import Destination
-from bench.export.origin import sha256_of
+from bench.files import file_sha256
 
 
 def export_csv(path: Path, name: str, destination: Destination) -> None:
@@ -26,7 +26,7 @@ def export_csv(path: Path, name: str, destination: Destination) -> None:
     RunFolderError
         The file can't be written.
     """
-    about = {"source": path.name, "source_sha256": sha256_of(path)}
+    about = {"source": path.name, "source_sha256": file_sha256(path)}
     table = read_table(path)
     if name.endswith(".parquet"):
         destination.table(name, table.schema, iter([table]), **about)

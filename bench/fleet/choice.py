@@ -8,8 +8,9 @@ from pathlib import Path
 
 from bench.errors import RunFolderError
 from bench.run_index.index import RunIndex
-from bench.run_index.run_files import JOURNAL, open_store
+from bench.run_index.run_files import open_store
 from bench.run_index.selection import Selection, find_runs
+from bench.run_store.folder import JOURNAL
 
 
 def runs_named(names: Sequence[str]) -> list[Path]:

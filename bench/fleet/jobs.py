@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from bench.clock import WallClock
-from bench.errors import BenchInUseError, GyrobenchError
+from bench.errors import BenchInUseError, GyrobenchError, MeasurementError
 from bench.phrases import spoken
 from bench.run_store.folder import RunFolder, open_run_folder
 from bench.station.bench_lock import RunLock
@@ -81,11 +81,17 @@ def do_job(kind: JobKind, path: str) -> JobResult:
 
 def inputs_of(kind: JobKind, path: Path) -> str:
     """Sizes and times of what a job is made from: another text after that changed."""
+    from bench.report.page.findings_file import FINDINGS_FILE
+
     folder = RunFolder(path)
     files = {
         JobKind.BINS: (folder.journal, folder.procedure, folder.station),
         JobKind.CLOSE: (folder.journal, folder.dwells),
-        JobKind.REPORT: (folder.journal, folder.dwells, folder.bias_bins),
+        JobKind.REPORT: (
+            *(folder.journal, folder.dwells, folder.bias_bins, folder.acceptance, folder.noise),
+            *(folder.joint, folder.joint_biases, folder.verification),
+            *(place / FINDINGS_FILE for place in (folder.closure, folder.verify)),
+        ),
     }[kind]
     return " ".join(_stamp(file) for file in files)
 
@@ -102,14 +108,15 @@ def _measured(folder: RunFolder) -> str:
 
 def _closed(folder: RunFolder) -> str:
     from bench.closure.closure import close_loop
-    from bench.closure.files import write_closure
     from bench.measurement.campaign import read_campaign
-    from bench.report.closure.page import write_closure_page
+    from bench.report.closure.search_files import write_search
 
-    closure = close_loop(read_campaign(folder.path))
-    write_closure(folder.closure, closure)
+    try:
+        closure = close_loop(read_campaign(folder.path))
+    except MeasurementError as error:
+        return f"not searched: {error}"  # of one cycle, for instance: that is no failure of the run
     with _DRAWING:
-        write_closure_page(folder.closure, closure, str(folder.path), folder.dwells)
+        write_search(closure, folder.path)
     effects = [spoken(each.candidate.effect.name) for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import TracebackType
 from typing import Any
 
@@ -13,13 +14,14 @@ from bench.messages.message import Message
 from bench.messages.messenger import Messenger
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
+from bench.run_store.run_facts import RunFacts, facts_of
 from bench.station.station import Station
 
 #: The guard has nothing else to do; networks come back.
 _PATIENCE_S = 900.0
 
 
-class Alarm:
+class AlarmSender:
     """Sends what the guard has to tell; leaving it waits until that has gone, for a quarter of an hour.
 
     Parameters
@@ -35,7 +37,7 @@ class Alarm:
         self._log = log
         self._messenger = Messenger(station.file.messages, self._note, _PATIENCE_S)
 
-    def __enter__(self) -> Alarm:
+    def __enter__(self) -> AlarmSender:
         return self
 
     def __exit__(
@@ -45,7 +47,7 @@ class Alarm:
 
     def raise_for(self, ending: Ending, found: str) -> None:
         """Say how the engine ended, and how the bench is."""
-        known = self._run()
+        known = self._facts()
         message = Message(
             event="guard_acted",
             why=f"{ending.value[0].upper()}{ending.value[1:]}, so the guard acted. {found}\n"
@@ -53,20 +55,17 @@ class Alarm:
             station=self._station.file.station,
             time=self._clock.utc(),
             folder=self._folder.path,
-            procedure=known.get("procedure", ""),
-            unit=known.get("unit", ""),
+            procedure=known.procedure,
+            unit=known.unit,
         )
         self._messenger.send(message, about=found)
 
-    def _run(self) -> dict[str, str]:
-        """Procedure and unit, as far as the journal tells them."""
-        known: dict[str, str] = {}
-        try:
-            for entry in read_journal(self._folder.journal):
-                known |= {key: str(entry[key]) for key in ("procedure", "unit") if key in entry}
-        except GyrobenchError:
-            pass
-        return known
+    def _facts(self) -> RunFacts:
+        """What the journal tells, up to where it is damaged."""
+        entries: list[dict[str, Any]] = []
+        with contextlib.suppress(GyrobenchError):
+            entries.extend(read_journal(self._folder.journal))
+        return facts_of(entries)
 
     def _note(self, event: str, **details: Any) -> None:
         told = ", ".join(f"{key} {value}" for key, value in details.items())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bench.clock import Clock, Deadline
 from bench.errors import BenchInUseError, GyrobenchError
-from bench.guard.alarm import Alarm
+from bench.guard.alarm import AlarmSender
 from bench.guard.engine_process import EngineProcess
 from bench.guard.log import GuardLog
 from bench.guard.orders import Orders
@@ -63,10 +63,10 @@ class Rescue:
         self._log.add(ending.value)
         if ending is Ending.SILENT:
             self._kill()
-        with Alarm(self._station, self._folder, self._clock, self._log) as alarm:
+        with AlarmSender(self._station, self._folder, self._clock, self._log) as alarm:
             self._act(ending, alarm)
 
-    def _act(self, ending: Ending, alarm: Alarm) -> None:
+    def _act(self, ending: Ending, alarm: AlarmSender) -> None:
         left: list[str] | None = None
         for pause_s in PAUSES_S:
             self._clock.sleep(pause_s)

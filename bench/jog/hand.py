@@ -96,8 +96,7 @@ class Hand:
         self._ticked_s = self.bench.clock.now()
         if follow or self._turning:
             self.bench.read_instruments()
-        if note := self._beat_guard():
-            self._display.tell(note)
+        self._beat()
         self._note_reached()
         self._look_at_interlocks()
         self._keep_within_limits()
@@ -110,7 +109,10 @@ class Hand:
         if bench.clock.is_virtual:
             return
         bench.poll_ins()
-        if bench.clock.now() >= self._ticked_s + bench.station.tick_s - bench.station.poll_period_s:
+        tick_s = bench.station.tick_s
+        # A tick ends with the bench's next one: begun too early it keeps commands waiting, too late it
+        # leaves one out.
+        if bench.clock.now() >= self._ticked_s + tick_s - min(bench.station.poll_period_s, tick_s / 2.0):
             self.tick()
 
     def move(self, angles_deg: Mapping[str, float], rate_dps: float | None) -> None:
@@ -159,6 +161,7 @@ class Hand:
                 break
             self.bench.tick()
             self.bench.read_instruments()
+            self._beat()
         self._display.tell(f"table stopped: {self._where()}")
 
     def servo_on(self) -> None:
@@ -273,6 +276,10 @@ class Hand:
                 raise FaultError("rate table", f"is not in position in time: {self._where()}")
         self.bench.read_instruments()
 
+    def _beat(self) -> None:
+        if note := self._beat_guard():
+            self._display.tell(note)
+
     def _look_at_interlocks(self) -> None:
         trips = self.bench.trips()
         names = [trip.name for trip in trips]
@@ -284,7 +291,7 @@ class Hand:
         if new:
             self._turning.clear()
             for action in self._outputs.apply(release_table=False):
-                self._display.tell(f"{action.what}{f': FAILED, {action.problem}' if action.problem else ''}")
+                self._display.tell(action.text)
             raise TrippedError(new)
 
     def _keep_within_limits(self) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import can
 
-from bench.clock import Clock, VirtualClock, WallClock
 from bench.documents import find_document
 from bench.engine.interruptions import TrippedError
 from bench.engine.live_bench import LiveBench
@@ -80,7 +79,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     """
     station = Station(find_document("stations", name))
     station.check_dbc()
-    clock: Clock = VirtualClock() if station.file.clock == "virtual" else WallClock()
+    clock = station.new_clock()
     display = Display(sys.stdout, clock)
     folder = Path(tempfile.mkdtemp(prefix="gyrobench-jog-"))
     with ExitStack() as held:
@@ -140,6 +139,7 @@ class _Session:
         all_done = True
         while True:
             try:
+                self._hand.idle()  # commands that come without a pause are watched over all the same
                 line = next(self._lines, None)
                 if line is None or line.lower() in _QUIT:
                     return all_done
@@ -170,9 +170,7 @@ class _Session:
             return True
         actions = self._hand.make_safe()
         for action in actions:
-            self._display.tell(
-                f"{'FAILED: ' if action.problem else ''}{action.what}{_because(action.problem)}"
-            )
+            self._display.tell(action.text)
         return not any(action.problem for action in actions)
 
     def _stop(self) -> None:
@@ -183,20 +181,17 @@ class _Session:
 
     def _typed_lines(self) -> Iterator[str]:
         lines = TypedLines(sys.stdin.fileno(), self._hand.idle)
-        while True:
+
+        def typed() -> str | None:
             if self._is_typed:
                 self._display.prompt(_PROMPT)
-            line = lines.next()
-            if line is None:
-                return
-            yield line
+            return lines.next()
+
+        # Unlike a generator, it goes on after what is raised while a line is waited for.
+        return iter(typed, None)
 
 
 def _told(error: GyrobenchError) -> str:
     if isinstance(error, TrippedError):
         return "\n".join(f"Interlock {trip.name}: {trip.text}" for trip in error.trips)
     return str(error)
-
-
-def _because(problem: str) -> str:
-    return f": {problem}" if problem else ""

@@ -7,12 +7,9 @@ import math
 from rich.text import Text
 
 from bench.live.canvas import Canvas, Point
-from bench.live.picture import Attitude, Triple
+from bench.live.picture_parts import Attitude, Triple
 
 _STYLES = ("red", "green", "cyan")
-_NAMES = (("East", "West"), ("North", "South"), ("Up", "Down"))
-#: From there on an axis is said to point there.
-_NEARLY = math.cos(math.radians(10.0))
 #: The direction that the picture is seen from: turned to the east, and raised, by these angles.
 _TURN_RAD, _RAISE_RAD = math.radians(25.0), math.radians(25.0)
 #: A character is twice as high as it is wide.
@@ -32,18 +29,6 @@ def axes_drawing(attitude: Attitude, width: int, height: int, is_ascii: bool) ->
         canvas.line([middle, end], _STYLES[axis])
         canvas.letter(end, "xyz"[axis], f"bold {_STYLES[axis]}")
     return canvas.rows()
-
-
-def directions(attitude: Attitude) -> str:
-    """Say where the body axes point: "x East y South z Down"; those that are oblique are left out."""
-    columns = zip(*attitude.body_in_enu, strict=True)
-    said = ((letter, _direction(column)) for letter, column in zip("xyz", columns, strict=True))
-    return " ".join(f"{letter} {direction}" for letter, direction in said if direction)
-
-
-def _direction(cosines: Triple) -> str:
-    axis = max(range(3), key=lambda each: abs(cosines[each]))
-    return _NAMES[axis][cosines[axis] < 0.0] if abs(cosines[axis]) > _NEARLY else ""
 
 
 def _seen(cosines: Triple) -> Point:

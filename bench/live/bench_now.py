@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from bench.engine.live_bench import LiveBench
-from bench.live.picture import Alarm, Attitude, BenchNow
+from bench.live.picture_parts import Alarm, Attitude, BenchNow
 
 
 def bench_now(bench: LiveBench) -> BenchNow:

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 
 class PatientConsole(Console):
-    """A console that falls silent when nobody reads it any more: that must not end a run."""
+    """A console that falls silent when nobody reads it any more: that must not end a run.
+
+    What its terminal can't show, as ± in ASCII, is a question mark there. Parameters are those of
+    :class:`rich.console.Console`.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        if isinstance(self.file, io.TextIOWrapper):
+            self.file.reconfigure(errors="replace")
 
     def on_broken_pipe(self) -> None:
         """Print nothing from here on; standard output goes nowhere, so that closing it succeeds."""

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.live.picture import MOST_ESTIMATES, MOST_IN_WINDOW, DwellNow, LiveBias, WindowTrace
+from bench.live.picture import MOST_ESTIMATES, MOST_IN_WINDOW
+from bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
 from bench.live.thinned import Thinned
 from bench.procedure.plan import PlannedStep
 from drivers.ins.ins_status import InsStatus

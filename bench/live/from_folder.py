@@ -12,31 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.engine.progress import RunProgress, progress_of
+from bench.engine.progress import WITHOUT_A_WORD, progress_of
 from bench.errors import GyrobenchError, RunFolderError
-from bench.live.picture import (
-    MOST_MESSAGES,
-    Attitude,
-    BenchNow,
-    MeasuredProfile,
-    Message,
-    Picture,
-    PlannedProfile,
-    RunState,
-    read_picture,
-)
+from bench.live.picture import MOST_MESSAGES, Picture, RunState, read_picture
+from bench.live.picture_parts import Attitude, BenchNow, MeasuredProfile, Note, PlannedProfile
 from bench.live.profiles import planned_profile, profile_of_telemetry
 from bench.live.tables import dwells_done, filling_bins
 from bench.procedure.document import load_procedure
 from bench.procedure.plan import Plan
 from bench.report.content import Entry, RunContent, read_run
 from bench.run_store.folder import RunFolder, open_run_folder
+from bench.run_store.run_facts import LONGEST_RUN_S, RunFacts
 from bench.station.bench_lock import holder_of
 from bench.station.station import Station
 from drivers.ins.readout import InsMode
-
-#: Why a run is over that did not say so itself.
-WITHOUT_A_WORD = "stopped without a word, as after a power cut or a kill"
 
 
 def picture_of(path: Path) -> Picture:
@@ -65,6 +54,15 @@ def picture_of(path: Path) -> Picture:
     )
 
 
+def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
+    """Whether a run without a picture goes on, and how and why it ended."""
+    if holder_of(folder.path) is not None:
+        return RunState.RUNNING, ""
+    if facts.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
+        return RunState(facts.ended), facts.reason
+    return RunState.STOPPED, WITHOUT_A_WORD
+
+
 def picture_from_records(folder: RunFolder) -> Picture:
     """Make a picture from journal, telemetry and tables; what is missing or damaged is left out of it.
 
@@ -72,23 +70,21 @@ def picture_from_records(folder: RunFolder) -> Picture:
     """
     content = read_run(folder)
     station, plan = _station_and_plan(folder)
-    done = _progress(content, plan)
-    state, reason = _end(folder, done)
-    left_s = _left_s(plan, done) if plan else 0.0
-    rows = content.dwells
-    bench = _bench_at_end(content.telemetry, done.last_s)
+    state, reason = end_of(folder, content.facts)
+    rows, now_s = content.dwells, content.facts.last_s
+    bench = _bench_at_end(content.telemetry, now_s)
     return Picture(
         name=content.name,
         folder=str(folder.path),
         procedure=str(content.procedure.get("procedure", "")),
         station=str(content.station.get("station", "")),
-        unit=done.unit or (rows[-1].unit if rows else ""),
+        unit=content.facts.unit or (rows[-1].unit if rows else ""),
         started_utc=str(content.provenance.get("started_utc", "")),
         updated_utc=_updated_utc(folder),
         state=state,
         reason=reason,
-        now_s=done.last_s,
-        left_s=left_s,
+        now_s=now_s,
+        left_s=_left_s(plan, content) if plan else 0.0,
         planned_s=plan.duration_s if plan else 0.0,
         dwell_count=plan.dwell_count if plan else len(rows),
         planned=planned_profile(plan) if plan else PlannedProfile(),
@@ -109,25 +105,12 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
         return None, None
 
 
-def _progress(content: RunContent, plan: Plan | None) -> RunProgress:
-    if plan is not None:
-        try:
-            return progress_of(content.journal, plan)
-        except RunFolderError:
-            pass
-    times = [entry["time_s"] for entry in content.journal if isinstance(entry.get("time_s"), int | float)]
-    return RunProgress(last_s=max(map(float, times), default=0.0))
-
-
-def _end(folder: RunFolder, done: RunProgress) -> tuple[RunState, str]:
-    if holder_of(folder.path) is not None:
-        return RunState.RUNNING, ""
-    if done.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
-        return RunState(done.ended), done.reason
-    return RunState.STOPPED, WITHOUT_A_WORD
-
-
-def _left_s(plan: Plan, done: RunProgress) -> float:
+def _left_s(plan: Plan, content: RunContent) -> float:
+    """What is left by the plan: all of it where the journal does not fit the plan."""
+    try:
+        done = progress_of(content.journal, plan)
+    except RunFolderError:
+        return plan.duration_s
     return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.next_index].start_s
 
 
@@ -173,12 +156,12 @@ def _attitude(station: Station | None, bench: BenchNow | None, content: RunConte
     return Attitude(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))
 
 
-def _messages(journal: Sequence[Entry]) -> Iterator[Message]:
+def _messages(journal: Sequence[Entry]) -> Iterator[Note]:
     """What the journal says that a person was told."""
     for entry in journal:
-        text = _told(entry)
-        if text and isinstance(entry.get("time_s"), int | float):
-            yield Message(float(entry["time_s"]), text)
+        text, time_s = _told(entry), entry.get("time_s")
+        if text and isinstance(time_s, int | float) and 0.0 <= time_s <= LONGEST_RUN_S:
+            yield Note(float(time_s), text)
 
 
 def _told(entry: Mapping[str, Any]) -> str:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 
 from rich.text import Text
 
-from bench.live.axes_drawing import axes_drawing, directions
-from bench.live.picture import FillingBin, Picture, WindowTrace
+from bench.live.axes_drawing import axes_drawing
+from bench.live.directions import directions
+from bench.live.picture import Picture
+from bench.live.picture_parts import FillingBin, WindowTrace
 from bench.live.plot import Curve, plot
 from bench.navigation.positions import POSITIONS
 from bench.procedure.timeline import hours_minutes
 
 _CHAMBER, _GYRO, _NORTH = "cyan", "yellow", "magenta"
-_AXES_WIDTH = 22
+_AXES_WIDTH = 24
 #: Up to so many rows the drawing of the axes needs for itself.
 _WITHOUT_ANGLES = 8
 _ARCSEC = 3600.0
@@ -25,10 +28,9 @@ _LEAST_C, _LEAST_MMPS, _LEAST_ARCSEC = 4.0, 0.5, 0.5
 def profile_graph(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Temperatures as they were until now, and by plan from now on."""
     measured, planned = picture.measured, picture.planned
-    behind_s = picture.now_s - picture.plan_now_s
     end_s = max(picture.now_s + picture.left_s, picture.now_s, 1.0)
     to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= picture.plan_now_s]
-    future_s = [planned.time_s[index] + behind_s for index in to_come]
+    future_s = [planned.time_s[index] + picture.behind_s for index in to_come]
     curves = [
         Curve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
         Curve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
@@ -91,7 +93,8 @@ def _position(picture: Picture, height: int, is_ascii: bool) -> list[Text]:
         return [Text("the table is unknown", "dim")]
     azimuth = "" if math.isnan(attitude.azimuth_deg) else f" at {attitude.azimuth_deg:g} deg"
     title = Text(f"{attitude.position}{azimuth}" if attitude.position else "no position yet", "bold")
-    below = [Text(directions(attitude), "dim")]
+    words = textwrap.wrap(directions(attitude), _AXES_WIDTH, break_on_hyphens=False)
+    below = [Text(line, "dim") for line in words]
     if picture.bench and height > _WITHOUT_ANGLES:
         angles = f"{picture.bench.outer_deg:.2f}, {picture.bench.inner_deg:.2f}"
         below.append(Text(f"table {angles}", "dim"))

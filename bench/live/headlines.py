@@ -7,7 +7,8 @@ import textwrap
 
 from rich.text import Text
 
-from bench.live.picture import BenchNow, LiveBias, Picture, RunState
+from bench.live.picture import Picture, RunState
+from bench.live.picture_parts import BenchNow, LiveBias
 from bench.navigation.positions import AXES
 from bench.procedure.timeline import hours_minutes
 

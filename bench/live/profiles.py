@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.live.picture import MOST_MEASURED, MOST_PLANNED, MeasuredProfile, PlannedProfile, PositionSpan
+from bench.live.picture import MOST_MEASURED, MOST_PLANNED
+from bench.live.picture_parts import MeasuredProfile, PlannedProfile, PositionSpan
 from bench.procedure.plan import Plan
 from bench.procedure.timeline import position_spans, temperature_profile
 

@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Sequence
-from pathlib import Path
 
 from bench.bias.state_space.bias_filter import StateSpaceEstimate
 from bench.bias.tables.dwell_table import DwellRow
@@ -15,19 +14,12 @@ from bench.engine.live_bench import LiveBench
 from bench.engine.orders import Order
 from bench.engine.outcome import RunOutcome
 from bench.engine.people import Progress
+from bench.errors import RunFolderError
+from bench.files import write_whole
 from bench.live.bench_now import alarms_now, attitude_now, bench_now
 from bench.live.dwell_trace import DwellTrace
-from bench.live.picture import (
-    MOST_MEASURED,
-    MOST_MESSAGES,
-    DwellDone,
-    FillingBin,
-    Message,
-    Picture,
-    Question,
-    RunState,
-    StepNow,
-)
+from bench.live.picture import MOST_MEASURED, MOST_MESSAGES, Picture, RunState
+from bench.live.picture_parts import DwellDone, FillingBin, Note, Question, StepNow
 from bench.live.profiles import measured_profile, planned_profile
 from bench.live.tables import dwells_done, filling_bins
 from bench.live.thinned import Thinned
@@ -70,7 +62,7 @@ class PictureRecorder(Progress):
         self._position, self._azimuth_deg = "", math.nan
         self._dwells: tuple[DwellDone, ...] = ()
         self._bins: tuple[FillingBin, ...] = ()
-        self._messages: deque[Message] = deque(maxlen=MOST_MESSAGES)
+        self._messages: deque[Note] = deque(maxlen=MOST_MESSAGES)
 
     def picture(self) -> Picture | None:
         """The run now; None before it has begun."""
@@ -115,7 +107,7 @@ class PictureRecorder(Progress):
 
     def told(self, text: str) -> None:
         """Keep a message."""
-        self._messages.append(Message(self._bench.clock.now() if self._bench else 0.0, text))
+        self._messages.append(Note(self._bench.clock.now() if self._bench else 0.0, text))
 
     def identified(self, unit: str) -> None:
         """Keep the serial number."""
@@ -218,18 +210,6 @@ class PictureRecorder(Progress):
     def _write(self) -> None:
         picture = self.picture()
         if picture is not None and self._folder is not None:
-            with contextlib.suppress(OSError):
-                _replace(self._folder.live, picture.to_json())
+            with contextlib.suppress(RunFolderError):
+                write_whole(self._folder.live, picture.to_json(), is_synced=False)
         self._next_write_s = self._real.now() + _WRITE_EVERY_S
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Put a file in the place of another at one stroke; it need not outlive a power cut."""
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise

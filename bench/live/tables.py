@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from bench.bias.bins import bin_biases
 from bench.bias.tables.dwell_table import DwellRow
-from bench.live.picture import DwellDone, FillingBin
+from bench.live.picture_parts import DwellDone, FillingBin
 
 
 def dwells_done(rows: Sequence[DwellRow]) -> tuple[DwellDone, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Sequence
 
@@ -14,6 +15,7 @@ from bench.engine.live_bench import LiveBench
 from bench.engine.orders import Order
 from bench.engine.outcome import RunOutcome
 from bench.engine.people import Progress
+from bench.live.c_locale import is_c_locale
 from bench.live.keyboard import Keyboard
 from bench.live.picture import Picture
 from bench.live.recorder import PictureRecorder
@@ -112,7 +114,7 @@ class TerminalView(Progress):
     def _lines(self, picture: Picture | None, typed: str, size: tuple[int, int]) -> list[Text]:
         width = min(WIDEST, size[0])
         height = min(TALLEST, max(_SHORTEST, size[1] - _ROWS_ABOVE))
-        is_ascii = self._console.options.ascii_only
+        is_ascii = self._console.options.ascii_only or is_c_locale(os.environ)
         prompt = [self._prompt(picture, typed)] if self._takes_orders else []
         if picture is None:
             return [Text("starting", "bold cyan"), *prompt]

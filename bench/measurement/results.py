@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from bench.bias.acceptance import Place, judge
+from bench.bias.acceptance import judge
 from bench.bias.bins import BiasBin, bin_biases, write_bins
 from bench.bias.joint.solution import JointDwell, JointSolution, group_stops, pooled_up_rate, solve_jointly
 from bench.bias.joint.vertical_pairs import UpRate
 from bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from bench.bias.stops import PlannedDwell
 from bench.bias.tables.acceptance_file import write_acceptance
 from bench.bias.tables.dwell_table import DwellRow
 from bench.bias.tables.joint_table import (
@@ -27,7 +29,7 @@ from bench.files import remove
 from bench.measurement.dwell import MeasuredDwell, MeasurementSetup
 from bench.measurement.verification import verification_rows
 from bench.measurement.verification_dwell import VerificationDwell
-from bench.procedure.plan import Plan
+from bench.procedure.plan import Plan, PlannedStep
 from bench.run_store.folder import RunFolder
 
 
@@ -66,7 +68,7 @@ def evaluate(
     setup: MeasurementSetup,
     bin_width_c: float,
     limits: AcceptanceLimits | None = None,
-    planned: Sequence[Place] = (),
+    planned: Sequence[PlannedDwell] = (),
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
@@ -82,8 +84,8 @@ def evaluate(
         Width of the temperature bins, K.
     limits : AcceptanceLimits, optional
         What the gyros have to keep; without limits the unit is not judged.
-    planned : sequence of tuple
-        What was to be measured; see :func:`planned_places`.
+    planned : sequence of PlannedDwell
+        What was to be measured; see :func:`planned_dwells`.
     """
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(stop, setup.prior) for stop in group_stops(_joint_dwells(good))]
@@ -95,14 +97,27 @@ def evaluate(
         up_rate=pooled_up_rate(joint),
         noise=_noise([dwell for dwell in dwells if not dwell.is_spoilt], setup),
         verification=verification_rows(verifications, calibration or rows, setup),
-        acceptance=judge(rows, bins, limits, planned),
+        acceptance=judge([dwell.row for dwell in dwells], limits, planned, bin_width_c),
     )
 
 
-def planned_places(plan: Plan) -> list[Place]:
-    """Set point of the chamber and position of every planned dwell that measures biases, in order."""
-    dwells = {step.dwell: step.before for step in plan.steps if step.dwell and not step.is_verification}
-    return [(bench.set_point_c, bench.position) for bench in dwells.values() if bench.position is not None]
+def planned_dwells(plan: Plan) -> list[PlannedDwell]:
+    """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
+    first: dict[int, PlannedStep] = {}
+    for step in plan.steps:
+        if step.dwell is not None and not step.is_verification:
+            first.setdefault(step.dwell, step)
+    return [
+        PlannedDwell(
+            dwell=dwell,
+            cycle=step.cycle,
+            position=step.before.position,
+            chamber_set_c=math.nan if step.before.set_point_c is None else step.before.set_point_c,
+            gyro_c=(step.before.gyro_c, step.before.gyro_c, step.before.gyro_c),
+        )
+        for dwell, step in first.items()
+        if step.before.position is not None
+    ]
 
 
 def write_results(folder: RunFolder, results: RunResults) -> None:

@@ -8,6 +8,7 @@ from email.message import EmailMessage
 from email.utils import format_datetime, make_msgid
 
 from bench.messages.message import Message
+from bench.messages.secret import server_words
 from bench.messages.undelivered import UndeliveredError
 from bench.station.messages import Email
 
@@ -37,15 +38,16 @@ def send_mail(receiver: Email, password: str, message: Message) -> str:
             return f"taken by {receiver.server}"
     except smtplib.SMTPRecipientsRefused as error:
         code, said = next(iter(error.recipients.values()))
-        raise _refused(code, said) from None
+        raise _refused(code, said, password) from None
     except smtplib.SMTPResponseException as error:
-        raise _refused(error.smtp_code, error.smtp_error) from None
+        raise _refused(error.smtp_code, error.smtp_error, password) from None
     except smtplib.SMTPNotSupportedError as error:
         raise UndeliveredError(str(error), is_final=True) from None
     except TimeoutError:
         raise UndeliveredError(f"no answer within {TIMEOUT_S:g} s", is_final=False) from None
     except (OSError, smtplib.SMTPException) as error:
-        raise UndeliveredError(str(getattr(error, "strerror", None) or error), is_final=False) from None
+        told = server_words(password, str(getattr(error, "strerror", None) or error))
+        raise UndeliveredError(told, is_final=False) from None
 
 
 def _connected(receiver: Email) -> smtplib.SMTP:
@@ -55,7 +57,7 @@ def _connected(receiver: Email) -> smtplib.SMTP:
     return smtplib.SMTP(receiver.server, receiver.port, timeout=TIMEOUT_S)
 
 
-def _refused(code: int, said: bytes | str) -> UndeliveredError:
+def _refused(code: int, said: bytes | str, password: str) -> UndeliveredError:
     text = said.decode(errors="replace") if isinstance(said, bytes) else said
-    text = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
-    return UndeliveredError(f"the mail server answered {code} {text}", is_final=code >= _PERMANENT)
+    answer = f"{code} {server_words(password, text)}".strip()
+    return UndeliveredError(f"the mail server answered {answer}", is_final=code >= _PERMANENT)

@@ -10,10 +10,13 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from bench.phrases import listed
+from bench.procedure.timeline import hours_minutes
+from bench.station.messages import EventName
 
 #: What happened. Receivers choose among those that their key ``on`` allows; the others are for all.
-Event = Literal["ends", "holds", "goes_on", "needs_person", "guard_acted", "test"]
+Event = Literal[EventName, "guard_acted", "test"]
 
+_S_PER_H = 3600.0
 _HAPPENED = MappingProxyType(
     {
         "ends": "the run is over",
@@ -32,6 +35,11 @@ class Left:
 
     hours: float
     dwells: int
+
+    @property
+    def text(self) -> str:
+        """For people: "44:59 h, 12 dwells"."""
+        return f"{hours_minutes(self.hours * _S_PER_H)} h, {self.dwells} dwells"
 
 
 @dataclass(frozen=True)
@@ -94,12 +102,11 @@ class Message:
         if lines:
             lines.append("")
         run = f"{self.folder.name} ({self.procedure})" if self.folder and self.procedure else ""
-        left = f"{self.left.hours:.1f} h, {self.left.dwells} dwells" if self.left else ""
         rows = {
             "Bench": self.station,
             "Unit": self.unit,
             "Run": run,
-            "Left": left,
+            "Left": self.left.text if self.left else "",
             "Time": f"{self.time:%Y-%m-%d %H:%M:%S} UTC",
             "Host": platform.node(),
             "Folder": str(self.folder or ""),

@@ -88,9 +88,7 @@ class Messenger:
             if quota.lets_pass(f"{message.event} {about}", self._clock.now()):
                 sender.post(message)
             else:
-                self._record_once(
-                    "message_withheld", to=f"{receiver.kind} {receiver.address}", about=message.event
-                )
+                self._record_once("message_withheld", to=receiver.name, about=message.event)
 
     def _record_once(self, event: str, **details: Any) -> None:
         with self._recording:

@@ -17,6 +17,7 @@ from urllib.parse import quote
 
 import bench
 from bench.messages.message import Message
+from bench.messages.secret import server_words
 from bench.messages.undelivered import UndeliveredError
 from bench.station.messages import SECRET, Ntfy, Webhook
 
@@ -25,7 +26,8 @@ TIMEOUT_S = 10.0
 #: ntfy makes an attachment of what is longer.
 _NTFY_BYTES = 4000
 _TOO_MANY, _TIMED_OUT = 429, 408
-_SHOWN_BYTES = 200
+#: So much of an answer is read, far more than is shown: a secret must not be cut in two.
+_READ_BYTES = 65_536
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -64,35 +66,41 @@ def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> st
     opener = urllib.request.build_opener(_NoRedirect)
     try:
         with opener.open(request, timeout=TIMEOUT_S) as answer:
-            return f"{answer.status} {answer.reason}".strip()
+            return _status(answer.status)
     except urllib.error.HTTPError as error:
         with error:
             said = _first_line(error, secret)
         is_final = error.code < http.HTTPStatus.INTERNAL_SERVER_ERROR
         is_final = is_final and error.code not in (_TOO_MANY, _TIMED_OUT)
-        raise UndeliveredError(f"the server answered {error.code} {error.reason}{said}", is_final) from None
+        raise UndeliveredError(f"the server answered {_status(error.code)}{said}", is_final) from None
     except urllib.error.URLError as error:
-        raise UndeliveredError(_reason(error.reason), is_final=False) from None
+        raise UndeliveredError(_reason(error.reason, secret), is_final=False) from None
     except (OSError, http.client.HTTPException) as error:
-        raise UndeliveredError(_reason(error), is_final=False) from None
+        raise UndeliveredError(_reason(error, secret), is_final=False) from None
 
 
-def _reason(error: object) -> str:
+def _status(code: int) -> str:
+    """Code and its meaning by the standard: the server's own words may hold anything."""
+    try:
+        return f"{code} {http.HTTPStatus(code).phrase}"
+    except ValueError:
+        return str(code)
+
+
+def _reason(error: object, secret: str) -> str:
     if isinstance(error, TimeoutError):
         return f"no answer within {TIMEOUT_S:g} s"
     strerror = getattr(error, "strerror", None)
-    return str(strerror or error) or type(error).__name__
+    return server_words(secret, str(strerror or error)) or type(error).__name__
 
 
 def _first_line(answer: urllib.error.HTTPError, secret: str) -> str:
     """What the server says beyond its code, in a few words."""
     try:
-        text = answer.read(_SHOWN_BYTES).decode(errors="replace")
+        text = answer.read(_READ_BYTES).decode(errors="replace")
     except (OSError, http.client.HTTPException):
         return ""
-    text = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
-    if secret:
-        text = text.replace(secret, SECRET)
+    text = server_words(secret, text)
     return f": {text}" if text else ""
 
 

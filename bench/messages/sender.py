@@ -112,5 +112,4 @@ class Sender:
             self._hurry.wait(pause_s)
 
     def _tell(self, event: str, message: Message, **details: Any) -> None:
-        address = self._receiver.address
-        self._record(event, to=f"{self._receiver.kind} {address}", about=message.event, **details)
+        self._record(event, to=self._receiver.name, about=message.event, **details)

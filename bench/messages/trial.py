@@ -10,10 +10,11 @@ from bench.messages.delivery import deliver
 from bench.messages.message import Message
 from bench.messages.undelivered import UndeliveredError
 from bench.station.document import load_station_file
+from bench.station.messages import Receiver
 
 
 @dataclass(frozen=True)
-class Answer:
+class Attempt:
     """What came of a message to one receiver."""
 
     receiver: str
@@ -21,7 +22,7 @@ class Answer:
     said: str
 
 
-def send_test(station: str, text: str) -> list[Answer]:
+def send_test(station: str, text: str) -> list[Attempt]:
     """Send a test message to all receivers of a station, one after the other, each once.
 
     Parameters
@@ -38,11 +39,11 @@ def send_test(station: str, text: str) -> list[Answer]:
     if not file.messages:
         raise document.error([Problem((), "has no `messages`, so there is nobody to tell anything")])
     message = Message("test", text, file.station, WallClock().utc())
-    answers = []
-    for receiver in file.messages:
-        name = f"{receiver.kind} {receiver.address}"
-        try:
-            answers.append(Answer(name, True, deliver(receiver, message)))
-        except UndeliveredError as error:
-            answers.append(Answer(name, False, str(error)))
-    return answers
+    return [_attempt(receiver, message) for receiver in file.messages]
+
+
+def _attempt(receiver: Receiver, message: Message) -> Attempt:
+    try:
+        return Attempt(receiver.name, True, deliver(receiver, message))
+    except UndeliveredError as error:
+        return Attempt(receiver.name, False, str(error))

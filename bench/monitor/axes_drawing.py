@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bench.live.picture import Attitude
+from bench.live.directions import directions
+from bench.live.picture_parts import Attitude
 from bench.navigation.positions import AXES
 
 #: Width and height of the drawing.
@@ -28,8 +29,6 @@ _BEHIND_TIP, _BESIDE_TIP = 12.0, 15.0
 _FLOOR = -0.95
 _BOX = (0.34, 0.34, 0.22)
 _HEAD_LENGTH, _HEAD_WIDTH = 11.0, 4.5
-_DIRECTIONS = (("East", "West"), ("North", "South"), ("Up", "Down"))
-_ALONG = math.cos(math.radians(10.0))
 
 
 @dataclass(frozen=True)
@@ -76,23 +75,13 @@ def axes_drawing(attitude: Attitude) -> AxesDrawing:
         box=_box(body),
         behind=tuple(_arrow(*each) for each in arrows if _towards_eye(each[2]) < 0.0),
         before=tuple(_arrow(*each) for each in arrows if _towards_eye(each[2]) >= 0.0),
-        words=", ".join(f"{name} {_direction(axis)}" for name, axis in zip(AXES, body, strict=True)),
+        words=directions(attitude),
     )
 
 
 def _column(attitude: Attitude, index: int) -> Vector:
     east, north, up = (row[index] for row in attitude.body_in_enu)
     return (east, north, up)
-
-
-def _direction(axis: Vector) -> str:
-    """Direction of an axis in a word, or two or three where it lies between."""
-    largest = max(range(3), key=lambda index: abs(axis[index]))
-    if abs(axis[largest]) >= _ALONG:
-        return _DIRECTIONS[largest][axis[largest] < 0.0]
-    parts = sorted(range(3), key=lambda index: -abs(axis[index]))
-    named = [_DIRECTIONS[index][axis[index] < 0.0] for index in parts if abs(axis[index]) > 1.0 - _ALONG]
-    return "-".join(named)
 
 
 _FORWARD: Vector = (

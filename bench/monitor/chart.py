@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from bench.report.wording import true_minus
+
 #: Width and height of the square in which curves are drawn.
 SIDE = 1000
 HOUR_S, MINUTE_S = 3600.0, 60.0
@@ -67,7 +69,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Curve:
+class CurvePath:
     """A line or an area.
 
     Attributes
@@ -95,7 +97,7 @@ class Chart:
         What it shows, also for those who can't see it.
     x, y : Axis
         Its axes.
-    curves : tuple of Curve
+    curves : tuple of CurvePath
         In the order of drawing.
     now_percent : float or None
         Where to mark the present; None for nowhere.
@@ -104,7 +106,7 @@ class Chart:
     title: str
     x: Axis
     y: Axis
-    curves: tuple[Curve, ...]
+    curves: tuple[CurvePath, ...]
     now_percent: float | None = None
 
 
@@ -129,7 +131,7 @@ def value_axis(title: str, values: Iterable[float], least_span: float) -> Axis:
     )
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     axis = Axis(title, low, high, (), is_upright=True)
-    return _with_ticks(axis, step, lambda value: f"{value:z.{decimals}f}".replace("-", "−"))
+    return _with_ticks(axis, step, lambda value: true_minus(f"{value:z.{decimals}f}"))
 
 
 def time_axis(title: str, low_s: float, high_s: float, unit_s: float) -> Axis:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bench.live.picture import DwellNow, LiveBias, WindowTrace
-from bench.monitor.chart import MINUTE_S, Axis, Chart, Curve, band, line, time_axis, value_axis
+from bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
+from bench.monitor.chart import MINUTE_S, Axis, Chart, CurvePath, band, line, time_axis, value_axis
 from bench.navigation.positions import AXES
-from bench.report.wording import BiasScale, gyro_label
+from bench.report.wording import BiasScale, gyro_label, true_minus
 
 _MM_PER_M = 1e3
 _ARCSEC_PER_DEG = 3600.0
@@ -81,15 +81,15 @@ def _velocity_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart
     east = [_MM_PER_M * value for value in window.velocity_east_mps]
     north = [_MM_PER_M * value for value in window.velocity_north_mps]
     curves = (
-        Curve("east", line(x, y, window.time_s, east), "East"),
-        Curve("north", line(x, y, window.time_s, north), "North"),
+        CurvePath("east", line(x, y, window.time_s, east), "East"),
+        CurvePath("north", line(x, y, window.time_s, north), "North"),
     )
     return Chart(f"Velocity in window {number}", x, y, curves)
 
 
 def _heading_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:
     heading = [_ARCSEC_PER_DEG * value for value in window.heading_change_deg]
-    curves = (Curve("heading", line(x, y, window.time_s, heading), "positive from North to West"),)
+    curves = (CurvePath("heading", line(x, y, window.time_s, heading), "positive from North to West"),)
     return Chart(f"Heading in window {number}", x, y, curves)
 
 
@@ -105,10 +105,10 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
     x = time_axis("Since the first estimate, min", 0.0, max([0.0, *times_s]), MINUTE_S)
     y = value_axis(f"Bias, {scale.unit}", (*low[settled:], *high[settled:]), _LEAST_SPAN_BIAS)
     curves = (
-        Curve(f"sigma gyro-{gyro}", band(x, y, times_s, low, high), "± 1 sigma"),
-        Curve(f"gyro-{gyro}", line(x, y, times_s, bias), "bias"),
+        CurvePath(f"sigma gyro-{gyro}", band(x, y, times_s, low, high), "± 1 sigma"),
+        CurvePath(f"gyro-{gyro}", line(x, y, times_s, bias), "bias"),
     )
     newest = estimates[-1]
-    text = scale.with_sigma(newest.bias_dph[index], newest.sigma_dph[index]).replace("-", "−")
+    text = true_minus(scale.with_sigma(newest.bias_dph[index], newest.sigma_dph[index]))
     chart = Chart(f"Live bias of the {gyro_label(gyro)}", x, y, curves)
     return BiasChart(gyro, gyro_label(gyro), text, scale.unit, chart)

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from bench.live.picture import BenchNow, Picture, RunState
-from bench.monitor.news import parsed_utc
+from bench.clock import parsed_utc
+from bench.live.picture import Picture, RunState
+from bench.live.picture_parts import BenchNow, mean_known
 from bench.procedure.timeline import hours_minutes
-from bench.report.wording import position_label
+from bench.report.wording import position_label, true_minus
 
 #: Sign beside each state, so that it is known from afar and without colours.
 SIGNS = {
@@ -25,6 +26,7 @@ SIGNS = {
 _GOING_ON = {RunState.STARTING, RunState.RUNNING}
 #: States of which somebody should take notice.
 _NOTABLE = {RunState.HOLDING, RunState.PAUSED, RunState.WAITING, RunState.STOPPED}
+_NOTABLE_DELAY_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def celsius(temperature_c: float, decimals: int = 1) -> str:
     """Write a temperature with its unit; "not known" for NaN."""
     if math.isnan(temperature_c):
         return "not known"
-    return f"{temperature_c:z.{decimals}f} °C".replace("-", "−")
+    return true_minus(f"{temperature_c:z.{decimals}f} °C")
 
 
 def _expected_end(picture: Picture) -> datetime | None:
@@ -104,16 +106,15 @@ def _time_tile(picture: Picture) -> Tile:
     planned = f"{hours_minutes(picture.planned_s)} h planned"
     if picture.state.is_over:
         return Tile("Took", f"{hours_minutes(picture.now_s)} h", planned)
-    late_s = picture.now_s - picture.plan_now_s
-    late = f", {hours_minutes(late_s)} h behind" if late_s >= 300.0 else ""
-    return Tile("Time left", f"{hours_minutes(picture.left_s)} h", f"of {planned}{late}")
+    behind = f", {hours_minutes(picture.behind_s)} h behind" if picture.behind_s >= _NOTABLE_DELAY_S else ""
+    return Tile("Time left", f"{hours_minutes(picture.left_s)} h", f"of {planned}{behind}")
 
 
 def _temperature_tile(bench: BenchNow | None) -> Tile:
     if bench is None:
         return Tile("Chamber", "not known", "")
-    known = [value for value in bench.gyro_c if not math.isnan(value)]
-    gyros = f"gyros {celsius(sum(known) / len(known))}" if known else "INS silent"
+    gyro_c = mean_known(bench.gyro_c)
+    gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {celsius(gyro_c)}"
     target = "no set point" if math.isnan(bench.chamber_set_c) else f"set {celsius(bench.chamber_set_c)}"
     return Tile("Chamber", celsius(bench.chamber_c), f"{target}, {gyros}")
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 
+from bench.clock import parsed_utc
 from bench.live.picture import RunState
 
 #: A run writes every other second; one that is busy may take some longer.
@@ -54,15 +55,6 @@ def age_text(age_s: float) -> str:
     if age_s < 7200.0:
         return f"{age_s / 60.0:.0f} min"
     return f"{age_s / 3600.0:.0f} h" if age_s < 172800.0 else f"{age_s / 86400.0:.0f} days"
-
-
-def parsed_utc(text: str) -> datetime | None:
-    """Calendar time of ISO 8601 text; None where it is none."""
-    try:
-        parsed = datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    return parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)
 
 
 def _age_s(updated_utc: str, now: datetime) -> float:

@@ -8,17 +8,18 @@ from functools import cache
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from bench.live.picture import Attitude, Picture
+from bench.live.picture import Picture
+from bench.live.picture_parts import Attitude
 from bench.monitor.axes_drawing import axes_drawing
 from bench.monitor.dwell_charts import bias_charts, window_charts
 from bench.monitor.headline import headline
 from bench.monitor.list_rows import ListRow
 from bench.monitor.news import News
 from bench.monitor.profile_chart import profile_chart
-from bench.monitor.rows import bin_tables, dwell_table, reading_rows
+from bench.monitor.rows import bin_tables, reading_rows, shown_dwells
 from bench.navigation.positions import POSITIONS
 from bench.procedure.timeline import hours_minutes
-from bench.report.wording import position_label
+from bench.report.wording import position_label, true_minus
 
 
 def run_fragment(picture: Picture, news: News, records: Mapping[str, str], home: str) -> str:
@@ -52,7 +53,7 @@ def run_fragment(picture: Picture, news: News, records: Mapping[str, str], home:
         windows=window_charts(dwell) if dwell else [],
         biases=bias_charts(dwell) if dwell else [],
         bins=bin_tables(picture.bins),
-        dwells=dwell_table(picture.dwells),
+        dwells=shown_dwells(picture.dwells),
     )
 
 
@@ -110,4 +111,4 @@ def _step_label(picture: Picture) -> str:
 def _azimuth(attitude: Attitude | None) -> str:
     if attitude is None or math.isnan(attitude.azimuth_deg):
         return ""
-    return f"{attitude.azimuth_deg:zg}°".replace("-", "−")
+    return true_minus(f"{attitude.azimuth_deg:zg}°")

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.live.picture import MeasuredProfile, Picture, PlannedProfile
-from bench.monitor.chart import HOUR_S, MINUTE_S, Axis, Chart, Curve, line, time_axis, value_axis
+from bench.live.picture import Picture
+from bench.live.picture_parts import MeasuredProfile, PlannedProfile
+from bench.monitor.chart import HOUR_S, MINUTE_S, Axis, Chart, CurvePath, line, time_axis, value_axis
 from bench.navigation.positions import POSITIONS
 
 _LEAST_SPAN_C = 10.0
@@ -48,17 +49,17 @@ def profile_chart(picture: Picture) -> ProfileChart | None:
     planned, measured = picture.planned, picture.measured
     if not planned.time_s and not measured.time_s:
         return None
-    late_s = picture.now_s - picture.plan_now_s
-    ends_s = [picture.now_s, *measured.time_s[-1:], *(time_s + late_s for time_s in planned.time_s[-1:])]
+    planned_ends_s = [time_s + picture.behind_s for time_s in planned.time_s[-1:]]
+    ends_s = [picture.now_s, *measured.time_s[-1:], *planned_ends_s]
     unit_s, unit = (HOUR_S, "h") if max(ends_s) > _SHORT_S else (MINUTE_S, "min")
     x = time_axis(f"Time since the start, {unit}", 0.0, max(ends_s), unit_s)
     y = value_axis("Temperature, °C", _temperatures(planned, measured), _LEAST_SPAN_C)
     curves = [
-        Curve(look, _planned_path(x, y, planned.time_s, getattr(planned, name), picture), label)
+        CurvePath(look, _planned_path(x, y, planned.time_s, getattr(planned, name), picture), label)
         for name, look, label in _PLANNED
     ]
     curves += [
-        Curve(look, line(x, y, measured.time_s, getattr(measured, name)), label)
+        CurvePath(look, line(x, y, measured.time_s, getattr(measured, name)), label)
         for name, look, label in _MEASURED
     ]
     chart = Chart("Temperatures, planned and measured", x, y, tuple(curves), x.percent(picture.now_s))
@@ -77,22 +78,21 @@ def _planned_path(
     """Past of a plan as it was planned, and its future from now on."""
     if not time_s:
         return ""
-    plan_now_s, late_s = picture.plan_now_s, picture.now_s - picture.plan_now_s
+    plan_now_s = picture.plan_now_s
     pairs = list(zip(time_s, values, strict=True))
     present = (plan_now_s, float(np.interp(plan_now_s, time_s, values)))
     past = [*(pair for pair in pairs if pair[0] < plan_now_s), present]
-    future = [(at_s + late_s, value) for at_s, value in (present, *pairs) if at_s >= plan_now_s]
+    future = [(at_s + picture.behind_s, value) for at_s, value in (present, *pairs) if at_s >= plan_now_s]
     return "".join(line(x, y, *zip(*part, strict=True)) for part in (past, future))
 
 
 def _lanes(x: Axis, picture: Picture) -> dict[str, list[Stay]]:
-    late_s = picture.now_s - picture.plan_now_s
     used = {span.position for span in picture.planned.positions}
     lanes: dict[str, list[Stay]] = {position: [] for position in POSITIONS if position in used}
     for span in picture.planned.positions:
         is_over = span.end_s <= picture.plan_now_s
-        start_s = span.start_s if span.start_s <= picture.plan_now_s else span.start_s + late_s
-        end_s = span.end_s if is_over else span.end_s + late_s
+        start_s = span.start_s if span.start_s <= picture.plan_now_s else span.start_s + picture.behind_s
+        end_s = span.end_s if is_over else span.end_s + picture.behind_s
         left, right = x.percent(start_s), x.percent(end_s)
         lanes.setdefault(span.position, []).append(Stay(left, round(right - left, 3), is_over))
     return lanes

@@ -6,10 +6,17 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bench.live.picture import BenchNow, DwellDone, FillingBin
+from bench.live.picture_parts import BenchNow, DwellDone, FillingBin, mean_known
 from bench.monitor.headline import celsius
 from bench.navigation.positions import AXES, POSITIONS
-from bench.report.wording import BiasScale, bin_label, gyro_label, position_label
+from bench.report.wording import (
+    BiasScale,
+    bin_label,
+    by_temperature,
+    gyro_label,
+    position_label,
+    true_minus,
+)
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class BinTable:
 
 
 @dataclass(frozen=True)
-class DwellRow:
+class ShownDwell:
     """A dwell as text, with a cell for each gyro; flagged dwells are in no bin."""
 
     number: int
@@ -44,11 +51,11 @@ class DwellRow:
 
 
 @dataclass(frozen=True)
-class DwellTable:
+class ShownDwells:
     """Dwells, the newest first, and the unit of their biases."""
 
     unit: str
-    rows: tuple[DwellRow, ...]
+    rows: tuple[ShownDwell, ...]
 
 
 def bin_tables(bins: Iterable[FillingBin]) -> list[BinTable]:
@@ -61,11 +68,11 @@ def bin_tables(bins: Iterable[FillingBin]) -> list[BinTable]:
     return [_bin_table(gyro, [each for each in known if each.gyro == gyro], scale) for gyro in AXES]
 
 
-def dwell_table(dwells: Sequence[DwellDone]) -> DwellTable:
+def shown_dwells(dwells: Sequence[DwellDone]) -> ShownDwells:
     """Dwells, the newest first."""
     biases = [value for dwell in dwells for value in dwell.bias_dph]
     scale = BiasScale.of(biases, [value for dwell in dwells for value in dwell.sigma_dph])
-    return DwellTable(scale.unit, tuple(_dwell_row(dwell, scale) for dwell in reversed(dwells)))
+    return ShownDwells(scale.unit, tuple(_shown_dwell(dwell, scale) for dwell in reversed(dwells)))
 
 
 def reading_rows(bench: BenchNow) -> list[tuple[str, str, str]]:
@@ -86,28 +93,24 @@ def reading_rows(bench: BenchNow) -> list[tuple[str, str, str]]:
 def _bin_table(gyro: str, bins: list[FillingBin], scale: BiasScale) -> BinTable:
     used = {each.position for each in bins}
     positions = [position for position in POSITIONS if position in used]
-    by_range: dict[tuple[float, float], dict[str, FillingBin]] = {}
-    for each in bins:
-        by_range.setdefault((each.low_c, each.high_c), {})[each.position] = each
-    rows: list[tuple[float, float, tuple[Cell, ...]]] = []
-    for (low_c, high_c), members in sorted(by_range.items(), reverse=True):
-        if any(each.count for each in members.values()):
-            cells = tuple(_bin_cell(members.get(position), scale) for position in positions)
-            rows.append((low_c, high_c, cells))
-        elif rows and not rows[-1][2]:
-            rows[-1] = (low_c, rows[-1][1], ())
-        else:
-            rows.append((low_c, high_c, ()))
-    while rows and not rows[-1][2]:
-        rows.pop()
-    while rows and not rows[0][2]:
-        rows.pop(0)
+    ranges = by_temperature(bins, lambda each: (each.low_c, each.high_c), lambda each: each.count > 0)
+    filled = [number for number, (_, _, members) in enumerate(ranges) if members]
+    shown = ranges[filled[0] : filled[-1] + 1] if filled else []
     return BinTable(
         gyro=gyro_label(gyro),
         unit=scale.unit,
         positions=tuple(position_label(position) for position in positions),
-        rows=tuple((_minus(bin_label(low_c, high_c, "…")), cells) for low_c, high_c, cells in rows),
+        rows=tuple(
+            (true_minus(bin_label(low_c, high_c, "…")), _bin_cells(members, positions, scale))
+            for low_c, high_c, members in reversed(shown)
+        ),
     )
+
+
+def _bin_cells(members: list[FillingBin], positions: list[str], scale: BiasScale) -> tuple[Cell, ...]:
+    """A cell for each position; none for a range that is empty in all of them."""
+    by_position = {each.position: each for each in members}
+    return tuple(_bin_cell(by_position.get(position), scale) for position in positions) if members else ()
 
 
 def _bin_cell(each: FillingBin | None, scale: BiasScale) -> Cell:
@@ -119,17 +122,17 @@ def _bin_cell(each: FillingBin | None, scale: BiasScale) -> Cell:
 def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -> Cell:
     if not (math.isfinite(bias_dph) and math.isfinite(sigma_dph)):
         return Cell()
-    return Cell(_minus(scale.text(bias_dph)), scale.text(sigma_dph), count)
+    return Cell(true_minus(scale.text(bias_dph)), scale.text(sigma_dph), count)
 
 
-def _dwell_row(dwell: DwellDone, scale: BiasScale) -> DwellRow:
+def _shown_dwell(dwell: DwellDone, scale: BiasScale) -> ShownDwell:
     pairs = zip(dwell.bias_dph, dwell.sigma_dph, strict=True)
-    known = [value for value in dwell.gyro_c if not math.isnan(value)]
-    return DwellRow(
+    gyro_c = mean_known(dwell.gyro_c)
+    return ShownDwell(
         number=dwell.number,
         cycle=dwell.cycle,
         position=position_label(dwell.position),
-        temperature=_minus(f"{sum(known) / len(known):z.1f}") if known else "",
+        temperature="" if math.isnan(gyro_c) else true_minus(f"{gyro_c:z.1f}"),
         cells=tuple(_cell(bias, sigma, scale) for bias, sigma in pairs),
         flags=dwell.flags,
     )
@@ -143,20 +146,15 @@ def _triple(values_c: Iterable[float]) -> str:
     values = list(values_c)
     if all(math.isnan(value) for value in values):
         return "not known"
-    return _minus(", ".join("–" if math.isnan(value) else f"{value:z.2f}" for value in values)) + " °C"
+    return true_minus(", ".join("–" if math.isnan(value) else f"{value:z.2f}" for value in values)) + " °C"
 
 
 def _axis(angle_deg: float, rate_dps: float) -> str:
     if math.isnan(angle_deg):
         return "not known"
     rate = "" if math.isnan(rate_dps) else f", {rate_dps:z.2f} deg/s"
-    return _minus(f"{angle_deg:z.3f}°{rate}")
+    return true_minus(f"{angle_deg:z.3f}°{rate}")
 
 
 def _age(age_s: float) -> str:
     return "never" if math.isnan(age_s) else f"{age_s:.1f} s"
-
-
-def _minus(text: str) -> str:
-    """With true minus signs, which are as wide as the plus and read as numbers."""
-    return text.replace("-", "−")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bench.errors import RunFolderError
-from bench.live.from_folder import WITHOUT_A_WORD, picture_of
+from bench.live.from_folder import end_of, picture_of
 from bench.live.picture import Picture, RunState
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
+from bench.run_store.run_facts import facts_of
 from bench.station.bench_lock import holder_of
 
 #: Pages that a run may leave, each whole in itself, and what they are called.
@@ -142,28 +142,14 @@ def _of_picture(name: str, picture: Picture) -> RunSummary:
 
 
 def _of_journal(folder: RunFolder) -> RunSummary:
-    last: dict[str, dict[str, Any]] = {}
-    dwells = 0
-    for entry in read_journal(folder.journal):
-        event = str(entry.get("event"))
-        last[event] = entry
-        dwells += event == "dwell_finished"
-    started, ended = last.get("run_started", {}), last.get("run_ended", {})
-    state, reason = _end(folder, ended)
+    facts = facts_of(read_journal(folder.journal))
+    state, reason = end_of(folder, facts)
     return RunSummary(
         name=folder.path.name,
-        procedure=str(started.get("procedure") or ""),
-        unit=str(last.get("ins_identified", {}).get("unit") or ""),
+        procedure=facts.procedure,
+        unit=facts.unit,
         state=state,
         reason=reason,
-        started_utc=str(started.get("utc") or ""),
-        dwells=dwells,
+        started_utc=facts.started_utc,
+        dwells=facts.dwells,
     )
-
-
-def _end(folder: RunFolder, ended: dict[str, Any]) -> tuple[RunState, str]:
-    if holder_of(folder.path) is not None:
-        return RunState.RUNNING, ""
-    if ended.get("ended") in list(RunState):
-        return RunState(ended["ended"]), str(ended.get("reason") or "")
-    return RunState.STOPPED, WITHOUT_A_WORD

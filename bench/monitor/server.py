@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import socket
 import sys
@@ -19,6 +20,7 @@ LOOPBACK = "127.0.0.1"
 _OWN_NAMES = {LOOPBACK, "localhost"}
 _MOST_THREADS = 16
 _PATIENCE_S = 10.0
+_LONGEST_REQUEST_S = 20.0
 _LONGEST_TARGET = 2000
 _WORTH_PACKING = 1000
 _BUSY = b"HTTP/1.0 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n\r\n"
@@ -74,10 +76,14 @@ class MonitorServer(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer one request."""
+        """Answer one request; one that takes too long in all is cut off, however it drips."""
+        end = threading.Timer(_LONGEST_REQUEST_S, _cut_off, [request])
+        end.daemon = True
+        end.start()
         try:
             super().process_request_thread(request, client_address)
         finally:
+            end.cancel()
             self._free_threads.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -92,6 +98,11 @@ class MonitorServer(ThreadingHTTPServer):
             pass  # it has gone already
         finally:
             self.shutdown_request(request)
+
+
+def _cut_off(request: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        request.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -127,7 +138,11 @@ class _Handler(BaseHTTPRequestHandler):
             return refusal(HTTPStatus.MISDIRECTED_REQUEST, text)
         if len(self.path) > _LONGEST_TARGET:
             return refusal(HTTPStatus.REQUEST_URI_TOO_LONG, "No address here is that long.")
-        return self.server.answer(self.path)
+        try:
+            return self.server.answer(self.path)
+        except Exception as error:  # noqa: BLE001 - the outermost loop: a page that fails is only that
+            text = f"This can't be shown: {type(error).__name__}. The run is not touched by that."
+            return refusal(HTTPStatus.INTERNAL_SERVER_ERROR, text)
 
     def _send(self, answer: Answer) -> None:
         body = answer.body

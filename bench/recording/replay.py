@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from bench.clock import VirtualClock
 from bench.documents import Problem, problems_of
 from bench.errors import DocumentError
+from bench.recording.calls import USUAL_AXES, calls_of
 from bench.recording.questions import answered
 from drivers.chamber import Chamber
 from drivers.chamber.dialect import ChamberDialect
@@ -41,7 +42,7 @@ def replay(path: Path) -> tuple[Recording, list[Call]]:
         While it is opened, the driver asks something else than then.
     """
     recording = read_recording(path)
-    header = recording.header
+    header, calls = recording.header, calls_of(recording)
     clock = VirtualClock()
     name = "rate table" if header.instrument == "table" else header.instrument
     url = f"{SCHEME}{quote(str(path.absolute()))}"
@@ -50,14 +51,14 @@ def replay(path: Path) -> tuple[Recording, list[Call]]:
     )
     with line:
         driver = _driver(recording, header, line)
-        return recording, list(answered(driver, header.calls))
+        return recording, list(answered(driver, calls))
 
 
 def _driver(recording: Recording, header: RecordingHeader, line: SerialLine) -> RateTable | Chamber:
     try:
         if header.instrument == "table":
             table = load(RATE_TABLES, header.dialect, TableDialect)
-            return table.open(line, header.axes or (1, 2), table.options.model_validate(header.options))
+            return table.open(line, header.axes or USUAL_AXES, table.options.model_validate(header.options))
         if header.instrument == "chamber":
             chamber = load(CHAMBERS, header.dialect, ChamberDialect)
             return chamber.open(line, chamber.options.model_validate(header.options))

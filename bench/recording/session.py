@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.clock import Clock, VirtualClock, WallClock
+from bench.clock import WallClock
 from bench.documents import find_document
 from bench.errors import ConnectionFailedError, DocumentError
 from bench.recording.can_log import record_can
@@ -68,7 +68,7 @@ class Recorder:
             It can't be reached.
         """
         _check_absent(path)
-        clock = self._clock()
+        clock = self._station.new_clock()
         with BenchLock(self._station, path.parent, clock):
             if instrument == "ins":
                 told = record_can(self._station, path, clock, self._emulation, listen_s or _LISTEN_S)
@@ -95,10 +95,6 @@ class Recorder:
             except OSError as error:
                 raise ConnectionFailedError(instrument, f"its port went away: {error}") from error
         self._tell(f"Recorded {path}")
-
-    def _clock(self) -> Clock:
-        file = self._station.file
-        return VirtualClock() if file.clock == "virtual" else WallClock(speed=file.speed)
 
 
 def _check_absent(path: Path) -> None:

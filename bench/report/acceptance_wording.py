@@ -15,9 +15,9 @@ VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(
     {"accepted": "finished", "marginal": "stopped", "rejected": "failed", "not judged": "open"}
 )
 _NO_LIMITS = "The procedure states no acceptance limits."
-_NOTHING = "No temperature bin holds dwells of two positions."
+_NOTHING = "No stop of the chamber has good dwells in two positions."
 _ADVICE = "The data do not tell on which side of it the unit is; more cycles would."
-_LACKING = "{} no good dwell to compare, so the rest can't accept the unit."
+_LACKING = "{} not compared with all others of the stop, so the rest can't accept the unit."
 
 
 def verdict_sentence(acceptance: Acceptance) -> str:
@@ -28,20 +28,12 @@ def verdict_sentence(acceptance: Acceptance) -> str:
     with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
     match acceptance.verdict:
         case "accepted":
-            return f"All gyros keep {limit} in every bin, {with_confidence}."
+            return f"All gyros keep {limit} at all {_stops(acceptance)}, {with_confidence}."
         case "rejected":
             return f"{_gyros(acceptance, 'fail')} beyond {limit}, {with_confidence}."
         case "marginal":
             return f"{_gyros(acceptance, 'marginal')} near {limit}. {_ADVICE}"
     return _lacking_sentence(acceptance) if acceptance.judgements else _NOTHING
-
-
-def deciding_judgement(acceptance: Acceptance, gyro: str) -> Judgement | None:
-    """Return what decides on one gyro: the worst of its differences, or of its biases; None without any."""
-    order = ("pass", "marginal", "fail")
-    judged = [acceptance.worst(gyro), acceptance.worst(gyro, "bias")]
-    known = [each for each in judged if each is not None]
-    return max(known, key=lambda each: order.index(each.verdict), default=None)
 
 
 def place_of(judged: Judgement) -> str:
@@ -58,10 +50,13 @@ def _limit(acceptance: Acceptance) -> str:
 
 
 def _lacking_sentence(acceptance: Acceptance) -> str:
-    places = {(each.chamber_set_c, each.position) for each in acceptance.not_measured}
-    return _LACKING.format(
-        f"{counted(len(places), 'planned position')} {'has' if len(places) == 1 else 'have'}"
-    )
+    dwells = {(each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured}
+    return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {'was' if len(dwells) == 1 else 'were'}")
+
+
+def _stops(acceptance: Acceptance) -> str:
+    bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
+    return f"{counted(acceptance.stops, 'stop')} compared, in {counted(len(bins), 'temperature bin')}"
 
 
 def _gyros(acceptance: Acceptance, verdict: str) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,12 +22,13 @@ from bench.bias.tables.verification_table import VerificationRow, read_verificat
 from bench.bias.verdicts import Acceptance
 from bench.documents import read_document
 from bench.errors import GyrobenchError
+from bench.files import file_sha256
 from bench.report.page.findings import Findings
 from bench.report.page.findings_file import FINDINGS_FILE, read_findings_file
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
-from bench.run_store.manifest import DataHash, data_hashes, file_sha256
 from bench.run_store.provenance import read_provenance
+from bench.run_store.run_facts import RunFacts, facts_of
 from bench.run_store.telemetry import read_telemetry
 
 T = TypeVar("T")
@@ -55,8 +57,6 @@ class RunContent:
         Verdict on the unit; None where there is none.
     chapters : list of Findings
         What was found by the search for effects, and by its proof, on these dwells.
-    hashes : list of DataHash
-        What ties the report to its data.
     problems : list of str
         What is missing or can't be read.
     """
@@ -75,8 +75,12 @@ class RunContent:
     verification: list[VerificationRow] = field(default_factory=list)
     acceptance: Acceptance | None = None
     chapters: list[Findings] = field(default_factory=list)
-    hashes: list[DataHash] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+
+    @cached_property
+    def facts(self) -> RunFacts:
+        """What the journal tells in short."""
+        return facts_of(self.journal)
 
     def entries(self, event: str) -> list[Entry]:
         """Entries of the journal that tell of one kind of event, in order."""
@@ -112,7 +116,7 @@ def read_run(folder: RunFolder) -> RunContent:
     no_joint_biases: list[JointBiasRow] = []
     no_joint_stops: list[JointStopRow] = []
     no_verification: list[VerificationRow] = []
-    read(folder.journal, lambda: journal.extend(_entries(folder.journal)), None)
+    read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
     verification = read_if_there(
         folder.verification, lambda: read_verification(folder.verification), no_verification
@@ -138,7 +142,6 @@ def read_run(folder: RunFolder) -> RunContent:
         verification=verification,
         acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),
         chapters=_chapters(folder, problems),
-        hashes=_hashes(folder, problems),
         problems=problems,
     )
 
@@ -163,18 +166,6 @@ def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
         except GyrobenchError as error:
             problems.append(f"{place.name} can't be used: {error}")
     return chapters
-
-
-def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
-    try:
-        return data_hashes(folder)
-    except GyrobenchError as error:
-        problems.append(f"The data can't be hashed: {error}")
-        return []
-
-
-def _entries(path: Path) -> Iterator[Entry]:
-    return (entry for entry in read_journal(path) if isinstance(entry, dict))
 
 
 def _mapping(path: Path) -> Entry:

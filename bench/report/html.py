@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from bench.errors import RunFolderError
 from bench.files import make_folder, write_whole
 from bench.navigation.positions import AXES
 from bench.report.acceptance_wording import VERDICT_COLOURS, verdict_sentence
@@ -21,11 +23,13 @@ from bench.report.run.dwell_lines import dwell_table
 from bench.report.run.estimator_sections import estimators_note, estimators_section, fit_section
 from bench.report.run.events import events_section
 from bench.report.run.gyro_parts import gyro_part, measured_positions
-from bench.report.run.head import ending_of, facts_of, instruments_of, unit_of, versions_of
+from bench.report.run.head import ending_of, head_lines, instruments_of, serial_number_of, versions_of
 from bench.report.run.joint_section import joint_section
 from bench.report.run.noise_section import noise_section
 from bench.report.verification.section import verification_section, verification_sentence
 from bench.run_store.folder import RunFolder
+from bench.run_store.manifest import DataHash, data_hashes
+from bench.run_store.provenance import note_preparer
 
 _TEMPLATE = "report.html.j2"
 
@@ -42,7 +46,8 @@ def write_report(
     folder : RunFolder
         The run; its report and figures are written anew.
     prepared_by : str
-        Name for the sign-off; a blank line without one.
+        Name for the sign-off, kept in the run for the next time; without one that of the last time, or a
+        blank line.
     out : Path, optional
         Folder to write into; without one the run's.
     before : RunFolder, optional
@@ -59,12 +64,15 @@ def write_report(
         A file can't be written.
     """
     into = RunFolder(out or folder.path)
-    content = read_run(folder)
+    if prepared_by:
+        note_preparer(folder, prepared_by)
+    content, hashes = _with_hashes(folder)
+    by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     figures = save_figures(into, content.telemetry, content.dwells, content.bins, content.acceptance)
     compared = [before_after_section(read_run(before), content)] if before else []
     sections = with_figure_files(into.figures, [*compared, *_sections(content)])
-    write_whole(into.report, render(content, figures, sections, prepared_by).encode())
+    write_whole(into.report, render(content, figures, sections, hashes, by).encode())
     return into.report
 
 
@@ -72,6 +80,7 @@ def render(
     content: RunContent,
     figures: Iterable[Path],
     sections: Sequence[Section] = (),
+    hashes: Sequence[DataHash] = (),
     prepared_by: str = "",
 ) -> str:
     """Give the report as HTML text.
@@ -84,6 +93,8 @@ def render(
         PNG files, by the names of :func:`bench.report.figures.save_figures`.
     sections : sequence of Section
         Parts that are not in every report, with figures that are drawn.
+    hashes : sequence of DataHash
+        What ties the report to its data.
     prepared_by : str
         Name for the sign-off.
     """
@@ -91,8 +102,8 @@ def render(
         _TEMPLATE,
         figures={path.stem: path for path in figures},
         run=content,
-        unit=unit_of(content),
-        facts=facts_of(content),
+        unit=serial_number_of(content),
+        facts=head_lines(content),
         ending=ending_of(content),
         acceptance=content.acceptance,
         acceptance_colour=VERDICT_COLOURS[content.acceptance.verdict] if content.acceptance else "",
@@ -107,12 +118,23 @@ def render(
         verification=verification_sentence(content.verification) if content.verification else "",
         note=estimators_note(content.dwells),
         sections=sections,
+        hashes=hashes,
         chapters=content.chapters,
         events=[events_section(content.journal)],
         dwells=dwell_table(content.dwells),
         durations=durations_by_kind(took_in_journal(content.journal)),
         clock_time=clock_time,
     )
+
+
+def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
+    """Read a run, and hash what the report is to be tied to."""
+    content = read_run(folder)
+    try:
+        return content, data_hashes(folder)
+    except RunFolderError as error:
+        problem = f"The data can't be hashed: {error}"
+        return replace(content, problems=[*content.problems, problem]), []
 
 
 def _sections(content: RunContent) -> list[Section]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from bench.bias.bins import BiasBin
 from bench.bias.equality import PositionComparison
 from bench.phrases import listed
+
+BinT = TypeVar("BinT")
 
 #: The two estimators as people read them.
 STATE_SPACE, PAPER = "state-space estimator", "paper's method"
@@ -94,16 +97,32 @@ def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
 
 
 def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, list[BiasBin]]]:
-    """Lower and upper end of each bin of one gyro, and its positions.
+    """Lower and upper end of each bin of one gyro, and its positions; see :func:`by_temperature`."""
+    return by_temperature(
+        bins, lambda each: (each.bin_low_c, each.bin_high_c), lambda each: not each.is_empty
+    )
+
+
+def by_temperature(
+    bins: Iterable[BinT], ends_c: Callable[[BinT], tuple[float, float]], is_filled: Callable[[BinT], bool]
+) -> list[tuple[float, float, list[BinT]]]:
+    """Lower and upper end of each bin of one gyro, the coldest first, and its positions.
 
     Neighbours that are empty in all positions come as one range without positions.
+
+    Parameters
+    ----------
+    bins : iterable
+        One for each position and bin.
+    ends_c, is_filled : callable
+        Give the ends of one, and whether anything was measured there.
     """
-    groups: dict[tuple[float, float], list[BiasBin]] = {}
-    for each in sorted(bins, key=lambda one: one.bin_low_c):
-        groups.setdefault((each.bin_low_c, each.bin_high_c), []).append(each)
-    result: list[tuple[float, float, list[BiasBin]]] = []
+    groups: dict[tuple[float, float], list[BinT]] = {}
+    for each in sorted(bins, key=ends_c):
+        groups.setdefault(ends_c(each), []).append(each)
+    result: list[tuple[float, float, list[BinT]]] = []
     for (low, high), members in groups.items():
-        if any(not each.is_empty for each in members):
+        if any(map(is_filled, members)):
             result.append((low, high, members))
         elif result and not result[-1][2]:
             result[-1] = (result[-1][0], high, [])
@@ -121,6 +140,11 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
         else:
             ranges.append((low, high))
     return listed([f"{bin_label(low, high)} °C" for low, high in ranges])
+
+
+def true_minus(text: str) -> str:
+    """With true minus signs, which are as wide as the plus and read as numbers."""
+    return text.replace("-", "−")
 
 
 def counted(number: int, noun: str) -> str:

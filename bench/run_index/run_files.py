@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,14 +12,25 @@ import fsspec
 from fsspec.spec import AbstractFileSystem
 
 from bench.errors import RunFolderError
+from bench.run_store.folder import (
+    ACCEPTANCE,
+    BIAS_BINS,
+    CLOSURE,
+    COMPENSATION,
+    DWELLS,
+    JOURNAL,
+    PROVENANCE,
+)
 
-JOURNAL, PROVENANCE = "journal.jsonl", "provenance.json"
-DWELLS, BINS = "dwells.csv", "bias_bins.csv"
-CLOSURE, ACCEPTANCE, COMPENSATION = "closure/closure.json", "acceptance.json", "compensation.yaml"
+#: What a search for effects tells programs.
+CLOSURE_FILE = f"{CLOSURE}/closure.json"
 #: Table of the units, in the root of the runs.
 UNITS = "units.csv"
 
-_OF_A_RUN = (JOURNAL, PROVENANCE, DWELLS, BINS, ACCEPTANCE, COMPENSATION)
+#: What the search found, for people, with the hash of the dwells that it saw.
+CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"
+
+_OF_A_RUN = (JOURNAL, PROVENANCE, DWELLS, BIAS_BINS, ACCEPTANCE, COMPENSATION)
 #: Runs lie no deeper than this; it also ends the walk through links that lead back.
 _MOST_LEVELS = 8
 _MOST_BYTES = 1_000_000_000
@@ -79,7 +91,7 @@ class RunStore:
         for folder, inner, files in self._walk():
             if JOURNAL in files:
                 found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
-                if "closure" in inner:
+                if CLOSURE in inner:
                     found |= self._closure(folder)
                 inner.clear()
                 yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
@@ -116,10 +128,11 @@ class RunStore:
             return ""
 
     def _closure(self, folder: str) -> dict[str, str]:
-        try:
-            return {CLOSURE: _tag(self.file_system.info(f"{folder}/{CLOSURE}"))}
-        except FileNotFoundError:
-            return {}
+        tags = {}
+        for name in (CLOSURE_FILE, CLOSURE_FINDINGS):
+            with contextlib.suppress(FileNotFoundError):
+                tags[name] = _tag(self.file_system.info(f"{folder}/{name}"))
+        return tags
 
     def _walk(self) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
         try:

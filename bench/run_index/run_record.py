@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,20 +13,23 @@ from pydantic import BaseModel, ValidationError
 from bench.bias.bins import BiasBin, parse_bins
 from bench.bias.tables.dwell_table import DwellRow, parse_dwells
 from bench.errors import RunFolderError
-from bench.run_index.run_files import (
+from bench.run_index.run_files import CLOSURE_FILE, CLOSURE_FINDINGS, RunFiles
+from bench.run_store.folder import (
     ACCEPTANCE,
-    BINS,
-    CLOSURE,
+    BIAS_BINS,
     COMPENSATION,
     DWELLS,
     JOURNAL,
+    PROCEDURE,
     PROVENANCE,
-    RunFiles,
 )
 from bench.run_store.journal import parse_journal
+from bench.run_store.run_facts import facts_of
 
 #: How a run ended that does not say so: it was killed, or is under way.
 NOT_ENDED = "not ended"
+#: Verdict of a search whose dwells were measured anew since.
+STALE = "stale"
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -61,6 +65,12 @@ class _Closure(BaseModel):
     dwells_searched: int | None = None
 
 
+class _Findings(BaseModel):
+    """What the index takes from findings.json: the dwells that the search saw."""
+
+    dwells_sha256: str = ""
+
+
 class _Acceptance(BaseModel):
     """What the index takes from acceptance.json."""
 
@@ -68,7 +78,7 @@ class _Acceptance(BaseModel):
 
 
 @dataclass(frozen=True)
-class RunFacts:
+class RunRow:
     """One row of the table of runs; empty text and None are what the folder does not tell.
 
     Attributes
@@ -124,7 +134,7 @@ class RunFacts:
 class RunRecord:
     """Everything that the index keeps of one run."""
 
-    facts: RunFacts
+    row: RunRow
     dwells: list[DwellRow]
     bins: list[BiasBin]
     effects: list[FoundEffectRecord]
@@ -153,18 +163,21 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         )
     folder = _Folder(files, read)
     provenance = folder.document(PROVENANCE, _Provenance)
-    closure = folder.document(CLOSURE, _Closure)
+    closure = _search_of(folder)
     dwells = parse_dwells(*folder.text(DWELLS)) if DWELLS in files.files else []
-    bins = parse_bins(*folder.text(BINS)) if BINS in files.files else []
-    facts = RunFacts(
+    bins = parse_bins(*folder.text(BIAS_BINS)) if BIAS_BINS in files.files else []
+    journal = folder.path(JOURNAL)
+    told = facts_of(parse_journal(read(journal), journal))
+    units = sorted({each.unit for each in dwells} - {""})
+    row = RunRow(
         path=files.path,
-        procedure_sha256=provenance.files_sha256.get("procedure.yaml", ""),
+        procedure_sha256=provenance.files_sha256.get(PROCEDURE, ""),
         gyrobench=provenance.gyrobench,
         clock=str(provenance.options.get("clock", "")),
         world=str(provenance.options.get("world", "")),
         started_utc=_plain_utc(provenance.started_utc),
         dwells=len(dwells),
-        flagged=sum(bool(row.flags) for row in dwells),
+        flagged=sum(bool(each.flags) for each in dwells),
         compensated=COMPENSATION in files.files,
         verdict=closure.verdict,
         noise_dph=closure.noise_dph,
@@ -172,9 +185,24 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         error_after_dph=closure.error_after_dph,
         dwells_searched=closure.dwells_searched,
         acceptance=folder.document(ACCEPTANCE, _Acceptance).verdict,
-        **_told_by_journal(folder, dwells),
+        unit=", ".join(units) or told.unit,
+        station=told.station,
+        procedure=told.procedure,
+        duration_h=told.last_s / 3600.0,
+        ended=told.ended or NOT_ENDED,
+        reason=told.reason,
     )
-    return RunRecord(facts, dwells, bins, closure.effects)
+    return RunRecord(row, dwells, bins, closure.effects)
+
+
+def _search_of(folder: _Folder) -> _Closure:
+    """What the search found, if it saw the dwells as they are."""
+    closure = folder.document(CLOSURE_FILE, _Closure)
+    seen = folder.document(CLOSURE_FINDINGS, _Findings).dwells_sha256
+    if not closure.verdict or not seen or DWELLS not in folder.files.files:
+        return closure
+    is_same = hashlib.sha256(folder.read(folder.path(DWELLS))).hexdigest() == seen
+    return closure if is_same else _Closure(verdict=STALE)
 
 
 @dataclass(frozen=True)
@@ -208,29 +236,6 @@ class _Folder:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"]))
             raise RunFolderError(f"{path}: damaged: {f'{place}: ' if place else ''}{first['msg']}") from error
-
-
-def _told_by_journal(folder: _Folder, dwells: list[DwellRow]) -> dict[str, Any]:
-    last: dict[str, dict[str, Any]] = {}
-    last_s = 0.0
-    path = folder.path(JOURNAL)
-    for entry in parse_journal(folder.read(path), path):
-        last[str(entry.get("event"))] = entry
-        if entry.get("event") == "run_resumed":
-            last.pop("run_ended", None)
-        if isinstance(entry.get("time_s"), int | float):
-            last_s = max(last_s, float(entry["time_s"]))
-    begun = last.get("run_started", last.get("run_resumed", {}))
-    ended = last.get("run_ended", {})
-    units = sorted({row.unit for row in dwells} - {""})
-    return {
-        "unit": ", ".join(units) or str(last.get("ins_identified", {}).get("unit") or ""),
-        "station": str(begun.get("station") or ""),
-        "procedure": str(begun.get("procedure") or ""),
-        "duration_h": last_s / 3600.0,
-        "ended": str(ended.get("ended") or NOT_ENDED),
-        "reason": str(ended.get("reason") or ""),
-    }
 
 
 def _plain_utc(time: datetime) -> datetime:

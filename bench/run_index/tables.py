@@ -12,7 +12,7 @@ import pyarrow as pa
 from bench.bias.bins import BiasBin
 from bench.bias.tables.dwell_table import DwellRow
 from bench.navigation.positions import AXES
-from bench.run_index.run_record import RunFacts, RunRecord
+from bench.run_index.run_record import RunRecord, RunRow
 from bench.run_index.units import Unit
 
 #: Another number for every change of the columns: an index of another one is made anew.
@@ -45,7 +45,7 @@ def _schema_of(model: type, *first: tuple[str, pa.DataType]) -> pa.Schema:
 
 #: Columns by table. Names and units are those of the files of a run; ``path`` is that of the run.
 SCHEMAS: Mapping[str, pa.Schema] = {
-    "runs": _schema_of(RunFacts).append(pa.field("batch", _TEXT)).append(pa.field("hardware", _TEXT)),
+    "runs": _schema_of(RunRow).append(pa.field("batch", _TEXT)).append(pa.field("hardware", _TEXT)),
     "bins": _schema_of(BiasBin, ("path", _TEXT)),
     "dwells": pa.schema(
         [
@@ -80,12 +80,12 @@ def arrow_table(name: str, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
 def rows_of(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]]]:
     """Rows by table that some runs have."""
     return {
-        "runs": [asdict(record.facts) for record in records],
-        "bins": [{"path": record.facts.path, **asdict(each)} for record in records for each in record.bins],
-        "dwells": [_dwell(record.facts.path, row) for record in records for row in record.dwells],
+        "runs": [asdict(record.row) for record in records],
+        "bins": [{"path": record.row.path, **asdict(each)} for record in records for each in record.bins],
+        "dwells": [_dwell(record.row.path, row) for record in records for row in record.dwells],
         "effects": [
             {
-                "path": record.facts.path,
+                "path": record.row.path,
                 **each.model_dump(),
                 "axes": "".join(each.axes),
                 "tied_with": ", ".join(each.tied_with),

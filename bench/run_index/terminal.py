@@ -11,7 +11,7 @@ from rich.text import Text
 from bench.phrases import listed
 from bench.report.terminal.parts import plain_table
 from bench.report.wording import BiasScale, bin_label, counted, p_text
-from bench.run_index.index import Answer
+from bench.run_index.index import QueryResult
 from bench.run_index.trend import FALSE_ALARM, Trend
 
 _FINISHED = "finished"
@@ -108,7 +108,7 @@ def problems_text(problems: Mapping[str, str]) -> RenderableType:
     return Text("\n".join([head, *(f"  {path}: {why}" for path, why in problems.items())]))
 
 
-def answer_table(answer: Answer) -> RenderableType:
+def answer_table(answer: QueryResult) -> RenderableType:
     """Show the result of a query."""
     table = plain_table(answer.columns, words=len(answer.columns))
     for row in answer.rows:

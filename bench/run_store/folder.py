@@ -14,6 +14,10 @@ from bench.files import make_folder, make_new_folder
 RUNS = Path("runs")
 #: The file by which a process holds a run folder; the first that is made in it.
 LOCK = ".lock"
+#: Files and folders of a run that are known by their names alone where a run lies in an object store.
+PROCEDURE, PROVENANCE, JOURNAL = "procedure.yaml", "provenance.json", "journal.jsonl"
+DWELLS, BIAS_BINS = "dwells.csv", "bias_bins.csv"
+ACCEPTANCE, COMPENSATION, CLOSURE = "acceptance.json", "compensation.yaml", "closure"
 #: What a run writes before its journal.
 _BEFORE_THE_JOURNAL = re.compile(
     r"(procedure|station|compensation)\.yaml|calibration\.csv|provenance\.json|.*\.dbc|\.lock|\..*\.part"
@@ -29,7 +33,7 @@ class RunFolder:
     @property
     def procedure(self) -> Path:
         """The procedure as run."""
-        return self.path / "procedure.yaml"
+        return self.path / PROCEDURE
 
     @property
     def station(self) -> Path:
@@ -39,12 +43,12 @@ class RunFolder:
     @property
     def provenance(self) -> Path:
         """Versions, identities, hashes, options."""
-        return self.path / "provenance.json"
+        return self.path / PROVENANCE
 
     @property
     def journal(self) -> Path:
         """What was done."""
-        return self.path / "journal.jsonl"
+        return self.path / JOURNAL
 
     @property
     def live(self) -> Path:
@@ -64,12 +68,12 @@ class RunFolder:
     @property
     def dwells(self) -> Path:
         """The dwell table."""
-        return self.path / "dwells.csv"
+        return self.path / DWELLS
 
     @property
     def bias_bins(self) -> Path:
         """Bias per gyro, position and temperature bin."""
-        return self.path / "bias_bins.csv"
+        return self.path / BIAS_BINS
 
     @property
     def joint_biases(self) -> Path:
@@ -89,7 +93,7 @@ class RunFolder:
     @property
     def acceptance(self) -> Path:
         """Verdict on the unit."""
-        return self.path / "acceptance.json"
+        return self.path / ACCEPTANCE
 
     @property
     def calibration(self) -> Path:
@@ -99,7 +103,7 @@ class RunFolder:
     @property
     def compensation(self) -> Path:
         """The compensation that was loaded into the INS."""
-        return self.path / "compensation.yaml"
+        return self.path / COMPENSATION
 
     @property
     def verification(self) -> Path:
@@ -109,7 +113,7 @@ class RunFolder:
     @property
     def closure(self) -> Path:
         """Folder of the search for effects in this run."""
-        return self.path / "closure"
+        return self.path / CLOSURE
 
     @property
     def verify(self) -> Path:
@@ -171,8 +175,8 @@ def open_run_folder(path: Path) -> RunFolder:
         "can",
         "telemetry",
         "figures",
-        "closure",
-        "closure/figures",
+        CLOSURE,
+        f"{CLOSURE}/figures",
         "verify",
         "verify/figures",
         "export",

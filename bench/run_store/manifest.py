@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.errors import RunFolderError
+from bench.files import file_sha256
 from bench.run_store.folder import RunFolder
 
 
@@ -51,21 +51,6 @@ def data_hashes(folder: RunFolder) -> list[DataHash]:
                 DataHash(f"{inner.name}/*{suffix}", len(parts), _manifest_sha256(folder.path, parts))
             )
     return hashes
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits.
-
-    Raises
-    ------
-    RunFolderError
-        It can't be read.
-    """
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
 
 
 def _manifest_sha256(root: Path, parts: Sequence[Path]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import hashlib
 import json
 import platform
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ from typing import Any
 
 import bench
 from bench.errors import RunFolderError
-from bench.files import write_whole
+from bench.files import file_sha256, write_whole
 from bench.reading import parse_json, read_limited
 from bench.run_store.folder import RunFolder
 
@@ -46,9 +45,7 @@ def write_provenance(
         "host": platform.node(),
         "instruments": dict(identities),
         "options": dict(options),
-        "files_sha256": {
-            path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in _inputs(folder)
-        },
+        "files_sha256": {path.name: file_sha256(path) for path in _inputs(folder)},
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": {name: _version(name) for name in _PACKAGES},
@@ -61,6 +58,12 @@ def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
     content = read_provenance(folder)
     content["instruments"][instrument] = identity
     _write(folder, content)
+
+
+def note_preparer(folder: RunFolder, name: str) -> None:
+    """Keep who prepares the report, for every time that it is written anew."""
+    if content := read_provenance(folder):
+        _write(folder, content | {"prepared_by": name})
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any]:

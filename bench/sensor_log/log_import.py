@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections import Counter
@@ -18,6 +17,7 @@ from bench.bias.tables.csv_text import write_text
 from bench.bias.tables.dwell_table import DwellRow, write_dwells
 from bench.documents import find_document
 from bench.errors import MeasurementError
+from bench.files import file_sha256
 from bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
 from bench.navigation.positions import AXES
 from bench.sensor_log.checks import temperature_resolution_c, temperature_warnings
@@ -174,7 +174,7 @@ def _origin(
         "logs": [
             {
                 "file": str(log.path),
-                "sha256": _sha256(log.path),
+                "sha256": file_sha256(log.path),
                 "samples": sum(each.samples for each in log.windows),
                 "dropped": sum(each.dropped for each in log.windows),
                 "windows": len(log.windows),
@@ -182,14 +182,9 @@ def _origin(
             }
             for log in logs
         ],
-        "mapping": {"file": str(map_path), "sha256": _sha256(map_path)},
+        "mapping": {"file": str(map_path), "sha256": file_sha256(map_path)},
         "map": log_map.model_dump(exclude_none=True),
         "temperature_resolution_c": {
             name: value if np.isfinite(value) else None for name, value in resolutions.items()
         },
     }
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -69,6 +69,7 @@ MailAddress = Annotated[str, AfterValidator(_mail_address)]
 class _Receiver(StrictModel):
     """What all receivers have."""
 
+    kind: str
     address: str
     on: list[EventName] = Field(
         default=_ALL,
@@ -86,6 +87,11 @@ class _Receiver(StrictModel):
     secret_file: Annotated[str, AfterValidator(_absolute)] | None = Field(
         default=None, description="absolute path of a file whose first line is the secret"
     )
+
+    @property
+    def name(self) -> str:
+        """Kind and address: "ntfy https://ntfy.example/bench"."""
+        return f"{self.kind} {self.address}"
 
     @property
     def has_secret(self) -> bool:

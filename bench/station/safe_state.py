@@ -33,6 +33,11 @@ class SafeAction:
     problem: str = ""
     first_problem: str = ""
 
+    @property
+    def text(self) -> str:
+        """What was done, or that it failed and why."""
+        return f"FAILED: {self.what}: {self.problem}" if self.problem else self.what
+
 
 @dataclass(frozen=True)
 class _Step:

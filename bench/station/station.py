@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bench.bias.noise.model import NoiseModel
 from bench.bias.prior import PriorKnowledge
+from bench.clock import Clock, VirtualClock, WallClock
 from bench.documents import Document, Problem
 from bench.errors import DocumentError
 from bench.limits import StationLimits
@@ -84,6 +85,15 @@ class Station:
     def safe_state(self) -> SafeState:
         """What the bench is left in."""
         return self.file.safe_state
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether it lives in virtual time, where nobody can be asked."""
+        return self.file.clock == "virtual"
+
+    def new_clock(self) -> Clock:
+        """Clock of the kind that the file asks for, from zero."""
+        return VirtualClock() if self.is_virtual else WallClock(speed=self.file.speed)
 
     @cached_property
     def site(self) -> Site:

@@ -23,7 +23,7 @@ from drivers.chamber import ChamberReading
 from drivers.chamber.dialect import ChamberDialect
 from drivers.dialects import LineDefaults
 from drivers.serial_line import SerialLine
-from drivers.text_line import LINE_ENDINGS, TextLine, agrees, settles
+from drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
 
 _DECIMALS = 3
 _PROGRAM, _MANUAL = 1 << 0, 1 << 4
@@ -132,7 +132,7 @@ class Thermotron8800:
             raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be commanded")
         if not abs(temperature_c) < _LARGEST:
             raise self._refused(f"a set point of {temperature_c} °C can't be commanded")
-        self._set(f"MRMP{self._channel}", 0.0 if rate_c_per_min is None else rate_c_per_min)
+        self._set_ramp(0.0 if rate_c_per_min is None else rate_c_per_min)
         self._set(f"SETP{self._channel}", temperature_c)
 
     def set_point_c(self) -> float:
@@ -191,6 +191,13 @@ class Thermotron8800:
             raise self._refused(f"there is no auxiliary {number}, only 1 to {most}")
         group, place = divmod(number - 1, _AUXILIARIES_IN_GROUP)
         return group + 1, 1 << place
+
+    def _set_ramp(self, rate_c_per_min: float) -> None:
+        name = f"MRMP{self._channel}"
+        self._command(f"{name},{rate_c_per_min:.{_DECIMALS}f}")
+        if not settles(self._line.clock, lambda: ramp_agrees(self._number(f"{name}?"), rate_c_per_min)):
+            held = self._number(f"{name}?")
+            raise self._refused(f"holds {held:g} degC/min as {name}, asked were {rate_c_per_min:g}")
 
     def _set(self, name: str, value: float) -> None:
         self._command(f"{name},{value:.{_DECIMALS}f}")

@@ -16,7 +16,7 @@ from drivers.chamber import ChamberReading
 from drivers.chamber.dialect import ChamberDialect
 from drivers.dialects import LineDefaults
 from drivers.serial_line import SerialLine
-from drivers.text_line import LINE_ENDINGS, TextLine, agrees, settles
+from drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
 
 _DECIMALS = 3
 _LARGEST = 99_999.0
@@ -103,7 +103,7 @@ class WatlowF4T:
             self._set_word("RACTION", _NO_RAMP)
         else:
             # The action comes last, so that no ramp starts with an old rate.
-            self._set_number("RRATE", rate_c_per_min)
+            self._set_ramp(rate_c_per_min)
             self._set_word("RSCALE", _MINUTES)
             self._set_word("RACTION", _SET_POINT_RAMP)
         self._set_number("SPOINT", temperature_c)
@@ -146,6 +146,13 @@ class WatlowF4T:
         if not 1 <= number <= _OUTPUTS:
             raise self._refused(f"there is no output {number}, only 1 to {_OUTPUTS}")
         return f":OUTPUT{number}:STATE"
+
+    def _set_ramp(self, rate_c_per_min: float) -> None:
+        self._text.send(f"{self._loop}RRATE {_plain(rate_c_per_min)}")
+        query = f"{self._loop}RRATE?"
+        if not settles(self._line.clock, lambda: ramp_agrees(self._number(query), rate_c_per_min)):
+            held = self._number(query)
+            raise self._refused(f"holds {held:g} degC/min as RRATE, asked were {rate_c_per_min:g}")
 
     def _set_number(self, name: str, value: float) -> None:
         self._text.send(f"{self._loop}{name} {_plain(value)}")

@@ -29,6 +29,7 @@ from drivers.rate_table.acl_messages import (
     set_bits,
 )
 from drivers.rate_table.dialect import TableDialect
+from drivers.rate_table.standstill import turns_still
 from drivers.serial_line import SerialLine
 
 AnswerT = TypeVar("AnswerT")
@@ -149,13 +150,25 @@ class Acutrol3000:
         self._command(self._each_axis(":Mode:", "Off"))
 
     def release(self) -> None:
-        """Stop, wait for rest but not for ever, open the servos, give the front panel back."""
+        """Stop, wait for rest but not for ever, open the servos, give the front panel back.
+
+        Raises
+        ------
+        FaultError
+            An axis did not come to rest; the servos are open.
+        """
         try:
             self.stop()
-            self._await_standstill()
+            rates_dps = self._awaited_standstill_dps()
         finally:
             self._command(self._each_axis(":Interlock:", "Open"))
         self._command(":Utility:Lockout OFF")
+        if not _rest(rates_dps):
+            raise FaultError(
+                self._line.instrument,
+                f"{turns_still(rates_dps, _STANDSTILL_TIME_S)}; its servos were opened. Keep away from it "
+                "until it rests, and use its emergency stop.",
+            )
 
     def close(self) -> None:
         """Close the line; the table stays as it is."""
@@ -175,18 +188,20 @@ class Acutrol3000:
                 raise self._no_servo()
             clock.sleep(_POLL_S)
 
-    def _await_standstill(self) -> None:
+    def _awaited_standstill_dps(self) -> tuple[float, ...]:
+        """Rates of all axes once they rest, or when their time for that is over."""
         clock = self._line.clock
         deadline = Deadline(clock, _STANDSTILL_TIME_S)
-        while not self._is_at_rest() and not deadline.expired():
+        while not _rest(rates_dps := self._known_rates_dps()) and not deadline.expired():
             clock.sleep(_POLL_S)
+        return rates_dps
 
-    def _is_at_rest(self) -> bool:
-        """Whether every axis is known to rest: one whose rate can't be read may still turn."""
+    def _known_rates_dps(self) -> tuple[float, ...]:
+        """Rates of all axes; NaN where they can't be read, since they may still turn then."""
         try:
-            return all(abs(rate) <= _STANDSTILL_DPS for rate in self.read().rate_dps)
+            return self.read().rate_dps
         except (NoReplyError, ReplyError):
-            return False
+            return (math.nan,)
 
     def _no_servo(self) -> FaultError:
         causes = "; ".join(self.faults()) or "the controller names no fault"
@@ -256,6 +271,10 @@ class Acutrol3000:
             self._line.instrument,
             f"{message} was answered by {reply!r}. Does another program use this line?",
         )
+
+
+def _rest(rates_dps: Sequence[float]) -> bool:
+    return all(abs(rate_dps) <= _STANDSTILL_DPS for rate_dps in rates_dps)
 
 
 def _number(value: float) -> str:

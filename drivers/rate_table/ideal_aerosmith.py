@@ -23,6 +23,7 @@ from bench.errors import FaultError, NoReplyError, RefusedError, ReplyError
 from drivers.dialects import LineDefaults
 from drivers.rate_table import AxisLimits, TableReading
 from drivers.rate_table.dialect import TableDialect
+from drivers.rate_table.standstill import turns_still
 from drivers.serial_line import SerialLine
 from drivers.text_line import TextLine
 
@@ -147,29 +148,43 @@ class IdealAerosmith:
         self._target_deg = math.nan
 
     def release(self) -> None:
-        """Stop, wait for rest but not for ever, switch the motor off."""
+        """Stop, wait for rest but not for ever, switch the motor off.
+
+        Raises
+        ------
+        FaultError
+            The axis did not come to rest; its motor is off.
+        """
         try:
             self.stop()
-            self._await_standstill()
+            rate_dps = self._awaited_standstill_dps()
         finally:
             self._command("SRV0")
+        if not abs(rate_dps) <= _STANDSTILL_DPS:
+            raise FaultError(
+                self._line.instrument,
+                f"{turns_still((rate_dps,), _STANDSTILL_TIME_S)}; its motor was switched off. Keep away from "
+                "it until it rests, and use its emergency stop.",
+            )
 
     def close(self) -> None:
         """Close the line; the table stays as it is."""
         self._line.close()
 
-    def _await_standstill(self) -> None:
+    def _awaited_standstill_dps(self) -> float:
+        """Rate of the axis once it rests, or when its time for that is over."""
         clock = self._line.clock
         deadline = Deadline(clock, _STANDSTILL_TIME_S)
-        while not self._is_at_rest() and not deadline.expired():
+        while not abs(rate_dps := self._known_rate_dps()) <= _STANDSTILL_DPS and not deadline.expired():
             clock.sleep(_POLL_S)
+        return rate_dps
 
-    def _is_at_rest(self) -> bool:
-        """Whether the axis is known to rest: one whose rate can't be read may still turn."""
+    def _known_rate_dps(self) -> float:
+        """Rate of the axis; NaN where it can't be read, since it may still turn then."""
         try:
-            return abs(self._value("PVE")) <= _STANDSTILL_DPS
+            return self._value("PVE")
         except (NoReplyError, ReplyError):
-            return False
+            return math.nan
 
     def _value(self, query: str) -> float:
         """Ask for a number; prompts without one, held back from before, are passed over."""

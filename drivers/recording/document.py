@@ -11,7 +11,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field
 
-from bench.documents import StrictModel, parse_document, validate
+from bench.documents import Document, StrictModel, parse_document, validate
 from bench.errors import DocumentError
 from bench.reading import read_limited
 
@@ -86,9 +86,10 @@ class Transfer:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording as read."""
+    """A recording as read; ``document`` knows where in the file its header's keys stand."""
 
     path: Path
+    document: Document
     header: RecordingHeader
     transfers: tuple[Transfer, ...]
 
@@ -132,9 +133,10 @@ def read_recording(path: Path) -> Recording:
     head, end, body = text.partition(f"\n{_END_OF_HEADER}")
     if not end:
         raise DocumentError(f"{path}:1:1: no recording: a line '---' ends its header, and there is none")
-    header = validate(parse_document(head + "\n", path), RecordingHeader)
+    document = parse_document(head + "\n", path)
+    header = validate(document, RecordingHeader)
     first = head.count("\n") + 3
-    return Recording(path, header, tuple(_transfers(path, body.splitlines(), first)))
+    return Recording(path, document, header, tuple(_transfers(path, body.splitlines(), first)))
 
 
 def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:

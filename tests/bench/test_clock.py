@@ -5,7 +5,15 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 import bench.clock
-from bench.clock import RESUME_STEP_S, VIRTUAL_EPOCH, Deadline, VirtualClock, WallClock, clock_named
+from bench.clock import (
+    RESUME_STEP_S,
+    VIRTUAL_EPOCH,
+    Deadline,
+    VirtualClock,
+    WallClock,
+    clock_named,
+    parsed_utc,
+)
 
 TEN = datetime(2026, 3, 1, 10, tzinfo=UTC)
 
@@ -187,3 +195,9 @@ def test_a_fast_run_is_resumed_at_its_speed_after_its_last_record(host):
     assert clock.now() == pytest.approx(400.0 + RESUME_STEP_S)
     host.passes(1.0)
     assert clock.now() == pytest.approx(410.0 + RESUME_STEP_S)
+
+
+def test_a_time_without_its_zone_is_utc_and_what_is_no_time_is_none():
+    assert parsed_utc("2026-03-01T10:00:00") == TEN
+    assert parsed_utc("2026-03-01T12:00:00+02:00") == TEN
+    assert parsed_utc("yesterday") is parsed_utc(None) is None

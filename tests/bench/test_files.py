@@ -3,7 +3,7 @@ import os
 import pytest
 
 from bench.errors import RunFolderError
-from bench.files import make_folder, make_new_folder, remove, write_whole
+from bench.files import file_sha256, make_folder, make_new_folder, remove, write_whole
 
 
 def broken(*_):
@@ -68,3 +68,23 @@ def test_a_file_that_cant_be_removed_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "unlink", broken)
     with pytest.raises(RunFolderError, match="can't be removed: Input/output error"):
         remove(path)
+
+
+def test_what_need_not_outlive_a_power_cut_is_written_whole_without_a_wait(tmp_path, monkeypatch):
+    path = tmp_path / "live.json"
+    path.write_bytes(b"old")
+    monkeypatch.setattr(os, "fsync", broken)
+    write_whole(path, b"new", is_synced=False)
+    assert path.read_bytes() == b"new"
+    monkeypatch.setattr(os, "replace", broken)
+    with pytest.raises(RunFolderError, match="Input/output error"):
+        write_whole(path, b"newer", is_synced=False)
+    assert path.read_bytes() == b"new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["live.json"]
+
+
+def test_the_hash_of_a_file_is_that_of_its_content(tmp_path):
+    (tmp_path / "dwells.csv").write_bytes(b"abc")
+    assert file_sha256(tmp_path / "dwells.csv").startswith("ba7816bf8f01cfea")
+    with pytest.raises(RunFolderError, match=r"absent\.csv: can't be read"):
+        file_sha256(tmp_path / "absent.csv")

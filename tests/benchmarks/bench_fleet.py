@@ -26,7 +26,7 @@ from bench.fleet.work import work_through
 from tests.benchmarks.fleet_runs import make_runs
 
 TABLE = Path(__file__).parents[2] / "docs" / "fleet_benchmark.md"
-CASES = ((1, False), (2, False), (4, False), (8, False), (2, True))
+CASES = ((1, False), (2, False), (4, False), (2, True))
 NULL_TASKS = 500
 
 

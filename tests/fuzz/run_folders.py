@@ -20,14 +20,8 @@ from bench.bias.tables.verification_table import COLUMNS as VERIFICATION_COLUMNS
 from bench.bias.tables.verification_table import read_verification
 from bench.closure.files import read_held_out_cycles
 from bench.engine.operator import ConsentingOperator
-from bench.engine.session import (
-    describe_resumption,
-    measure_again,
-    prepare_job,
-    prepare_resumption,
-    resume_run,
-    run_job,
-)
+from bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
+from bench.engine.session import measure_again, prepare_job, run_job
 from bench.engine.verify import new_emulation
 from bench.live.console import PatientConsole
 from bench.live.lines_view import LinesView

@@ -18,7 +18,8 @@ from unittest import mock
 from bench.documents import find_document
 from bench.engine.live_bench import LiveBench
 from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, prepare_resumption, resume_run, run_job
+from bench.engine.resumption import prepare_resumption, resume_run
+from bench.engine.session import prepare_job, run_job
 from bench.run_store.journal import read_journal
 from bench.station.instruments import Emulation
 from tests.soak.faults import KindTally, outcomes_of

@@ -26,7 +26,8 @@ import yaml
 from bench.bias.tables.dwell_table import read_dwells
 from bench.engine.operator import ConsentingOperator, Operator
 from bench.engine.outcome import RunOutcome
-from bench.engine.session import Resumption, prepare_job, prepare_resumption, resume_run, run_job
+from bench.engine.resumption import Resumption, prepare_resumption, resume_run
+from bench.engine.session import prepare_job, run_job
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
 from bench.station.instruments import Emulation

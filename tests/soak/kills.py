@@ -25,7 +25,8 @@ from scipy.stats import chi2 as chi2_distribution
 from bench.bias.tables.dwell_table import DwellRow, read_dwells
 from bench.engine.operator import ConsentingOperator
 from bench.engine.progress import progress_of
-from bench.engine.session import Job, describe_resumption, prepare_job, prepare_resumption, run_job
+from bench.engine.resumption import describe_resumption, prepare_resumption
+from bench.engine.session import Job, prepare_job, run_job
 from bench.errors import RunFolderError
 from bench.measurement.replay import replay
 from bench.measurement.setup import measurement_setup

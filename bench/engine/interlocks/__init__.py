@@ -6,6 +6,7 @@ until it is good again.
 """
 
 from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.watch import InterlockWatch, Trip
+from bench.engine.interlocks.findings import Finding
+from bench.engine.interlocks.watch import InterlockWatch, Trip, text_of
 
-__all__ = ["Expected", "InterlockWatch", "Trip"]
+__all__ = ["Expected", "Finding", "InterlockWatch", "Trip", "text_of"]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import Finding, outside, silent, too_fast
+from bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent, too_fast
 from bench.engine.interlocks.rate_window import RateWindow
 from bench.engine.readings import Readings
 from bench.station.station import Station
@@ -44,15 +44,17 @@ class ChamberChecks:
         if told != self._told:
             self._told, self._told_s = told, now_s
         if problem := silent("chamber", now_s - readings.chamber_s, self._silence_s):
-            yield Finding("chamber_silence", problem)
+            yield Finding("chamber_silence", problem, CHECK_LINE)
         air_c = readings.chamber.temperature_c
         if problem := outside("the chamber's air", air_c, *self._range_c, "degC"):
-            yield Finding("chamber_air", f"{problem}. Check controller, sensor and door.")
+            yield Finding("chamber_air", problem, "Check controller, sensor and door.")
         if problem := too_fast("the chamber's air", self._rate.per_s(), self._rate_c_per_min):
-            yield Finding("chamber_air_rate", f"{problem}. Is its door open?")
+            yield Finding("chamber_air_rate", problem, "Is its door open?")
         for alarm in readings.chamber_alarms:
             yield Finding(
-                "chamber_alarm", f"the chamber reports {alarm}. Find the cause and clear it at its panel."
+                "chamber_alarm",
+                f"the chamber reports {alarm}",
+                "Find the cause and clear it at its panel.",
             )
         if readings.chamber_s > self._told_s:
             yield from self._not_as_told(readings)
@@ -62,7 +64,8 @@ class ChamberChecks:
                 yield Finding(
                     "chamber_deviation",
                     f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point it had "
-                    f"reached; the limit is {self._deviation_c:g} K. Check machinery and door.",
+                    f"reached; the limit is {self._deviation_c:g} K",
+                    "Check machinery and door.",
                 )
 
     def _not_as_told(self, readings: Readings) -> Iterator[Finding]:
@@ -70,8 +73,8 @@ class ChamberChecks:
         if on is not None and chamber.is_on is not None and chamber.is_on != on:
             yield Finding(
                 "chamber_command",
-                f"the chamber is {_state(chamber.is_on)} although the bench switched it {_state(on)}. "
-                f"{_AT_THE_PANEL}",
+                f"the chamber is {_state(chamber.is_on)} although the bench switched it {_state(on)}",
+                _AT_THE_PANEL,
             )
         if set_c is not None and chamber.set_point_c is not None:
             off_c = abs(chamber.set_point_c - set_c)
@@ -79,8 +82,8 @@ class ChamberChecks:
                 yield Finding(
                     "chamber_command",
                     f"the chamber's set point is {chamber.set_point_c:g} degC, {off_c:.1f} K from the "
-                    f"{set_c:g} degC that the bench commanded; the limit is {self._tolerance_c:g} K. "
-                    f"{_AT_THE_PANEL}",
+                    f"{set_c:g} degC that the bench commanded; the limit is {self._tolerance_c:g} K",
+                    _AT_THE_PANEL,
                 )
 
 

@@ -1,16 +1,35 @@
-"""What an interlock finds wrong, in words: value, limit, what to do."""
+"""What an interlock finds wrong, in words: value and limit, and what to do."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
+
+#: Where an instrument is silent.
+CHECK_LINE = "Check its power, cable and port."
 
 
 class Finding(NamedTuple):
-    """Something wrong now; ``interlock`` is its key in the station file."""
+    """Something wrong now; ``interlock`` is its key in the station file.
+
+    ``problem`` is a sentence without its full stop, ``advice`` whole sentences; without any, ``problem``
+    says all there is to say.
+    """
 
     interlock: str
-    text: str
+    problem: str
+    advice: str
+
+
+def told(findings: Iterable[Finding]) -> str:
+    """All findings, each advice once."""
+    problems: dict[str, list[str]] = {}
+    for finding in findings:
+        problems.setdefault(finding.advice, []).append(finding.problem)
+    return " ".join(
+        "; ".join(texts) + (f". {advice}" if advice else "") for advice, texts in problems.items()
+    )
 
 
 def outside(what: str, value: float, low: float, high: float, unit: str) -> str:
@@ -37,5 +56,5 @@ def silent(instrument: str, age_s: float, limit_s: float) -> str:
     since = f"for {age_s:.0f} s" if math.isfinite(age_s) else "yet"
     return (
         f"the {instrument} has said nothing {since} (limit {limit_s:g} s), too old to tell whether all is "
-        "within its limits. Check its power, cable and port."
+        "within its limits"
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import Finding, outside, silent, too_fast
+from bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent, too_fast
 from bench.engine.interlocks.rate_window import RateWindow
 from bench.engine.readings import Readings
 from bench.station.interlocks import TemperatureInterlock, TemperatureRateInterlock
@@ -16,6 +16,7 @@ from drivers.ins.ins_status import InsStatus
 from drivers.ins.readout import InsMode
 
 _CHECK_SENSOR = "Check the sensor and the signal map"
+_COOL_DOWN = f"{_CHECK_SENSOR}; let the unit come back to room temperature."
 
 
 @dataclass
@@ -68,17 +69,17 @@ class InsChecks:
         if not self._on:
             return
         if problem := silent("INS", self._age_s(readings, now_s), self._silence_s):
-            yield Finding("ins_silence", problem)
+            yield Finding("ins_silence", problem, CHECK_LINE)
             return
         if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
-            yield Finding("ins_fault", "the INS reports a fault. Read its own diagnostics.")
+            yield Finding("ins_fault", "the INS reports a fault", "Read its own diagnostics.")
         for temperature in self._temperatures:
             # By what has been looked at: the first look may come before the first temperatures.
             unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
             if math.isfinite(temperature.value_c) or unknown_s > self._silence_s:
                 yield from _level(temperature)
             if problem := too_fast(temperature.what, temperature.rate.per_s(), temperature.rate_c_per_min):
-                yield Finding(f"{temperature.kind}_rate", f"{problem}. {_CHECK_SENSOR}.")
+                yield Finding(f"{temperature.kind}_rate", problem, f"{_CHECK_SENSOR}.")
 
     def _age_s(self, readings: Readings, now_s: float) -> float:
         """Silence of the INS since it was switched on, as far as it was looked at in time."""
@@ -90,10 +91,7 @@ class InsChecks:
 def _level(temperature: _Temperature) -> Iterator[Finding]:
     level = temperature.level
     if problem := outside(temperature.what, temperature.value_c, level.low_c, level.high_c, "degC"):
-        yield Finding(
-            f"{temperature.kind}_temperature",
-            f"{problem}. {_CHECK_SENSOR}; let the unit come back to room temperature.",
-        )
+        yield Finding(f"{temperature.kind}_temperature", problem, _COOL_DOWN)
 
 
 def _temperatures(station: Station) -> Iterator[_Temperature]:

@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterator
 
 from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import Finding, outside, silent
+from bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent
 from bench.engine.readings import Readings
 from bench.station.station import Station
 
 #: Readings closer than this tell no acceleration: the moment of each is not known well enough.
 _LEAST_SPAN_S = 0.4
+_CHECK_SERVO = "Check the controller's limits and its servo."
 
 
 class TableChecks:
@@ -58,7 +59,7 @@ class TableChecks:
             self._prepared_s = now_s
         self._prepared = expected.table_prepared
         if problem := silent("rate table", now_s - readings.table_s, self._silence_s):
-            yield Finding("table_silence", problem)
+            yield Finding("table_silence", problem, CHECK_LINE)
         yield from self._motion(readings)
         if self._prepared and readings.table_s > self._prepared_s:
             yield from self._faults(readings)
@@ -71,9 +72,9 @@ class TableChecks:
             self._angles_deg.items(), angles_deg, rates_dps, self._accelerations_dps2, strict=True
         ):
             if problem := outside(f"the angle of the {axis} axis", angle_deg, *range_deg, "deg"):
-                yield Finding(f"{axis}_angle", f"{problem}. Check cables and stops before it moves again.")
+                yield Finding(f"{axis}_angle", problem, "Check cables and stops before it moves again.")
             if problem := outside(f"the rate of the {axis} axis", turns_dps, -rate_dps, rate_dps, "deg/s"):
-                yield Finding("table_rate", f"{problem}. Check the controller's limits and its servo.")
+                yield Finding("table_rate", problem, _CHECK_SERVO)
             if problem := outside(
                 f"the acceleration of the {axis} axis",
                 changes_dps2,
@@ -81,18 +82,16 @@ class TableChecks:
                 acceleration_dps2,
                 "deg/s2",
             ):
-                yield Finding(
-                    "table_acceleration", f"{problem}. Check the controller's limits and its servo."
-                )
+                yield Finding("table_acceleration", problem, _CHECK_SERVO)
 
     def _faults(self, readings: Readings) -> Iterator[Finding]:
         for fault in readings.table_faults:
             yield Finding(
-                "table_fault", f"the rate table reports {fault}. Find the cause before it moves again."
+                "table_fault", f"the rate table reports {fault}", "Find the cause before it moves again."
             )
         if not readings.table.is_servoed and not readings.table_faults:
             yield Finding(
                 "table_fault",
-                "an axis of the rate table is not under servo control although the bench closed its servos. "
+                "an axis of the rate table is not under servo control although the bench closed its servos",
                 "Was its controller restarted, or are they opened at its panel?",
             )

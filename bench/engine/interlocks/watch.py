@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from bench.clock import Clock
 from bench.engine.interlocks.chamber_checks import ChamberChecks
 from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import Finding
+from bench.engine.interlocks.findings import Finding, told
 from bench.engine.interlocks.ins_checks import InsChecks
 from bench.engine.interlocks.table_checks import TableChecks
 from bench.engine.readings import Readings
@@ -24,15 +24,25 @@ class Trip:
     ----------
     name : str
         Its key in the station file's ``interlocks``.
-    text : str
-        What is wrong: value, limit, and what to do.
+    findings : tuple of Finding
+        What is wrong.
     rule : InterlockRule
         What becomes of the run.
     """
 
     name: str
-    text: str
+    findings: tuple[Finding, ...]
     rule: InterlockRule
+
+    @property
+    def text(self) -> str:
+        """What is wrong: value, limit, and what to do."""
+        return told(self.findings)
+
+
+def text_of(trips: Iterable[Trip]) -> str:
+    """What is wrong by all of them, each advice once."""
+    return told(finding for trip in trips for finding in trip.findings)
 
 
 class InterlockWatch:
@@ -78,15 +88,15 @@ class InterlockWatch:
         list of Trip
             In the order of the station file's model; one for each interlock, with all it finds.
         """
-        found: dict[str, list[str]] = {name: [] for name in self._rules}
-        for interlock, text in self._findings(now_s, expected):
-            found[interlock].append(text)
-        for name, texts in found.items():
-            if texts:
+        found: dict[str, list[Finding]] = {name: [] for name in self._rules}
+        for finding in self._findings(now_s, expected):
+            found[finding.interlock].append(finding)
+        for name, findings in found.items():
+            if findings:
                 self._good_since_s.pop(name, None)
             else:
                 self._good_since_s.setdefault(name, now_s)
-        return [Trip(name, " ".join(texts), self._rules[name]) for name, texts in found.items() if texts]
+        return [Trip(name, tuple(each), self._rules[name]) for name, each in found.items() if each]
 
     def good_since_s(self, name: str) -> float | None:
         """Time of the call of :meth:`trips` since which an interlock is good; None while it is tripped."""

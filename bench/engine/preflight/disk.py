@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 from bench.procedure.plan import Plan
+from bench.procedure.timeline import hours_minutes
 from bench.run_store.telemetry import COLUMNS
 from bench.station.check import Check
 from bench.station.station import Station
@@ -52,6 +53,6 @@ def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: 
         _SUBJECT,
         what,
         free >= needed,
-        f"{room}, {needed / _GB:.2f} GB for {hours:.1f} h with margin",
+        f"{room}, {needed / _GB:.2f} GB for {hours_minutes(plan.duration_s)} h with margin",
         "Free some space, or take a run folder on another disk.",
     )

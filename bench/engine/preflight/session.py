@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from bench.clock import Clock, VirtualClock, WallClock
+from bench.clock import Clock
 from bench.documents import find_document
 from bench.engine.preflight.messages import message_checks
 from bench.engine.preflight.preflight import preflight
 from bench.errors import DocumentError
 from bench.procedure.document import load_procedure
 from bench.procedure.plan import Plan
+from bench.procedure.timeline import hours_minutes
 from bench.station.bench_lock import BenchLock
 from bench.station.check import Check
 from bench.station.instruments import Emulation, Outputs, open_ins
@@ -42,8 +43,7 @@ def check_bench(
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()
-    if clock is None:
-        clock = VirtualClock() if bench.file.clock == "virtual" else WallClock(speed=bench.file.speed)
+    clock = clock or bench.new_clock()
     plan, of_plan = _plan(bench, procedure)
     with (
         BenchLock(bench, folder, clock),
@@ -69,4 +69,4 @@ def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
     except DocumentError as error:
         return None, Check.of(subject, what, False, str(error), "Correct the procedure.")
     dwells = f"{plan.dwell_count} dwell{'s' if plan.dwell_count != 1 else ''}"
-    return plan, Check.of(subject, what, True, f"{dwells} in {plan.duration_s / 3600.0:.1f} h", "")
+    return plan, Check.of(subject, what, True, f"{dwells} in {hours_minutes(plan.duration_s)} h", "")

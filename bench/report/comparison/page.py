@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bench.files import file_sha256
 from bench.measurement.comparison import Comparison
 from bench.phrases import listed
 from bench.report.closure.wording import verdict_sentence
@@ -20,7 +21,6 @@ from bench.report.comparison.wording import (
 from bench.report.page.findings import Findings
 from bench.report.page.findings_page import write_findings
 from bench.report.wording import counted
-from bench.run_store.manifest import file_sha256
 
 #: Colours of the template's box, by judgement.
 _COLOURS = {CONFIRMED: "finished", BETTER: "stopped", NOT_CONFIRMED: "failed", NOTHING_TO_TELL: "stopped"}

@@ -12,6 +12,9 @@ from bench.report.page.sections import Mark, Section, SectionTable
 from bench.report.wording import BiasScale, bin_label, gyro_label, position_label
 
 _HOW = (
+    "Positions are compared within one stop of the chamber, in one power-on, at the mean temperature of the "
+    "stop, with the gyro's own curve over temperature; passes of a stop in several cycles are judged by "
+    "their mean where they agree, else one by one. "
     "The largest of several noisy differences is larger than the largest true one, so the table tells "
     "between which limits the true one lies. Pass: every pair of positions stays below the limit with "
     "{0:g} % confidence. Fail: some pair is above it with {0:g} % confidence, allowing for the number of all "
@@ -19,8 +22,12 @@ _HOW = (
     "rejected, with a probability of at most {1:g} %."
 )
 _LACKING = (
-    "Planned positions that were not compared with another one at their temperature, because of flagged or "
-    "missing dwells, or of temperatures that fell into other bins: {}."
+    "Planned dwells that were not compared with the others of their stop, because they are flagged or "
+    "missing, or because of a power-on or other temperatures between them: {}."
+)
+_DISAGREEING = (
+    "Passes of the same stop disagree by more than their noise does, and are judged one by one: {}. Bias "
+    "may depend there on how the temperature came about."
 )
 _MOST_NAMED = 12
 _CAPTIONS = (
@@ -35,7 +42,12 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
     if acceptance is None or acceptance.limits is None:
         return None
     limits = acceptance.limits
-    paragraphs = [_limits_sentence(limits), _how(limits), _lacking_sentence(acceptance)]
+    paragraphs = [
+        _limits_sentence(limits),
+        _how(limits),
+        _disagreeing_sentence(acceptance),
+        _lacking_sentence(acceptance),
+    ]
     return Section(
         "Acceptance",
         [text for text in paragraphs if text],
@@ -44,12 +56,15 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
 
 
 def _limits_sentence(limits: AcceptanceLimits) -> str:
-    told = [f"{limits.position_difference_dph:g} deg/h between two positions in one temperature bin"]
+    told = [f"{limits.position_difference_dph:g} deg/h between two positions at one stop"]
     if limits.bias_dph is not None:
         told.append(f"a bias of {limits.bias_dph:g} deg/h of either sign")
     sentence = f"Limits of the procedure: {listed(told)}."
     if limits.bias_sigma_dph is not None:
-        sentence += f" A bias less certain than {limits.bias_sigma_dph:g} deg/h counts as not measured."
+        sentence += (
+            f" A dwell whose bias is less certain than {limits.bias_sigma_dph:g} deg/h counts as "
+            "not measured."
+        )
     return sentence
 
 
@@ -57,13 +72,26 @@ def _how(limits: AcceptanceLimits) -> str:
     return _HOW.format(100.0 * limits.confidence, round(100.0 * (1.0 - limits.confidence), 6))
 
 
+def _disagreeing_sentence(acceptance: Acceptance) -> str:
+    places = [
+        f"{gyro_label(each.gyro)} at {bin_label(each.bin_low_c, each.bin_high_c)} °C"
+        for each in acceptance.judgements
+        if not each.passes_agree
+    ]
+    return _DISAGREEING.format(listed(places)) if places else ""
+
+
 def _lacking_sentence(acceptance: Acceptance) -> str:
-    places = list(dict.fromkeys((each.chamber_set_c, each.position) for each in acceptance.not_measured))
+    places = list(
+        dict.fromkeys((each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured)
+    )
     if not places:
         return ""
     named = [
-        position_label(position) + ("" if set_c is None else f" at {set_c:g} °C in the chamber")
-        for set_c, position in places[:_MOST_NAMED]
+        position_label(position)
+        + ("" if set_c is None else f" at {set_c:g} °C in the chamber")
+        + f" in cycle {cycle}"
+        for cycle, set_c, position in places[:_MOST_NAMED]
     ]
     more = len(places) - len(named)
     return _LACKING.format(listed([*named, f"{more} more"] if more else named))

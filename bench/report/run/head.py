@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
+from bench.clock import parsed_utc
 from bench.procedure.timeline import hours_minutes
 from bench.report.content import Entry, RunContent
 from bench.report.verification.section import dwells_text
 from bench.report.wording import counted
+from bench.run_store.run_facts import RunFacts
 
 _PROGRAMS = ("gyrobench", "python", "platform")
 _CUT_OFF = "It was killed or cut off, or has not ended yet: the journal does not tell of its end."
@@ -17,11 +19,10 @@ _TIME = "%Y-%m-%d %H:%M:%S"
 _MOST_OFFSET_S = 86_000.0
 
 
-def unit_of(content: RunContent) -> str:
+def serial_number_of(content: RunContent) -> str:
     """Serial number of the unit, or of several; empty where none is known."""
     units = {row.unit for row in content.dwells} | {row.unit for row in content.verification}
-    identified = content.last("ins_identified").get("unit")
-    return ", ".join(sorted(units - {""})) or str(identified or "")
+    return ", ".join(sorted(units - {""})) or content.facts.unit
 
 
 def _dwells_text(content: RunContent) -> str:
@@ -31,40 +32,29 @@ def _dwells_text(content: RunContent) -> str:
     return "; ".join(texts) or "none"
 
 
-def facts_of(content: RunContent) -> dict[str, str]:
+def head_lines(content: RunContent) -> dict[str, str]:
     """What was run, on what, by whom and when; what is not known is left out."""
-    started = content.last("run_started")
-    own = content.provenance
-    options = {**own.get("options", {}), **started.get("options", {})}
-    begun = _moment(own.get("started_utc") or started.get("utc"))
-    end_s = max((_seconds(entry.get("time_s")) for entry in content.journal), default=0.0)
-    facts = {
-        "unit": unit_of(content) or "serial number not known",
-        "procedure": started.get("procedure") or content.procedure.get("procedure"),
+    told, own = content.facts, content.provenance
+    options = {**own.get("options", {}), **told.options}
+    begun = parsed_utc(own.get("started_utc") or told.started_utc)
+    lines = {
+        "unit": serial_number_of(content) or "serial number not known",
+        "procedure": told.procedure or content.procedure.get("procedure"),
         "purpose": content.procedure.get("description"),
-        "bench": started.get("station") or content.station.get("station"),
+        "bench": told.station or content.station.get("station"),
         "started by": " on ".join(str(own[name]) for name in ("operator", "host") if own.get(name)),
         "started": _both_times(begun, 0.0, own),
-        "ended": _both_times(begun, end_s, own) if content.last("run_ended") else "",
-        "duration": _duration(content, end_s),
+        "ended": _both_times(begun, told.last_s, own) if told.ended else "",
+        "duration": _duration(told),
         "dwells": _dwells_text(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),
     }
-    return {name: str(value) for name, value in facts.items() if value}
+    return {name: str(value) for name, value in lines.items() if value}
 
 
-def _duration(content: RunContent, end_s: float) -> str:
-    resumed = len(content.entries("run_resumed"))
-    more = f", gone on with {counted(resumed, 'time')}" if resumed else ""
-    return f"{hours_minutes(end_s)} h{more}" if end_s else ""
-
-
-def _moment(iso_time: object) -> datetime | None:
-    try:
-        moment = datetime.fromisoformat(str(iso_time))
-    except ValueError:
-        return None
-    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+def _duration(told: RunFacts) -> str:
+    more = f", gone on with {counted(told.resumes, 'time')}" if told.resumes else ""
+    return f"{hours_minutes(told.last_s)} h{more}" if told.last_s else ""
 
 
 def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> str:
@@ -85,19 +75,14 @@ def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> st
     return f"{text}, {local.strftime(_TIME)} local time ({local.tzname()})"
 
 
-def _seconds(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else 0.0
-
-
 def ending_of(content: RunContent) -> Entry:
     """Tell how the run ended: word, reason, the step that did not end, safe state."""
-    end = content.last("run_ended")
-    ended = str(end.get("ended", "not ended"))
+    told = content.facts
     return {
-        "word": ended,
-        "reason": end.get("reason") or ("" if end else _CUT_OFF),
-        "step": "" if ended == "finished" else _open_step(content),
-        "safe_state": end.get("safe_state") or [],
+        "word": told.ended or "not ended",
+        "reason": told.reason or ("" if told.ended else _CUT_OFF),
+        "step": "" if told.ended == "finished" else _open_step(content),
+        "safe_state": told.safe_state,
     }
 
 

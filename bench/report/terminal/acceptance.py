@@ -7,7 +7,7 @@ from rich.text import Text
 
 from bench.bias.verdicts import Acceptance
 from bench.navigation.positions import AXES
-from bench.report.acceptance_wording import deciding_judgement, place_of, verdict_sentence
+from bench.report.acceptance_wording import place_of, verdict_sentence
 from bench.report.terminal.parts import plain_table
 from bench.report.wording import BiasScale, bin_label, gyro_label
 
@@ -23,15 +23,15 @@ def acceptance_summary(acceptance: Acceptance) -> RenderableType:
     headers = ["gyro", "verdict", "where", "bin/°C", "measured", "true", "limit"]
     table = plain_table(headers, words=4, fold=False)
     for gyro in AXES:
-        worst = deciding_judgement(acceptance, gyro)
+        deciding = acceptance.deciding(gyro)
         cells = ["", "", "", "", ""]
-        if worst is not None:
+        if deciding is not None:
             cells = [
-                place_of(worst).replace(" above ", " - "),
-                bin_label(worst.bin_low_c, worst.bin_high_c, ".."),
-                scale.text(worst.value_dph),
-                f"{scale.text(worst.at_least_dph)}..{scale.text(worst.at_most_dph)}",
-                scale.text(worst.limit_dph),
+                place_of(deciding).replace(" above ", " - "),
+                bin_label(deciding.bin_low_c, deciding.bin_high_c, ".."),
+                scale.text(deciding.value_dph),
+                f"{scale.text(deciding.at_least_dph)}..{scale.text(deciding.at_most_dph)}",
+                scale.text(deciding.limit_dph),
             ]
         table.add_row(gyro_label(gyro), acceptance.gyros.get(gyro, ""), *map(Text, cells))
     return Group(Text(heading, style="bold"), table, verdict)

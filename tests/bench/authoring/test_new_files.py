@@ -7,11 +7,11 @@ import pytest
 
 from bench.authoring.checking import check_file
 from bench.authoring.kinds import PROCEDURE, STATION
-from bench.authoring.new_files import TEMPLATES, new_procedure, new_station
+from bench.authoring.new_files import new_procedure, new_station
 from bench.authoring.schemas import schema_of
 from bench.documents import read_document
 from bench.errors import DocumentError
-from bench.shipped import shipped_names
+from bench.shipped import TEMPLATES, shipped_names
 from bench.station.document import StationFile
 from drivers.dialects import CHAMBERS, RATE_TABLES, installed
 

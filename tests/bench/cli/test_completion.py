@@ -41,6 +41,10 @@ def offered(typed, cwd):
         ("run x --faults ev", {"every_kind"}),
         ("verify r --station ex", {"example_bench"}),
         ("new procedure x --like ch", {"check"}),
+        ("new procedure x --like ver", {"verification", "verify_compensation"}),
+        ("emulate --station sing", {"single_axis"}),
+        ("message qui", {"quick"}),
+        ("import log.csv --map ex", {"example_log"}),
         ("validate --as fau", {"faults"}),
         ("new station x --chamber wat", {"watlow_f4"}),
         ("new station x --table acu", {"acutrol3000"}),
@@ -60,6 +64,9 @@ def test_run_folders_are_offered_wherever_they_are(tmp_path):
     assert set(offered("bins ", tmp_path)) == {"runs/a-001", "runs/b-001"}
     assert offered("close runs/b", tmp_path) == ["runs/b-001"]
     assert offered("bins else/", tmp_path) == ["else/c-001"]
+    assert offered("monitor runs/a", tmp_path) == ["runs/a-001"]
+    assert offered("verify runs/a", tmp_path) == ["runs/a-001"]
+    assert offered("report runs/b-001 --before runs/a", tmp_path) == ["runs/a-001"]
 
 
 def test_what_fits_no_name_is_left_to_the_shell(tmp_path):

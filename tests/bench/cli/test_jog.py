@@ -1,12 +1,11 @@
 """`gyrobench jog` on emulated benches."""
 
-import os
 import subprocess
+import time
 
 import pytest
 
 from bench.documents import find_document
-from bench.station.bench_lock import LOCK_DIR_VARIABLE
 from tests.bench.command_line import PROCESS, gyrobench
 
 
@@ -182,16 +181,11 @@ def test_commands_come_from_a_pipe_with_comments(tmp_path):
     assert run.stdout.rstrip().endswith("rate table's interlocks opened")
 
 
-def test_a_bench_that_somebody_else_holds_is_not_touched(tmp_path, monkeypatch):
-    monkeypatch.setenv(LOCK_DIR_VARIABLE, str(tmp_path))
-    from bench.clock import WallClock
-    from bench.station.bench_lock import BenchLock
-    from bench.station.station import Station
-
-    path = tmp_path / "real.yaml"
-    text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
-    path.write_text(text.replace("emulator://table", os.devnull))
-    with BenchLock(Station(path), tmp_path / "some_run", WallClock()):
-        run = jog("show", cwd=tmp_path, station="real.yaml")
-    assert run.returncode == 3
-    assert "some_run" in run.stderr
+@pytest.mark.wall_time
+def test_a_bench_that_lives_fast_is_watched_at_its_speed(tmp_path):
+    text = find_document("stations", "quick").read_text()
+    (tmp_path / "fast.yaml").write_text(text.replace("clock: virtual", "clock: wall\nspeed: 20"))
+    began_s = time.monotonic()
+    run = jog("watch 60", cwd=tmp_path, station="fast.yaml")
+    assert run.returncode == 0, run.stdout
+    assert time.monotonic() - began_s < 60.0

@@ -3,6 +3,8 @@
 import json
 import math
 import shutil
+from datetime import UTC, datetime, timedelta
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,18 @@ DWELLS = Path(__file__).parents[1] / "closure"
 def test_arrays_paths_and_numbers_without_end_become_what_json_has():
     content = {"a": np.array([1.0, math.nan]), "b": Path("x"), 3: (1, {"c": math.inf}), "d": np.float64(2.0)}
     assert plain(content) == {"a": [1.0, None], "b": "x", "3": [1, {"c": None}], "d": 2.0}
+
+
+def test_times_decimals_and_all_else_become_text_or_numbers():
+    time = datetime(2026, 3, 1, 12, 30, tzinfo=UTC)
+    content = {"at": time, "on": time.date(), "n": Decimal("1.5"), "took": timedelta(seconds=90), "no": None}
+    assert plain(content) == {
+        "at": "2026-03-01T12:30:00+00:00",
+        "on": "2026-03-01",
+        "n": 1.5,
+        "took": "0:01:30",
+        "no": None,
+    }
 
 
 def test_a_plan(tmp_path):

@@ -30,6 +30,13 @@ def test_the_report_is_written_anew_with_the_name_and_the_verdict(run, tmp_path)
     assert "A. Smith" in run.report.read_text()
 
 
+def test_who_prepares_it_stays_when_it_is_written_anew(run, tmp_path):
+    run.provenance.write_text('{"gyrobench": "0.1.0"}')
+    gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
+    gyrobench("report", run.path, cwd=tmp_path)
+    assert "A. Smith" in run.report.read_text()
+
+
 def test_a_pdf_stands_beside_the_page_where_it_was_asked_for(run, tmp_path):
     done = gyrobench("report", run.path, "--pdf", "--out", "signed", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -1,7 +1,7 @@
 import pytest
 
 from bench.documents import find_document
-from bench.emulation.serving import emulated_frames, serve_options
+from bench.emulation.serving import Life, emulated_frames, serve_options
 from bench.emulation.station_file import write_station_file
 from bench.errors import DocumentError
 from bench.station.document import load_station_file
@@ -54,6 +54,19 @@ def test_a_served_station_is_served_again_at_its_ports(tmp_path):
     links = {name: f"/home/bench/{name}" for name in NOWHERE}
     options = serve_options(served(tmp_path, links), NOWHERE, tcp=False, can=None)
     assert options[:3] == [f"--{name}-port={link}" for name, link in links.items()]
+
+
+def test_the_emulators_are_told_how_the_bench_lives():
+    life = Life("gyro_b", 0, 10.0, faults="every_kind", for_s=0.0)
+    without = serve_options(shipped(), NOWHERE, tcp=False, can=None)
+    options = serve_options(shipped(), NOWHERE, tcp=False, can=None, life=life)
+    assert [option for option in options if option not in without] == [
+        "--world=gyro_b",
+        "--seed=0",
+        "--speed=10.0",
+        "--faults=every_kind",
+        "--for-s=0.0",
+    ]
 
 
 def test_what_is_asked_for_counts_more_than_the_station(tmp_path):

@@ -7,7 +7,7 @@ from bench.engine.orders import Order
 from bench.engine.session import prepare_job, run_job
 from bench.run_store.journal import read_journal
 from bench.station.instruments import Emulation
-from tests.bench.engine.test_resume import Watcher
+from tests.bench.engine.test_resumption import Watcher
 
 PROCEDURE = """procedure: one_dwell
 steps:

@@ -28,6 +28,7 @@ def test_close_searches_a_run_and_writes_page_and_verdict(run):
     assert result.state == JobState.DONE, result.text
     assert result.text.startswith(json.loads((run / "closure" / "closure.json").read_text())["verdict"])
     assert (run / "closure" / "closure.html").exists()
+    assert "Search for effects" in RunFolder(run).report.read_text()
 
 
 def test_report_writes_the_report(run):

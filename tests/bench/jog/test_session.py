@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 
+from bench.documents import find_document
 from tests.bench.command_line import PROCESS
 from tests.bench.guard.served_bench import ServedBench
 
@@ -65,3 +66,18 @@ def test_a_terminal_that_closes_leaves_the_bench_safe(served, tmp_path):
     assert interlocks == before
     assert set_point_c == pytest.approx(23.0)
     assert not list(tmp_path.glob("gyrobench-jog-*"))
+
+
+@pytest.mark.wall_time
+def test_a_turn_ends_at_its_limit_however_fast_commands_come(tmp_path):
+    text = find_document("stations", "quick").read_text()
+    text = text.replace("clock: virtual", "clock: wall\nspeed: 5")
+    (tmp_path / "fast.yaml").write_text(text)
+    commands = ["table rate outer 30", *["show"] * 80]
+    run = subprocess.run(
+        [*PROCESS, "jog", "fast.yaml", "--world", "quick"],
+        input="\n".join(commands), capture_output=True, text=True, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    assert "the outer axis comes near to its limit" in run.stdout
+    assert run.stdout.index("comes near to its limit") < run.stdout.rindex("jog> show")
+    assert run.returncode == 0, run.stdout

@@ -5,6 +5,7 @@ import os
 
 import pytest
 
+from bench.jog.refused import CommandError
 from bench.jog.typed import TypedLines
 
 
@@ -45,3 +46,39 @@ def test_what_the_bench_raises_meanwhile_comes_through(pipe):
 
     with pytest.raises(RuntimeError, match="tripped"):
         TypedLines(pipe[0], trip).next()
+
+
+def test_the_bench_goes_on_before_every_look_however_much_is_typed(pipe):
+    reading, writing = pipe
+    looks = []
+    os.write(writing, b"show\n" * 2000)
+    os.close(writing)
+    lines = TypedLines(reading, lambda: looks.append(1))
+    assert len(list(iter(lines.next, None))) == 2000
+    assert len(looks) >= 3
+
+
+def test_a_line_that_is_too_long_is_refused_and_the_rest_of_it_passed_over(pipe):
+    reading, writing = pipe
+    os.write(writing, b"x" * 9000 + b"\nshow\n")
+    os.close(writing)
+    lines = TypedLines(reading, lambda: None)
+    with pytest.raises(CommandError, match="at most 1000 bytes"):
+        lines.next()
+    assert [lines.next(), lines.next()] == ["show", None]
+
+
+def test_a_line_goes_on_after_what_the_bench_raised_meanwhile(pipe):
+    reading, writing = pipe
+    os.write(writing, b"sh")
+    raised = [RuntimeError("tripped")]
+
+    def meanwhile():
+        if raised:
+            raise raised.pop()
+
+    lines = TypedLines(reading, meanwhile)
+    with pytest.raises(RuntimeError):
+        lines.next()
+    os.write(writing, b"ow\n")
+    assert lines.next() == "show"

@@ -3,7 +3,8 @@
 import math
 from dataclasses import replace
 
-from bench.live.picture import (
+from bench.live.picture import Picture, RunState
+from bench.live.picture_parts import (
     Alarm,
     Attitude,
     BenchNow,
@@ -12,12 +13,10 @@ from bench.live.picture import (
     FillingBin,
     LiveBias,
     MeasuredProfile,
-    Message,
-    Picture,
+    Note,
     PlannedProfile,
     PositionSpan,
     Question,
-    RunState,
     StepNow,
     WindowTrace,
 )
@@ -157,8 +156,8 @@ def made_up_picture():
         bins=bins_of(dwells),
         alarms=(),
         messages=(
-            Message(4.0 * HOUR_S, "dwell 5 is repeated: the INS left navigation in the turn"),
-            Message(6.5 * HOUR_S, "Going on, by itself"),
+            Note(4.0 * HOUR_S, "dwell 5 is repeated: the INS left navigation in the turn"),
+            Note(6.5 * HOUR_S, "Going on, by itself"),
         ),
     )
 

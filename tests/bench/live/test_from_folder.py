@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from bench.clock import WallClock
+from bench.engine.progress import WITHOUT_A_WORD
 from bench.errors import RunFolderError
-from bench.live.from_folder import WITHOUT_A_WORD, picture_from_records, picture_of
-from bench.live.picture import Picture, Question, RunState
+from bench.live.from_folder import picture_from_records, picture_of
+from bench.live.picture import Picture, RunState
+from bench.live.picture_parts import Question
 from bench.run_store.folder import RunFolder
 from bench.station.bench_lock import RunLock
 
@@ -26,6 +28,13 @@ def cut_off(folder, event):
     lines = folder.journal.read_text().splitlines(keepends=True)
     last = next(number for number, line in enumerate(lines) if json.loads(line)["event"] == event)
     folder.journal.write_text("".join(lines[: last + 1]))
+
+
+def add(folder, **details):
+    """Write an entry as the last one of the journal."""
+    entry = {"time_s": 90_000.0, "utc": "2000-01-02T01:00:00+00:00", **details}
+    with folder.journal.open("a") as journal:
+        journal.write(json.dumps(entry) + "\n")
 
 
 def test_a_run_tells_its_picture_itself(folder, recorded):
@@ -96,20 +105,25 @@ def test_a_run_that_was_killed_before_it_left_a_picture_has_what_was_on_the_disk
     assert picture.left_s == pytest.approx(picture.planned_s)
 
 
+def test_a_run_that_ended_and_was_resumed_and_killed_does_not_tell_its_old_end(folder):
+    folder.live.unlink()
+    add(folder, event="run_resumed", procedure="short")
+    picture = picture_of(folder.path)
+    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+
+
 def test_a_run_whose_procedure_is_damaged_has_its_dwells_still(folder):
     folder.live.unlink()
     folder.procedure.write_text("procedure: [")
     picture = picture_of(folder.path)
     assert len(picture.dwells) == 1
-    assert picture.planned.time_s == ()
+    assert (picture.state, picture.planned.time_s) == (RunState.FINISHED, ())
     assert not math.isnan(picture.now_s)
 
 
 def test_messages_are_those_that_the_journal_tells(folder):
     folder.live.unlink()
-    entry = {"time_s": 900.0, "utc": "2000-01-01T00:15:00+00:00", "event": "note", "text": "look here"}
-    with folder.journal.open("a") as journal:
-        journal.write(json.dumps(entry) + "\n")
+    add(folder, event="note", text="look here")
     assert picture_of(folder.path).messages[-1].text == "look here"
 
 

@@ -3,19 +3,9 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.axes_drawing import directions
-from bench.live.picture import (
-    Alarm,
-    Attitude,
-    MeasuredProfile,
-    Picture,
-    PlannedProfile,
-    Question,
-    RunState,
-    WindowTrace,
-)
+from bench.live.picture import Picture, RunState
+from bench.live.picture_parts import Alarm, MeasuredProfile, PlannedProfile, Question, WindowTrace
 from bench.live.screen import screen
-from bench.navigation.positions import POSITIONS
 from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
 
 NEW = Picture(
@@ -126,11 +116,3 @@ def test_a_run_that_is_over_has_no_time_left_and_no_step():
     text = "\n".join(shown(PICTURES["over"]))
     assert "FINISHED  9:12 h" in text
     assert "left" not in text.splitlines()[0]
-
-
-@pytest.mark.parametrize("name", POSITIONS)
-def test_body_axes_are_named_by_where_they_point(name):
-    rows = tuple(tuple(map(float, row)) for row in POSITIONS[name].C_nb())
-    words = {"E": "East", "W": "West", "N": "North", "S": "South", "U": "Up", "D": "Down"}
-    expected = [words[letter] for letter in POSITIONS[name].directions]
-    assert directions(Attitude(name, 0.0, rows)).split()[1::2] == expected

@@ -14,10 +14,13 @@ from bench.bias.tables.joint_table import (
     read_joint_stops,
 )
 from bench.bias.tables.noise_file import read_noise
+from bench.documents import find_document
 from bench.errors import RunFolderError
 from bench.measurement.dwell import misfit_text
-from bench.measurement.results import RunResults, evaluate, write_results
+from bench.measurement.results import RunResults, evaluate, planned_dwells, write_results
 from bench.measurement.setup import measurement_setup
+from bench.procedure.document import load_procedure
+from bench.procedure.plan import expand
 from bench.run_store.folder import RunFolder
 from bench.station.station import Station
 
@@ -155,3 +158,12 @@ def test_power_ons_are_solved_apart(measured):
     restarted = [replace(dwell, row=replace(dwell.row, run="later")) for dwell in dwells[2:4]]
     found = evaluate([*dwells[:2], *restarted], [], [], setup, 5.0)
     assert [[dwell.number for dwell in each.dwells] for each in found.joint] == [[1, 2], [3, 4]]
+
+
+def test_each_dwell_is_planned_with_its_number_cycle_set_point_and_expected_temperature():
+    planned = planned_dwells(expand(*load_procedure(find_document("procedures", "six_position_fig7"))))
+    assert [each.dwell for each in planned] == list(range(1, 61))
+    seventh, last = planned[6], planned[-1]
+    assert (seventh.cycle, seventh.chamber_set_c, seventh.position) == (1, 20.5, "z_up")
+    assert (last.cycle, last.chamber_set_c, last.position) == (2, 20.5, "z_up")
+    assert 20.5 < seventh.gyro_c[0] < 50.0

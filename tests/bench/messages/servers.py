@@ -1,5 +1,6 @@
 """Servers on loopback that receive messages."""
 
+import contextlib
 import socket
 import threading
 import time
@@ -52,6 +53,45 @@ class Server:
         self._server.released.set()
         self._server.shutdown()
         self._server.server_close()
+        self._thread.join()
+
+
+class RawServer:
+    """A server that answers every request with bytes, at once or a line at a time."""
+
+    def __init__(self, answer, pause_s=None):
+        self._answer, self._pause_s = answer, pause_s
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._over = threading.Event()
+        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self):
+        with contextlib.suppress(OSError):  # closed from either side
+            while True:
+                connection, _ = self._listener.accept()
+                with connection:
+                    self._reply(connection)
+
+    def _reply(self, connection):
+        request = b""
+        while b"\r\n\r\n" not in request:
+            request += connection.recv(65_536)
+        head, _, body = request.partition(b"\r\n\r\n")
+        left = int(head.lower().partition(b"content-length: ")[2].split(b"\r\n")[0]) - len(body)
+        while left > 0:
+            left -= len(connection.recv(left))
+        pieces = self._answer(head)
+        for piece in pieces.splitlines(keepends=True) if self._pause_s else [pieces]:
+            connection.sendall(piece)
+            if self._over.wait(self._pause_s or 0.0):
+                return
+
+    def close(self):
+        self._over.set()
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
         self._thread.join()
 
 

@@ -1,10 +1,12 @@
 """E-mail against a real server."""
 
+import base64
 import email
 import socket
 import ssl
 import subprocess
 from email.policy import default
+from urllib.parse import quote
 
 import pytest
 from aiosmtpd.controller import Controller
@@ -132,3 +134,20 @@ def test_a_mail_server_that_hangs_is_given_up(mailbox, monkeypatch):
     monkeypatch.setattr(mail, "TIMEOUT_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(UndeliveredError, match="timed out"):
         deliver(mailbox(silent.getsockname()[1]), ENDS)
+
+
+@pytest.mark.filterwarnings("ignore:Requiring AUTH while not requiring TLS")
+def test_a_server_that_repeats_the_password_makes_nobody_tell_it(serve_mail, mailbox, monkeypatch):
+    password = "Geheim/Wort+9 x&y"  # noqa: S105 - made up
+
+    def refuse(server, session, envelope, mechanism, data):
+        said = data.password.decode()
+        coded = base64.b64encode(b"\0bench\0" + data.password).decode()
+        return AuthResult(success=False, handled=False, message=f"535 no {said} {quote(said)} {coded}")
+
+    _, port = serve_mail(authenticator=refuse, auth_required=True, auth_require_tls=False)
+    monkeypatch.setenv("MAIL_PASSWORD", password)
+    with pytest.raises(UndeliveredError, match=r"535 no \{secret\} \{secret\} ") as caught:
+        deliver(mailbox(port, user="bench", secret_env="MAIL_PASSWORD"), ENDS)  # noqa: S106 - a name
+    coded = base64.b64encode(f"\0bench\0{password}".encode()).decode()
+    assert coded[10:-4] not in str(caught.value)

@@ -1,11 +1,13 @@
 """Webhook and ntfy against real servers."""
 
+import http
 import json
 from dataclasses import replace
+from urllib.parse import unquote_to_bytes
 
 import pytest
 
-from bench.messages import post
+from bench.messages import delivery, post
 from bench.messages.delivery import deliver
 from bench.messages.undelivered import UndeliveredError
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
@@ -99,4 +101,45 @@ def test_a_server_that_hangs_is_given_up(serve, receiver, monkeypatch):
     monkeypatch.setattr(post, "TIMEOUT_S", 0.2)
     with pytest.raises(UndeliveredError, match=r"no answer within 0.2 s") as caught:
         deliver(receiver(kind="webhook", address=serve("hang").url), ENDS)
+    assert not caught.value.is_final
+
+
+SECRET = "Geheim/Wort+9 x&y"  # noqa: S105 - made up
+
+
+@pytest.mark.parametrize("code", [200, 404, 503])
+@pytest.mark.parametrize("place", ["/hook/{secret}", "/hook"])
+def test_a_server_that_repeats_the_secret_makes_nobody_tell_it(serve_raw, receiver, monkeypatch, code, place):
+    def answer(request):
+        path = request.split(b" ")[1]
+        token = request.partition(b"Authorization: ")[2].partition(b"\r\n")[0]
+        body = b"x" * 185 + b" " + unquote_to_bytes(path) + b" " + path + b" " + token
+        return b"HTTP/1.0 %d Bad %s %s\r\n\r\n%s" % (code, path, token, body)
+
+    monkeypatch.setenv("BENCH_TOKEN", SECRET)
+    hook = receiver(kind="webhook", address=serve_raw(answer) + place, secret_env="BENCH_TOKEN")  # noqa: S106 - a name
+    try:
+        told = deliver(hook, ENDS)
+    except UndeliveredError as error:
+        told = str(error)
+        assert told.startswith(f"the server answered {code} {http.HTTPStatus(code).phrase}: xxx")
+    else:
+        assert told == "200 OK"
+    assert "Geh" not in told
+    assert "Bad" not in told
+
+
+def test_a_server_that_speaks_no_http_does_not_make_it_told_either(serve_raw, receiver, monkeypatch):
+    monkeypatch.setenv("BENCH_TOKEN", SECRET)
+    url = serve_raw(lambda request: b"y" * 190 + request.split(b" ")[1] + b"\r\n\r\n")
+    hook = receiver(kind="webhook", address=url + "/{secret}", secret_env="BENCH_TOKEN")  # noqa: S106 - a name
+    with pytest.raises(UndeliveredError) as caught:
+        deliver(hook, ENDS)
+    assert "Geh" not in str(caught.value)
+
+
+def test_a_server_that_answers_line_by_line_without_end_is_given_up(serve_drip, receiver, monkeypatch):
+    monkeypatch.setattr(delivery, "LONGEST_S", 0.5)
+    with pytest.raises(UndeliveredError, match=r"no answer within 0.5 s") as caught:
+        deliver(receiver(kind="webhook", address=serve_drip()), ENDS)
     assert not caught.value.is_final

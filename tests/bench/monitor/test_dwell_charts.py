@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.picture import DwellNow, LiveBias
+from bench.live.picture_parts import DwellNow, LiveBias
 from bench.monitor.dwell_charts import bias_charts, window_charts
 from tests.bench.live.made_up_picture import made_up_picture
 from tests.bench.monitor.test_chart import places

@@ -1,7 +1,7 @@
 import pytest
 
 from bench.live.picture import RunState
-from bench.monitor.news import age_text, news_of, parsed_utc
+from bench.monitor.news import age_text, news_of
 from tests.bench.monitor.served_run import NOW
 
 
@@ -24,8 +24,3 @@ def test_a_run_that_should_write_and_does_not_is_silent(state, updated, age_s, i
 def test_ages_are_told_in_the_unit_that_fits():
     ages = (0.4, 40.0, 720.0, 5 * 3600.0, 3 * 86400.0)
     assert [age_text(age_s) for age_s in ages] == ["0 s", "40 s", "12 min", "5 h", "3 days"]
-
-
-def test_a_time_without_its_zone_is_utc_and_what_is_no_time_is_none():
-    assert parsed_utc("2026-03-02T16:42:01") == NOW
-    assert parsed_utc("yesterday") is None

@@ -6,13 +6,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from bench.live.picture import (
-    MeasuredProfile,
-    Picture,
-    PlannedProfile,
-    Question,
-    RunState,
-)
+from bench.live.picture import Picture, RunState
+from bench.live.picture_parts import MeasuredProfile, PlannedProfile, Question
 from bench.monitor.news import News
 from bench.monitor.page import run_fragment, whole_page
 from tests.bench.live.made_up_picture import made_up_picture, waiting_picture

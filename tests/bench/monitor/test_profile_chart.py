@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.picture import MeasuredProfile, PlannedProfile
+from bench.live.picture_parts import MeasuredProfile, PlannedProfile
 from bench.monitor.profile_chart import profile_chart
 from tests.bench.live.made_up_picture import HOUR_S, made_up_picture
 from tests.bench.monitor.test_chart import places

@@ -1,7 +1,7 @@
 import math
 from dataclasses import replace
 
-from bench.monitor.rows import bin_tables, dwell_table, reading_rows
+from bench.monitor.rows import bin_tables, reading_rows, shown_dwells
 from tests.bench.live.made_up_picture import bins_of, dwells_done, made_up_picture
 
 
@@ -31,7 +31,7 @@ def test_no_bins_where_no_dwell_counts():
 
 
 def test_dwells_come_with_the_newest_first():
-    table = dwell_table(dwells_done(13))
+    table = shown_dwells(dwells_done(13))
     assert [row.number for row in table.rows] == list(range(13, 0, -1))
     newest, flagged = table.rows[0], table.rows[13 - 5]
     assert (newest.position, newest.temperature) == ("Z-Up", "3.1")

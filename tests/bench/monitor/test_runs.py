@@ -35,6 +35,14 @@ def test_a_run_that_did_not_tell_of_its_end_was_cut_off(tmp_path):
     assert "without a word" in summary.reason
 
 
+def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_tell_its_old_end(tmp_path):
+    write_journal(tmp_path / "old", [*JOURNAL, {"event": "run_resumed", "procedure": "shift"}])
+    summary = summarise(tmp_path / "old")
+    assert summary.state is RunState.STOPPED
+    assert "without a word" in summary.reason
+    assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
+
+
 def test_a_run_with_a_picture_is_told_from_it(tmp_path):
     with run_under_way(tmp_path / "new") as run:
         summary = summarise(run)

@@ -136,3 +136,24 @@ def test_a_client_that_goes_away_leaves_nothing_in_the_terminal(capfd):
 def test_a_port_that_is_in_use_is_told(server):
     with pytest.raises(GyrobenchError, match=rf"port {server.server_port} .*Give another --port"):
         MonitorServer(server.answer, server.server_port)
+
+
+def test_a_page_that_can_not_be_made_is_told_and_the_others_are_still_there():
+    def answer(target):
+        return Answer(HTTPStatus.OK, str(1 / len(target.strip("/"))).encode())
+
+    with served(answer) as server:
+        response, body = ask(server, "/")
+        assert (response.status, b"ZeroDivisionError" in body) == (500, True)
+        assert ask(server, "/ab")[1] == b"0.5"
+
+
+def test_a_client_that_drips_is_cut_off(monkeypatch):
+    monkeypatch.setattr("bench.monitor.server._LONGEST_REQUEST_S", 0.5)
+    with (
+        served(lambda target: Answer(HTTPStatus.OK, target.encode())) as server,
+        socket.create_connection(("127.0.0.1", server.server_port), timeout=30) as connection,
+    ):
+        connection.sendall(b"GET / HTTP/1.0\r\n")
+        assert connection.recv(100) == b""
+        assert ask(server, "/page")[1] == b"/page"

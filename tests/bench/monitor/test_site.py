@@ -3,7 +3,8 @@ import threading
 
 import pytest
 
-from bench.live.picture import Message, RunState
+from bench.live.picture import RunState
+from bench.live.picture_parts import Note
 from bench.monitor.site import Site
 from tests.bench.live.made_up_picture import made_up_picture
 from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_picture
@@ -132,7 +133,7 @@ def test_a_run_that_begins_later_gets_its_page_at_the_same_address(tmp_path):
 
 def test_names_and_messages_are_text_whatever_is_in_them(tmp_path):
     name = "<img src=x onerror=alert(1)>&\"'?#%41"
-    write_picture(tmp_path / name, messages=(Message(0.0, "<script>alert(1)</script>"),))
+    write_picture(tmp_path / name, messages=(Note(0.0, "<script>alert(1)</script>"),))
     site = Site(tmp_path, now)
     listed = text_of(site, "/fragment")
     address = "/runs/%3Cimg%20src%3Dx%20onerror%3Dalert%281%29%3E%26%22%27%3F%23%2541/"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 from bench.bias.bins import BiasBin
 from bench.bias.tables.dwell_table import DwellRow, write_dwells
@@ -61,3 +63,10 @@ def test_damaged_files_are_named_and_the_rest_is_read(
     ):
         assert name in said
     assert "can't be sorted into temperature bins" in said
+
+
+def test_reading_a_run_does_not_read_its_raw_log(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(run_folder.path, folder.path)
+    (folder.can / "part-00001.blf").mkdir(parents=True)  # what can't be read
+    assert read_run(folder).problems == read_run(run_folder).problems

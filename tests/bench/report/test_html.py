@@ -159,13 +159,13 @@ def test_operator_host_and_local_time_are_told(copy: RunFolder) -> None:
 
 
 def test_a_verdict_stands_in_the_head_with_its_judgements_below(
-    copy: RunFolder, dwells: list[DwellRow], bins: list[BiasBin]
+    copy: RunFolder, dwells: list[DwellRow]
 ) -> None:
     limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.1)
-    write_acceptance(copy.acceptance, judge(dwells, bins, limits))
+    write_acceptance(copy.acceptance, judge(dwells, limits))
     text = text_of(copy)
     assert "Unit rejected. X gyro, Y gyro and Z gyro are beyond the limit of 0.006 deg/h" in text
-    assert "Limits of the procedure: 0.006 deg/h between two positions in one temperature bin and" in text
+    assert "Limits of the procedure: 0.006 deg/h between two positions at one stop and" in text
     assert re.search(r"X gyro -25 to -20 X-Down above Z-Up fail \S+ ± \S+ \S+ \S+ 6\.0", text)
 
 
@@ -454,3 +454,10 @@ def test_dwells_that_are_all_flagged_still_give_a_report(
     page = page_of(empty_folder)
     assert "1 measured, 1 of them flagged" in page.text
     assert len(page.loads) == 1
+
+
+def test_data_that_can_not_be_hashed_are_told(copy: RunFolder) -> None:
+    (copy.can / "part-00001.blf").mkdir(parents=True)
+    text = page_of(copy).text
+    assert "The data can't be hashed" in text
+    assert "Data that this report stands on" not in text

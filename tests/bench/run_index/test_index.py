@@ -8,6 +8,7 @@ import fsspec
 import pytest
 
 from bench.errors import DocumentError, RunFolderError
+from bench.files import file_sha256
 from bench.run_index.index import Changes, RunIndex
 from bench.run_index.run_files import open_store
 from bench.run_index.selection import Selection, find_runs
@@ -50,12 +51,15 @@ def test_a_run_stands_in_the_index_as_its_folder_tells_it(runs, sample):
 def test_only_runs_whose_files_changed_are_read_again(runs, sample):
     index = index_of(runs)
     index.update()
-    assert index.update() == Changes(read=0, gone=0, unchanged=3)
+    unchanged = index.update()
+    assert (unchanged, unchanged.text) == (Changes(read=0, gone=0, unchanged=3), "")
     write_verdict(copy_run(sample, runs / "d"), "explained", [("thermal_lag", 0.004)])
     with (runs / "a" / "journal.jsonl").open("a") as journal:
         journal.write(json.dumps({"time_s": 9000.0, "event": "run_resumed", "station": "quick"}) + "\n")
     shutil.rmtree(runs / "deep")
-    assert index.update() == Changes(read=2, gone=1, unchanged=1)
+    changes = index.update()
+    assert changes == Changes(read=2, gone=1, unchanged=1)
+    assert changes.text == "2 of 3 runs read anew, 1 run gone"
     told = {run["path"]: (run["ended"], run["verdict"]) for run in find_runs(index, Selection())}
     assert told == {"a": ("not ended", ""), "b": ("finished", ""), "d": ("finished", "explained")}
     assert index.query("SELECT effect, rms_dph FROM effects").rows == [("thermal_lag", 0.004)]
@@ -157,6 +161,37 @@ def test_an_index_is_made_anew_from_the_folders_and_no_other_file_is_replaced(ru
         with pytest.raises(RunFolderError, match="is no index of runs"):
             other.update(rebuild=rebuild)
     assert letter.read_text() == "Dear all"
+
+
+def test_a_damaged_index_is_made_anew_at_once(runs):
+    index = index_of(runs)
+    index.update()
+    content = bytearray(index.path.read_bytes())
+    content[12:200] = bytes(188)
+    index.path.write_bytes(bytes(content[:5000]))
+    assert index_of(runs).update().read == 3
+
+
+@pytest.mark.parametrize(("sql", "count"), [("", 0), (";", 0), ("-- nothing", 0), ("SELECT 1; SELECT 2", 2)])
+def test_one_query_is_answered_at_a_time(runs, sql, count):
+    index = index_of(runs)
+    index.update()
+    with pytest.raises(DocumentError, match=f"one query .* found {count}"):
+        index.query(sql)
+
+
+def test_a_verdict_on_dwells_that_were_measured_anew_is_stale(runs, sample):
+    folder = copy_run(sample, runs / "d")
+    write_verdict(folder, "clean", [("thermal_lag", 0.004)])
+    findings = folder.closure / "findings.json"
+    findings.write_text(json.dumps({"dwells_sha256": file_sha256(folder.dwells)}))
+    index = index_of(runs)
+    index.update()
+    assert index.query("SELECT verdict FROM runs WHERE path = 'd'").rows == [("clean",)]
+    findings.write_text(json.dumps({"dwells_sha256": "0" * 64}))
+    index.update()
+    assert index.query("SELECT verdict FROM runs WHERE path = 'd'").rows == [("stale",)]
+    assert index.query("SELECT count(*) FROM effects").rows == [(0,)]
 
 
 def test_runs_are_found_by_each_thing_that_can_be_asked(runs):

@@ -2,9 +2,8 @@ import subprocess
 
 import pytest
 
-from bench.errors import RunFolderError
 from bench.run_store.folder import RunFolder
-from bench.run_store.manifest import data_hashes, file_sha256
+from bench.run_store.manifest import data_hashes
 
 
 @pytest.fixture
@@ -41,8 +40,3 @@ def test_any_change_of_the_log_changes_its_hash(folder, change):
 
 def test_nothing_there_gives_no_hash(tmp_path):
     assert data_hashes(RunFolder(tmp_path)) == []
-
-
-def test_a_file_that_is_missing_is_told(tmp_path):
-    with pytest.raises(RunFolderError, match=r"dwells\.csv: can't be read"):
-        file_sha256(tmp_path / "dwells.csv")

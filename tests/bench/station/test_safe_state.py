@@ -133,3 +133,29 @@ def test_a_station_may_switch_chamber_and_unit_off(opened):
     assert set(problems(make_safe(station, instruments)).values()) == {""}
     assert not bench.world.air.running
     assert not bench.world.thermal.powered
+
+
+@pytest.mark.parametrize(
+    ("action", "text"),
+    [
+        (SafeAction("rate table stopped"), "rate table stopped"),
+        (SafeAction("rate table stopped", "", "says nothing"), "rate table stopped"),
+        (SafeAction("rate table stopped", "says nothing"), "FAILED: rate table stopped: says nothing"),
+    ],
+)
+def test_an_action_is_told_in_one_line_with_why_it_failed(action, text):
+    assert action.text == text
+
+
+def test_a_table_that_does_not_come_to_rest_is_told_and_its_servos_are_open(opened):
+    station, instruments, bench = opened
+    instruments.table.prepare()
+    instruments.table.turn_at(2, 2.0)
+    bench.clock.sleep(5.0)
+    bench.world.axes[2].stop = lambda now_s: None
+    bench.world.axes[2].release = lambda now_s: None
+    action = make_safe(station, instruments)[-1]
+    assert action.text.startswith(
+        "FAILED: rate table's interlocks opened: rate table: still turns at 2 deg/s"
+    )
+    assert bench.serial["table"].feed(b":Interlock? 2\r\n", bench.clock.now()).endswith(b"Open")

@@ -150,3 +150,14 @@ def test_a_port_that_can_not_be_opened_names_instrument_and_port(changed):
 def test_an_absent_world_lists_the_shipped_ones():
     with pytest.raises(DocumentError, match="gyro_a"):
         Instruments(Station(SHIPPED), VirtualClock(), Emulation("absent", 0))
+
+
+def test_a_station_in_virtual_time_has_a_clock_that_jumps():
+    assert isinstance(Station(SHIPPED).new_clock(), VirtualClock)
+
+
+@pytest.mark.parametrize(("clock", "speed"), [("clock: wall", 1.0), ("clock: wall\nspeed: 20", 20.0)])
+def test_a_station_in_real_time_has_a_clock_of_its_speed(changed, clock, speed):
+    made = Station(changed(("clock: virtual", clock))).new_clock()
+    assert isinstance(made, WallClock)
+    assert made.speed == speed

@@ -242,3 +242,34 @@ def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
             result = action()
             if isinstance(result, ChamberReading):
                 assert math.isfinite(result.temperature_c)
+
+
+@pytest.mark.parametrize(("asked", "held"), [(0.06, "0.1"), (0.14, "0.1"), (0.55, "0.6")])
+def test_a_ramp_that_a_controller_of_tenths_makes_another_is_refused(rig, asked, held):
+    line, _ = rig.line("chamber", Tenths())
+    chamber = Thermotron8800(line)
+    with pytest.raises(RefusedError, match=rf"holds {held} degC/min as MRMP1, asked were {asked}"):
+        chamber.set_temperature(60.0, asked)
+
+
+def test_a_ramp_that_a_controller_of_tenths_keeps_nearly_is_taken(rig):
+    line, _ = rig.line("chamber", Tenths())
+    chamber = Thermotron8800(line)
+    chamber.set_temperature(60.04, 1.04)
+    assert chamber.set_point_c() == 60.0
+
+
+class Tenths:
+    """A controller that keeps tenths."""
+
+    latency_s = 0.01
+
+    def __init__(self):
+        self._held = {}
+
+    def feed(self, data, now_s):
+        name, _, value = data.decode().strip().partition(",")
+        if not value:
+            return f"{self._held.get(name.rstrip('?'), '0')}\r\n".encode()
+        self._held[name] = f"{float(value) + 1e-9:.1f}"
+        return b"0\r\n"

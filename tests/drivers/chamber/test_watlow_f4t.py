@@ -77,8 +77,16 @@ def test_without_a_rate_the_ramp_is_switched_off(bench):
 
 
 def test_a_ramp_too_slow_for_the_controller_to_hold_is_refused(make_bench):
-    with pytest.raises(RefusedError, match=r"holds 0 as RRATE although 0\.04 was written"):
+    with pytest.raises(RefusedError, match=r"holds 0 degC/min as RRATE, asked were 0\.04"):
         make_bench(decimals=1).driver().set_temperature(60.0, 0.04)
+
+
+def test_a_ramp_that_a_controller_of_tenths_makes_another_is_refused(make_bench):
+    bench = make_bench(decimals=1)
+    with pytest.raises(RefusedError, match=r"holds 0\.1 degC/min as RRATE, asked were 0\.06"):
+        bench.driver().set_temperature(60.0, 0.06)
+    assert bench.air.set_point_c != 60.0
+    bench.driver().set_temperature(60.0, 1.04)
 
 
 def test_a_reading_tells_air_set_point_and_whether_it_runs(make_bench):

@@ -137,6 +137,20 @@ def test_releasing_stops_the_table_before_it_opens_the_servos(table, controller)
     assert controller.feed(b":utility:lockout?\n", 1e6)[8:] == b"OFF"
 
 
+def test_an_axis_that_does_not_come_to_rest_is_told_after_the_servos_are_open(rig):
+    controller = Acutrol3000Emulator(rig.bench.world.axes)
+    line, _ = rig.line("table", controller)
+    table = Acutrol3000(line)
+    table.prepare()
+    table.turn_at(2, 5.0)
+    rig.wait(5.0)
+    rig.axis.stop = lambda now_s: None
+    with pytest.raises(FaultError, match=r"still turns at 5 deg/s 30 s after the stop; its servos were"):
+        table.release()
+    assert not controller.axes[2].closed
+    assert controller.feed(b":utility:lockout?\n", 1e6)[8:] == b"OFF"
+
+
 def test_a_table_that_was_never_prepared_can_be_released(table):
     table.release()
     assert table.faults() == []

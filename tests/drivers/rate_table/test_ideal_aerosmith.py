@@ -197,3 +197,27 @@ def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
             result = action()
             if isinstance(result, TableReading):
                 assert all(map(math.isfinite, result.position_deg + result.rate_dps))
+
+
+def test_an_axis_that_does_not_come_to_rest_is_told_after_its_motor_is_off(bench):
+    table = bench.prepared()
+    table.turn_at(2, 5.0)
+    bench.rig.wait(5.0)
+    bench.axis.stop = lambda now_s: None
+    with pytest.raises(FaultError, match=r"still turns at 5 deg/s 30 s after the stop; its motor was"):
+        table.release()
+    assert bench.heard.requests[-1] == b"SRV0\r"
+
+
+def test_an_axis_whose_rate_can_not_be_read_is_not_taken_for_one_at_rest(rig):
+    line, heard = rig.line("table", NoRates())
+    with pytest.raises(FaultError, match="tells no rate 30 s after the stop and may still turn"):
+        IdealAerosmith(line).release()
+    assert heard.requests[-1] == b"SRV0\r"
+
+
+class NoRates:
+    latency_s = 0.01
+
+    def feed(self, data, now_s):
+        return b"" if data == b"PVE\r" else b">"

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.engine.interlocks import Expected
+from bench.engine.interlocks import Expected, text_of
 from bench.station.station import Station
 from drivers.chamber import ChamberReading
 from drivers.ins.readout import InsMode
@@ -265,3 +265,13 @@ def test_air_that_leaves_a_set_point_that_it_had_reached_trips(watched):
     bench.expected = replace(bench.expected, chamber_reached=True)
     trip = bench.poll()["chamber_deviation"]
     assert all(word in trip.text for word in ("26.0", "+6.0 K", "5 K"))
+
+
+def test_what_is_wrong_in_many_places_is_advised_once(station_of):
+    bench = WatchedBench(station_of())
+    bench.ins.optics_c = bench.ins.electronics_c = np.full(3, 200.0)
+    bench.ins.case_c = 200.0
+    text = text_of(bench.poll().values())
+    assert text.count("Check the sensor and the signal map; let the unit come back") == 1
+    assert text.count("above the limit") == 7
+    assert ".;" not in text

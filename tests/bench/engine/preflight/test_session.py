@@ -200,7 +200,7 @@ def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):
     check = disk_check(station, tmp_path / "not" / "there", plan, 1e9)
     assert check.verdict is Verdict.FAIL
     assert f"free at {tmp_path}" in check.found
-    assert "GB for 45" in check.found
+    assert "GB for 44:59 h" in check.found
 
 
 def test_a_station_file_that_is_wrong_is_told_before_anything_is_opened(tmp_path):

@@ -4,6 +4,7 @@ import pytest
 from rich.console import Console
 
 from bench.bias.acceptance import judge
+from bench.bias.stops import PlannedDwell
 from bench.bias.verdicts import Acceptance, AcceptanceLimits
 from bench.report.terminal.acceptance import acceptance_summary
 
@@ -21,8 +22,8 @@ def printed(acceptance):
 @pytest.mark.parametrize(
     ("limit_dph", "verdict"), [(0.1, "accepted"), (0.0165, "marginal"), (0.006, "rejected")]
 )
-def test_each_gyro_has_one_line_and_the_unit_a_verdict(dwells, bins, limit_dph, verdict):
-    lines = printed(judge(dwells, bins, AcceptanceLimits(position_difference_dph=limit_dph)))
+def test_each_gyro_has_one_line_and_the_unit_a_verdict(dwells, limit_dph, verdict):
+    lines = printed(judge(dwells, AcceptanceLimits(position_difference_dph=limit_dph)))
     assert [line[:6] for line in lines[3:6]] == ["X gyro", "Y gyro", "Z gyro"]
     assert " ".join(lines).count(f"Unit {verdict}.") == 1
 
@@ -31,13 +32,14 @@ def test_a_run_without_limits_says_so():
     assert printed(Acceptance()) == ["Unit not judged. The procedure states no acceptance limits."]
 
 
-def test_what_was_not_measured_is_counted(dwells, bins):
+def test_what_was_not_measured_is_counted(dwells):
     limits = AcceptanceLimits(position_difference_dph=0.1)
-    lines = printed(judge(dwells, bins, limits, [(99.0, "z_up"), (99.0, "z_down")]))
-    assert "Unit not judged. 2 planned positions have no good dwell" in " ".join(lines)
+    planned = [PlannedDwell(900 + i, 9, name, 99.0, (99.0,) * 3) for i, name in enumerate(("z_up", "z_down"))]
+    lines = printed(judge(dwells, limits, planned))
+    assert "Unit not judged. 2 planned dwells were not compared" in " ".join(lines)
 
 
 def test_a_run_without_comparisons_says_so(dwells):
-    assert printed(judge(dwells, [], AcceptanceLimits(position_difference_dph=0.1))) == [
-        "Unit not judged. No temperature bin holds dwells of two positions."
+    assert printed(judge(dwells[:1], AcceptanceLimits(position_difference_dph=0.1))) == [
+        "Unit not judged. No stop of the chamber has good dwells in two positions."
     ]

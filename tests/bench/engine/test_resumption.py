@@ -12,14 +12,13 @@ from bench.clock import VirtualClock
 from bench.engine.operator import ConsentingOperator
 from bench.engine.orders import Order
 from bench.engine.people import Progress
-from bench.engine.session import (
+from bench.engine.resumption import (
     MOST_RESUMED_IN_VAIN,
     describe_resumption,
-    prepare_job,
     prepare_resumption,
     resume_run,
-    run_job,
 )
+from bench.engine.session import prepare_job, run_job
 from bench.errors import BenchInUseError, RunFolderError
 from bench.run_store.folder import open_run_folder
 from bench.run_store.journal import read_journal

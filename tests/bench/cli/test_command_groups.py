@@ -1,0 +1,15 @@
+"""The list of commands in the help."""
+
+import typer
+
+from bench.cli import app
+from bench.cli.command_groups import GROUPS
+from tests.bench.command_line import gyrobench
+
+
+def test_every_command_stands_in_a_group_in_its_order(tmp_path):
+    command = typer.main.get_command(app)
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert command.list_commands(None) == grouped
+    assert sorted(command.commands) == sorted(grouped)
+    assert "Other:" not in gyrobench("--help", cwd=tmp_path).stdout

@@ -1,0 +1,31 @@
+"""Exit codes that all commands share."""
+
+import os
+
+import pytest
+
+from bench.clock import WallClock
+from bench.documents import find_document
+from bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock
+from bench.station.station import Station
+from tests.bench.command_line import gyrobench
+
+COMMANDS = {
+    "run": ("run", "ten_minute_check", "--station", "real.yaml"),
+    "check": ("check", "real.yaml"),
+    "jog": ("jog", "real.yaml", "show"),
+    "record": ("record", "real.yaml", "--instrument", "table", "--out", "table.rec"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_bench_that_somebody_else_holds_is_not_touched_and_ends_with_three(command, tmp_path, monkeypatch):
+    monkeypatch.setenv(LOCK_DIR_VARIABLE, str(tmp_path))
+    text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
+    path = tmp_path / "real.yaml"
+    path.write_text(text.replace("emulator://table", os.devnull))
+    with BenchLock(Station(path), tmp_path / "some_run", WallClock()):
+        answer = gyrobench(*COMMANDS[command], cwd=tmp_path)
+    assert answer.returncode == 3
+    assert "some_run" in answer.stderr
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,43 @@
+"""What a search leaves, and where: beside a table, in a run, or in a folder of its own."""
+
+import shutil
+
+import pytest
+
+from bench.bias.tables.dwell_table import write_dwells
+from bench.report.closure.search_files import write_search
+from bench.run_store.folder import RunFolder
+from tests.bench.report.made_up_closure import clean, made_up_rows
+
+FILES = {"closure.html", "closure.json", "findings.json", "predictions.csv", "model.yaml", "figures"}
+
+
+@pytest.fixture
+def run(short_run, tmp_path):
+    shutil.copytree(short_run[0].path, tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_search_in_a_run_stands_in_its_folder_and_in_its_report(run):
+    written = write_search(clean(), run.path)
+    assert (written.page, written.report) == (run.closure / "closure.html", run.report)
+    assert names(run.closure) == FILES
+    assert "Search for effects" in run.report.read_text()
+
+
+def test_a_search_that_is_written_elsewhere_leaves_the_run_as_it_is(run, tmp_path):
+    before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+    written = write_search(clean(), run.path, tmp_path / "found")
+    assert (written.page, written.report) == (tmp_path / "found" / "closure.html", None)
+    assert {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()} == before
+
+
+def test_a_search_in_a_table_stands_beside_it(tmp_path):
+    write_dwells(tmp_path / "dwells.csv", made_up_rows())
+    written = write_search(clean(), tmp_path / "dwells.csv")
+    assert (written.page.parent, written.report) == (tmp_path / "closure", None)
+    assert names(tmp_path / "closure") == FILES
