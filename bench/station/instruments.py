@@ -193,7 +193,7 @@ class Instruments(Outputs):
             self.ins.close()  # first: a channel that is closed later would close for both
             return open_ins_bus(self._station, self.clock, self._emulation)
 
-        self.ins.replace_bus(within(self.clock, _OPENING_TIME_S, INS, anew, discard=close_bus))
+        self.ins.replace_bus(within(self.clock, _opening_time_s(self.clock), INS, anew, discard=close_bus))
 
     def close(self) -> None:
         """Close all ports; the instruments stay as they are."""
@@ -217,7 +217,7 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
     with contextlib.ExitStack() as opened:
         line = _line(RATE_TABLE, section, dialect.line, clock, _addressed(section, station, clock, emulation))
         opened.callback(line.close)
-        line.await_silence(_LATE_REPLY_S, _OPENING_TIME_S / 2.0)
+        line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         table: RateTable = dialect.open(line, section.axis_numbers, section)
         opened.pop_all()
     return table
@@ -236,7 +236,7 @@ def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chambe
     with contextlib.ExitStack() as opened:
         line = _line(CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation))
         opened.callback(line.close)
-        line.await_silence(_LATE_REPLY_S, _OPENING_TIME_S / 2.0)
+        line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         chamber: Chamber = dialect.open(line, section)
         opened.pop_all()
     return chamber
@@ -292,8 +292,13 @@ def _check_server(section: InsSection) -> None:
         ) from error
 
 
+def _opening_time_s(clock: Clock) -> float:
+    """Longest time to open a port, on the run's clock: it is this computer's work, however fast that runs."""
+    return _OPENING_TIME_S * clock.speed
+
+
 def _opened(clock: Clock, instrument: str, open_it: Callable[[], DriverT]) -> DriverT:
-    return within(clock, _OPENING_TIME_S, instrument, open_it, discard=lambda driver: driver.close())
+    return within(clock, _opening_time_s(clock), instrument, open_it, discard=lambda driver: driver.close())
 
 
 def _reopened(clock: Clock, instrument: str, old: DriverT | None, open_it: Callable[[], DriverT]) -> DriverT:

@@ -59,6 +59,7 @@ def test_mistakes_are_told(place):
     assert "there is no run folder" in nothing.stderr
 
 
+@pytest.mark.long
 def test_the_unit_that_stands_out_of_an_emulated_batch_is_named(tmp_path):
     make_runs(tmp_path / "runs", OUTLIER + 1, OUTLIER + 1, outlying_dph=0.05)
     lines = "".join(f"{2000 + unit},B7\n" for unit in range(OUTLIER + 1))

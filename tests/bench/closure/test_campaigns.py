@@ -20,6 +20,8 @@ from tests.bench.closure.campaigns import (
 )
 from tests.bench.closure.plans import shipped, station
 
+pytestmark = pytest.mark.long
+
 CYCLES, SOAKS, DWELLS, RESTING = 3, 4, 6, 4
 HYSTERESIS = ("half_width_c", "sensitivity_dph_per_c")
 

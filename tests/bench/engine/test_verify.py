@@ -24,6 +24,8 @@ from bench.station.instruments import Emulation
 from tests.bench.closure.campaigns import EFFECTS, STATION, write_world
 from tests.bench.command_line import gyrobench
 
+pytestmark = pytest.mark.long
+
 DWELL = """
               - align: {duration_s: 16}
               - navigate: {duration_s: 60}

@@ -16,11 +16,9 @@ from bench.run_store.journal import read_journal
 from bench.run_store.telemetry import read_telemetry
 from bench.station.station import Station
 
-WORLDS = (
-    pytest.param("ideal", marks=pytest.mark.long),
-    "gyro_a",
-    pytest.param("gyro_b", marks=pytest.mark.long),
-)
+pytestmark = pytest.mark.long
+
+WORLDS = ("ideal", "gyro_a", "gyro_b")
 IDEAL_BIAS_DPH = (0.003, -0.002, 0.004)
 
 
@@ -74,7 +72,6 @@ def test_positions_part_below_50_degc_in_gyro_a_and_agree_above(shift_runs):
     assert largest_difference(folder, cold=False)[0] > 0.01
 
 
-@pytest.mark.long
 def test_positions_agree_everywhere_in_gyro_b(shift_runs):
     folder, _ = shift_runs["gyro_b"]
     assert largest_difference(folder, cold=True)[0] > 0.01

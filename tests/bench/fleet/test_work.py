@@ -16,6 +16,8 @@ from bench.fleet.record import FleetRecord, read_record
 from bench.fleet.work import work_through
 from tests.bench.run_index.sample_runs import copy_run
 
+pytestmark = pytest.mark.long
+
 
 class DiesOfDeadlyRuns(WorkerPlugin):
     """Makes a worker end as the kernel ends one that takes all memory, when it opens a run of that name."""

@@ -12,8 +12,10 @@ from bench.measurement.marks import DwellMarks
 from bench.run_store.folder import RunFolder
 from bench.run_store.journal import read_journal
 
+pytestmark = pytest.mark.long
 
-@pytest.mark.parametrize("world", [pytest.param("ideal", marks=pytest.mark.long), "gyro_a"])
+
+@pytest.mark.parametrize("world", ["ideal", "gyro_a"])
 def test_the_tables_are_the_same_to_the_last_digit(shift_runs, tmp_path, world):
     folder, _ = shift_runs[world]
     shutil.copytree(folder.path, tmp_path / "run")
