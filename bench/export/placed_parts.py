@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import can
 
-from bench.errors import RunFolderError
-from bench.measurement.marks import DwellMarks
+from bench.measurement.replay import finished_marks
 from bench.run_store.can_log import read_can_log
 from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
 from bench.run_store.provenance import started_utc
 
 #: 1990-01-01 UTC: no time before it is one of the calendar, for the BLF format neither.
@@ -54,7 +52,7 @@ class PlacedLog:
     """
 
     def __init__(self, folder: RunFolder) -> None:
-        self.finished = _finished_dwells(folder)
+        self.finished = {marks.log_part: marks for marks in finished_marks(folder)}
         self.estimated: list[int] = []
         self.began_s = started_utc(folder).timestamp()
         self._folder = folder.can
@@ -79,16 +77,3 @@ class PlacedLog:
             return begin_s - messages[marks.windows[0].first_frame].timestamp
         self.estimated.append(number)
         return end_s - messages[0].timestamp
-
-
-def _finished_dwells(folder: RunFolder) -> dict[int, DwellMarks]:
-    """Marks of the finished dwells by their part of the log."""
-    finished = {}
-    for entry in read_journal(folder.journal):
-        if entry.get("event") == "dwell_finished":
-            try:
-                marks = DwellMarks.from_json(entry.get("marks", {}))
-            except RunFolderError as error:
-                raise RunFolderError(f"{folder.journal}: {error}") from error
-            finished[marks.log_part] = marks
-    return finished

@@ -52,17 +52,25 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
         raise RunFolderError(f"{folder.can}: lacks the parts {sorted(pending)} that the journal names")
 
 
-def _finished(folder: RunFolder) -> list[DwellMarks]:
-    """Marks of the finished dwells, each number once."""
-    finished: dict[int, DwellMarks] = {}
+def finished_marks(folder: RunFolder) -> Iterator[DwellMarks]:
+    """Marks of the finished dwells as the journal tells them, in the order of time.
+
+    Raises
+    ------
+    RunFolderError
+        The journal is damaged.
+    """
     for entry in read_journal(folder.journal):
         if entry.get("event") == "dwell_finished":
             try:
-                marks = DwellMarks.from_json(entry.get("marks", {}))
+                yield DwellMarks.from_json(entry.get("marks", {}))
             except RunFolderError as error:
                 raise RunFolderError(f"{folder.journal}: {error}") from error
-            finished[marks.dwell] = marks
-    return list(finished.values())
+
+
+def _finished(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of the finished dwells, each number once."""
+    return list({marks.dwell: marks for marks in finished_marks(folder)}.values())
 
 
 def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -> FrameBlock:

@@ -14,16 +14,7 @@ from bench.clock import WallClock
 from bench.documents import find_document
 from bench.station.instruments import Outputs
 from bench.station.station import Station
-
-WORLD = """
-world: quick
-latitude_deg: 36.4
-thermal:
-  x: {heat_path: [0.0, -0.8, 0.6]}
-  y: {heat_path: [0.6, 0.8, 0.0]}
-  z: {heat_path: [0.8, 0.0, -0.6]}
-ins: {boot_s: 0.2}
-"""
+from tests.drivers.emulators.quick_world import QUICK_WORLD
 
 #: Opens the bench, sets the table turning and the chamber heating, and beats until it is ended.
 ENGINE = """
@@ -73,7 +64,7 @@ class ServedBench:
 
     def __init__(self, folder):
         world = folder / "world.yaml"
-        world.write_text(WORLD)
+        world.write_text(QUICK_WORLD)
         command = [sys.executable, "-m", "drivers.emulators.serve", "--world", str(world), "--for-s", "200"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.urls = json.loads(self.process.stdout.readline())

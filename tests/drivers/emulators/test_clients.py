@@ -18,16 +18,8 @@ from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
 from drivers import ins
+from tests.drivers.emulators.quick_world import QUICK_WORLD
 
-WORLD = """
-world: quick
-latitude_deg: 36.4
-thermal:
-  x: {heat_path: [0.0, -0.8, 0.6]}
-  y: {heat_path: [0.6, 0.8, 0.0]}
-  z: {heat_path: [0.8, 0.0, -0.6]}
-ins: {boot_s: 0.2}
-"""
 SPEED = 5.0
 UNIT_POWER_REGISTER = 2010
 
@@ -36,7 +28,7 @@ UNIT_POWER_REGISTER = 2010
 def urls(request, tmp_path_factory):
     """Where the emulators of a bench are that lives five times as fast as real time, its unit on."""
     world = tmp_path_factory.mktemp("world") / "quick.yaml"
-    world.write_text(WORLD)
+    world.write_text(QUICK_WORLD)
     options = ["--tcp", "--can", "socketcand"] if "tcp" in request.param else []
     command = [sys.executable, "-m", "drivers.emulators.serve", "--world", str(world), "--speed", str(SPEED)]
     with subprocess.Popen([*command, "--for-s", "60", *options], stdout=subprocess.PIPE, text=True) as server:

@@ -17,17 +17,9 @@ from drivers.chamber.watlow_f4 import WatlowF4
 from drivers.emulators.serve import main
 from drivers.rate_table.acutrol3000 import Acutrol3000
 from drivers.serial_line import SerialLine
+from tests.drivers.emulators.quick_world import QUICK_WORLD
 
 COMMAND = [sys.executable, "-m", "drivers.emulators.serve"]
-QUICK_WORLD = """
-world: quick
-latitude_deg: 36.4
-thermal:
-  x: {heat_path: [0.0, -0.8, 0.6]}
-  y: {heat_path: [0.6, 0.8, 0.0]}
-  z: {heat_path: [0.8, 0.0, -0.6]}
-ins: {boot_s: 0.2}
-"""
 READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
 VELOCITY_NE, ROLL_PITCH, HEADING, STATUS = 0x004, 0x006, 0x007, 0x010
 
