@@ -29,7 +29,7 @@ from drivers.rate_table.acl_messages import (
     set_bits,
 )
 from drivers.rate_table.dialect import TableDialect
-from drivers.rate_table.standstill import turns_still
+from drivers.rate_table.standstill import await_standstill, require_rest
 from drivers.serial_line import SerialLine
 
 AnswerT = TypeVar("AnswerT")
@@ -38,7 +38,6 @@ _REGISTER = re.compile(r"\d{1,10}", re.ASCII)
 #: Modes whose limits bound the motions of this driver: Off (controlled stop), Position, Rate.
 _LIMITED_MODES = ("O", "P", "R")
 _SERVO_TIME_S = 5.0
-_STANDSTILL_TIME_S = 30.0
 _STANDSTILL_DPS = 0.01
 _POLL_S = 0.1
 #: After a failed exchange the line must be silent for the reply time-out, within so many of them.
@@ -159,16 +158,13 @@ class Acutrol3000:
         """
         try:
             self.stop()
-            rates_dps = self._awaited_standstill_dps()
+            rates_dps = await_standstill(
+                self._line.clock, lambda: self.read().rate_dps, _STANDSTILL_DPS, _POLL_S
+            )
         finally:
             self._command(self._each_axis(":Interlock:", "Open"))
         self._command(":Utility:Lockout OFF")
-        if not _rest(rates_dps):
-            raise FaultError(
-                self._line.instrument,
-                f"{turns_still(rates_dps, _STANDSTILL_TIME_S)}; its servos were opened. Keep away from it "
-                "until it rests, and use its emergency stop.",
-            )
+        require_rest(self._line.instrument, rates_dps, _STANDSTILL_DPS, "its servos were opened")
 
     def close(self) -> None:
         """Close the line; the table stays as it is."""
@@ -187,21 +183,6 @@ class Acutrol3000:
             if deadline.expired():
                 raise self._no_servo()
             clock.sleep(_POLL_S)
-
-    def _awaited_standstill_dps(self) -> tuple[float, ...]:
-        """Rates of all axes once they rest, or when their time for that is over."""
-        clock = self._line.clock
-        deadline = Deadline(clock, _STANDSTILL_TIME_S)
-        while not _rest(rates_dps := self._known_rates_dps()) and not deadline.expired():
-            clock.sleep(_POLL_S)
-        return rates_dps
-
-    def _known_rates_dps(self) -> tuple[float, ...]:
-        """Rates of all axes; NaN where they can't be read, since they may still turn then."""
-        try:
-            return self.read().rate_dps
-        except (NoReplyError, ReplyError):
-            return (math.nan,)
 
     def _no_servo(self) -> FaultError:
         causes = "; ".join(self.faults()) or "the controller names no fault"
@@ -271,10 +252,6 @@ class Acutrol3000:
             self._line.instrument,
             f"{message} was answered by {reply!r}. Does another program use this line?",
         )
-
-
-def _rest(rates_dps: Sequence[float]) -> bool:
-    return all(abs(rate_dps) <= _STANDSTILL_DPS for rate_dps in rates_dps)
 
 
 def _number(value: float) -> str:

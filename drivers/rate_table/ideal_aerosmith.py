@@ -17,13 +17,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from bench.clock import Deadline
 from bench.documents import StrictModel
-from bench.errors import FaultError, NoReplyError, RefusedError, ReplyError
+from bench.errors import FaultError, RefusedError
 from drivers.dialects import LineDefaults
 from drivers.rate_table import AxisLimits, TableReading
 from drivers.rate_table.dialect import TableDialect
-from drivers.rate_table.standstill import turns_still
+from drivers.rate_table.standstill import await_standstill, require_rest
 from drivers.serial_line import SerialLine
 from drivers.text_line import TextLine
 
@@ -33,7 +32,6 @@ _DECIMALS = 4
 _REACHED_DEG, _STANDSTILL_DPS = 0.002, 0.002
 #: An axis that stands still for so long short of its target will not go there.
 _STUCK_S = 5.0
-_STANDSTILL_TIME_S = 30.0
 _POLL_S = 0.2
 #: A prompt that does not come within this time is held back.
 _HELD_BACK_S = 0.2
@@ -157,34 +155,16 @@ class IdealAerosmith:
         """
         try:
             self.stop()
-            rate_dps = self._awaited_standstill_dps()
+            rates_dps = await_standstill(
+                self._line.clock, lambda: (self._value("PVE"),), _STANDSTILL_DPS, _POLL_S
+            )
         finally:
             self._command("SRV0")
-        if not abs(rate_dps) <= _STANDSTILL_DPS:
-            raise FaultError(
-                self._line.instrument,
-                f"{turns_still((rate_dps,), _STANDSTILL_TIME_S)}; its motor was switched off. Keep away from "
-                "it until it rests, and use its emergency stop.",
-            )
+        require_rest(self._line.instrument, rates_dps, _STANDSTILL_DPS, "its motor was switched off")
 
     def close(self) -> None:
         """Close the line; the table stays as it is."""
         self._line.close()
-
-    def _awaited_standstill_dps(self) -> float:
-        """Rate of the axis once it rests, or when its time for that is over."""
-        clock = self._line.clock
-        deadline = Deadline(clock, _STANDSTILL_TIME_S)
-        while not abs(rate_dps := self._known_rate_dps()) <= _STANDSTILL_DPS and not deadline.expired():
-            clock.sleep(_POLL_S)
-        return rate_dps
-
-    def _known_rate_dps(self) -> float:
-        """Rate of the axis; NaN where it can't be read, since it may still turn then."""
-        try:
-            return self._value("PVE")
-        except (NoReplyError, ReplyError):
-            return math.nan
 
     def _value(self, query: str) -> float:
         """Ask for a number; prompts without one, held back from before, are passed over."""
