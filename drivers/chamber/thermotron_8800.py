@@ -21,14 +21,13 @@ from bench.documents import StrictModel
 from bench.errors import FaultError, RefusedError
 from drivers.chamber import ChamberReading
 from drivers.chamber.dialect import ChamberDialect
+from drivers.chamber.set_point import DECIMALS, check_commandable
 from drivers.dialects import LineDefaults
 from drivers.serial_line import SerialLine
 from drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
 
-_DECIMALS = 3
 _PROGRAM, _MANUAL = 1 << 0, 1 << 4
 _AUXILIARIES_IN_GROUP, _GROUPS = 8, 2
-_LARGEST = 99_999.0
 #: After a command was repeated, its code may follow within this time.
 _CODE_AFTER_ECHO_S = 0.25
 _MASK = re.compile(rb"[0-9]{1,5}(?:\.0*)?")
@@ -128,10 +127,7 @@ class Thermotron8800:
         RefusedError
             A value is no finite number, the controller refuses one, or does not hold it.
         """
-        if rate_c_per_min is not None and not _LARGEST > round(rate_c_per_min, _DECIMALS) > 0.0:
-            raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be commanded")
-        if not abs(temperature_c) < _LARGEST:
-            raise self._refused(f"a set point of {temperature_c} °C can't be commanded")
+        check_commandable(self._line.instrument, temperature_c, rate_c_per_min)
         self._set_ramp(0.0 if rate_c_per_min is None else rate_c_per_min)
         self._set(f"SETP{self._channel}", temperature_c)
 
@@ -194,13 +190,13 @@ class Thermotron8800:
 
     def _set_ramp(self, rate_c_per_min: float) -> None:
         name = f"MRMP{self._channel}"
-        self._command(f"{name},{rate_c_per_min:.{_DECIMALS}f}")
+        self._command(f"{name},{rate_c_per_min:.{DECIMALS}f}")
         if not settles(self._line.clock, lambda: ramp_agrees(self._number(f"{name}?"), rate_c_per_min)):
             held = self._number(f"{name}?")
             raise self._refused(f"holds {held:g} degC/min as {name}, asked were {rate_c_per_min:g}")
 
     def _set(self, name: str, value: float) -> None:
-        self._command(f"{name},{value:.{_DECIMALS}f}")
+        self._command(f"{name},{value:.{DECIMALS}f}")
         if not settles(self._line.clock, lambda: agrees(self._number(f"{name}?"), value)):
             held = self._number(f"{name}?")
             raise self._refused(f"holds {held:g} as {name} although {value:g} was written and accepted")

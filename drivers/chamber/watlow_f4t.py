@@ -14,12 +14,11 @@ from bench.documents import StrictModel
 from bench.errors import FaultError, RefusedError
 from drivers.chamber import ChamberReading
 from drivers.chamber.dialect import ChamberDialect
+from drivers.chamber.set_point import DECIMALS, check_commandable
 from drivers.dialects import LineDefaults
 from drivers.serial_line import SerialLine
 from drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
 
-_DECIMALS = 3
-_LARGEST = 99_999.0
 _OUTPUTS = 8
 _STATES = {b"ON": True, b"1": True, b"OFF": False, b"0": False}
 _ERRORS = {b"ERROR": True, b"NONE": False}
@@ -95,10 +94,7 @@ class WatlowF4T:
         RefusedError
             A value is no finite number, or the controller does not hold it.
         """
-        if rate_c_per_min is not None and not _LARGEST > round(rate_c_per_min, _DECIMALS) > 0.0:
-            raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be commanded")
-        if not abs(temperature_c) < _LARGEST:
-            raise self._refused(f"a set point of {temperature_c} °C can't be commanded")
+        check_commandable(self._line.instrument, temperature_c, rate_c_per_min)
         if rate_c_per_min is None:
             self._set_word("RACTION", _NO_RAMP)
         else:
@@ -190,7 +186,7 @@ class WatlowF4T:
 
 def _plain(value: float) -> str:
     """Decimal number without zeros at its end: 25, 0.5."""
-    return f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
+    return f"{value:.{DECIMALS}f}".rstrip("0").rstrip(".")
 
 
 class WatlowF4TOptions(StrictModel):
