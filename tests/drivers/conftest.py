@@ -39,6 +39,29 @@ class Heard:
         return self.instrument.feed(data, now_s)
 
 
+class ChamberBench:
+    """An emulated chamber at its port, with the events that it switched and the requests that it got.
+
+    A driver's tests name the emulator and the driver.
+    """
+
+    emulator: type
+    driver_of: type
+
+    def __init__(self, rig, **options):
+        self.rig, self.air, self.events = rig, rig.air, []
+        self.chamber = self.emulator(rig.air, lambda number, on: self.events.append((number, on)), **options)
+        self._line, self.heard = rig.line("chamber", self.chamber)
+
+    def driver(self, **options):
+        return self.driver_of(self._line, **options)
+
+    def requests_of(self, action):
+        self.heard.requests.clear()
+        action()
+        return self.heard.requests
+
+
 class Rig:
     """An emulated bench whose table or chamber may be replaced, with lines to it."""
 

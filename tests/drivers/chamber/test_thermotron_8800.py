@@ -6,27 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.chamber import Chamber, ChamberReading
+from drivers.chamber import ChamberReading
 from drivers.chamber.thermotron_8800 import Thermotron8800
 from drivers.emulators.thermotron_8800 import Stop, Thermotron8800Emulator
-from tests.drivers.conftest import Scripted, any_rig
+from tests.drivers.conftest import ChamberBench, Scripted, any_rig
 
 
-class Bench:
-    def __init__(self, rig, **options):
-        self.rig, self.air, self.events = rig, rig.air, []
-        self.chamber = Thermotron8800Emulator(
-            rig.air, lambda number, on: self.events.append((number, on)), **options
-        )
-        self._line, self.heard = rig.line("chamber", self.chamber)
-
-    def driver(self, **options) -> Chamber:
-        return Thermotron8800(self._line, **options)
-
-    def requests_of(self, action):
-        self.heard.requests.clear()
-        action()
-        return self.heard.requests
+class Bench(ChamberBench):
+    emulator, driver_of = Thermotron8800Emulator, Thermotron8800
 
 
 @pytest.fixture

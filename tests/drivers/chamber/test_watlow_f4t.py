@@ -6,29 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.chamber import Chamber, ChamberReading
+from drivers.chamber import ChamberReading
 from drivers.chamber.watlow_f4t import WatlowF4T
 from drivers.emulators.watlow_f4t import WatlowF4TEmulator
-from tests.drivers.conftest import Scripted, any_rig
+from tests.drivers.conftest import ChamberBench, Scripted, any_rig
 
 LOOP = b":SOURCE:CLOOP1:"
 
 
-class Bench:
-    def __init__(self, rig, **options):
-        self.air, self.events = rig.air, []
-        self.chamber = WatlowF4TEmulator(
-            rig.air, lambda number, on: self.events.append((number, on)), **options
-        )
-        self._line, self.heard = rig.line("chamber", self.chamber)
-
-    def driver(self, **options) -> Chamber:
-        return WatlowF4T(self._line, **options)
-
-    def requests_of(self, action):
-        self.heard.requests.clear()
-        action()
-        return self.heard.requests
+class Bench(ChamberBench):
+    emulator, driver_of = WatlowF4TEmulator, WatlowF4T
 
 
 @pytest.fixture
