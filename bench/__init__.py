@@ -11,13 +11,6 @@ Units
     Every name whose value is not in SI says so: ``_dph`` deg/h, ``_dps`` deg/s, ``_deg`` deg,
     ``_c`` degrees Celsius. Names at a boundary carry their unit in any case (``start_s``).
 Time
-    Seconds of the one clock of a run (:mod:`bench.clock`), unless a name says ``ins_time_s``
-    (the clock of the INS) or ``utc``.
+    Seconds of the one clock of a run (:mod:`gyrobench.bench.foundations.clock`), unless a name says
+    ``ins_time_s`` (the clock of the INS) or ``utc``.
 """
-
-from importlib.metadata import PackageNotFoundError, version
-
-try:
-    __version__ = version("gyrobench")
-except PackageNotFoundError:  # a source tree that was not installed
-    __version__ = "0+unknown"

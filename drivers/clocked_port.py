@@ -10,7 +10,7 @@ from abc import abstractmethod
 
 from serial.serialutil import PortNotOpenError, SerialBase
 
-from bench.clock import Clock
+from gyrobench.bench.foundations.clock import Clock
 
 
 class ClockedPort(SerialBase):

@@ -1,9 +1,9 @@
 """The installed dialects: this project's own, and those that other packages add by entry point.
 
 A package that adds one names it in its metadata, under the group of its class of instrument; the
-object there is a :class:`~drivers.rate_table.dialect.TableDialect`, a
-:class:`~drivers.chamber.dialect.ChamberDialect`, or for an emulator one of
-:mod:`drivers.emulators.dialect`. Only the dialect that is asked for is imported, so that a broken
+object there is a :class:`~gyrobench.drivers.rate_table.dialect.TableDialect`, a
+:class:`~gyrobench.drivers.chamber.dialect.ChamberDialect`, or for an emulator one of
+:mod:`gyrobench.drivers.emulators.dialect`. Only the dialect that is asked for is imported, so that a broken
 package hurts nobody who does not use it.
 """
 
@@ -14,8 +14,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from bench.documents import hint
-from bench.errors import DocumentError
+from gyrobench.bench.foundations.documents import hint
+from gyrobench.bench.foundations.errors import DocumentError
 
 #: Groups of entry points.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"

@@ -14,9 +14,9 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 
-from bench.clock import Deadline
-from bench.errors import RefusedError, ReplyError
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import Deadline
+from gyrobench.bench.foundations.errors import RefusedError, ReplyError
+from gyrobench.drivers.serial_line import SerialLine
 
 #: A frame ends with a silence of 3.5 characters, 4 ms at 9600 baud.
 PAUSE_AFTER_READ_S = 0.005

@@ -13,18 +13,18 @@ from types import TracebackType
 
 import serial
 
-from bench.clock import Clock, Deadline
-from bench.errors import ConnectionFailedError, NoReplyError, ReplyError
-from drivers.recording.protocol_replay import with_clock
-from drivers.recording.script import ReplayError
-from drivers.recording.tap import tapped
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
+from gyrobench.drivers.recording.protocol_replay import with_clock
+from gyrobench.drivers.recording.script import ReplayError
+from gyrobench.drivers.recording.tap import tapped
 
 #: What pyserial raises when a port goes away, depending on the call.
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 
 _WRITE_TIMEOUT_S = 5.0
 
-for _handlers in ("drivers.emulators.serial_urls", "drivers.recording"):
+for _handlers in ("gyrobench.drivers.emulators.serial_urls", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_handlers)
 

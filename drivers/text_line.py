@@ -11,9 +11,9 @@ import math
 import re
 from collections.abc import Callable
 
-from bench.clock import Clock, Deadline
-from bench.errors import NoReplyError, ReplyError
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
+from gyrobench.drivers.serial_line import SerialLine
 
 #: A line that is not silent within this many reply time-outs never will be.
 _MOST_TIMEOUTS_TO_SILENCE = 5

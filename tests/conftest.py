@@ -4,7 +4,7 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
-from bench.station.bench_lock import LOCK_DIR_VARIABLE
+from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE
 
 # A busy machine must not make a test fail.
 hypothesis.settings.register_profile("no deadline", deadline=None)
@@ -14,8 +14,8 @@ hypothesis.settings.load_profile("no deadline")
 SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure.py",
     "tests/bench/engine/test_whole_procedure_results.py",
-    "tests/bench/measurement/test_replay.py",
-    "tests/bench/measurement/test_results.py",
+    "tests/bench/dwells/test_replay.py",
+    "tests/bench/dwells/test_results.py",
 }
 #: What takes long comes first, so that no worker has it left over at the end.
 LONG = SHIFT_RUNS | {"tests/bench/closure/test_whole_campaigns.py"}

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import parse_document
-from bench.errors import DocumentError
-from drivers.served_ports import TcpPort
+from gyrobench.bench.foundations.documents import parse_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.served_ports import TcpPort
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(path for package in ("bench", "drivers") for path in (ROOT / package).rglob("*.py"))
@@ -68,7 +68,7 @@ def test_emulators_listen_on_the_loopback_alone():
 
 
 def test_provenance_takes_nothing_from_the_environment():
-    assert "environ" not in (ROOT / "bench/run_store/provenance.py").read_text()
+    assert "environ" not in (ROOT / "bench/runs/provenance.py").read_text()
 
 
 def test_everything_installed_is_pinned():

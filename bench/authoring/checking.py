@@ -6,15 +6,15 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.authoring.emulator_files import check_emulator_file
-from bench.authoring.kinds import COMPENSATION, KINDS, PROCEDURE, STATION, FileKind, kind_of
-from bench.documents import Document, read_document, validate
-from bench.errors import DocumentError
-from bench.procedure.document import checked_procedure
-from bench.procedure.resolve import resolve
-from bench.procedure.timeline import hours_minutes
-from bench.run_store.compensation_file import read_compensation
-from bench.station.station import Station
+from gyrobench.bench.authoring.emulator_files import check_emulator_file
+from gyrobench.bench.authoring.kinds import COMPENSATION, KINDS, PROCEDURE, STATION, FileKind, kind_of
+from gyrobench.bench.foundations.documents import Document, read_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.document import checked_procedure
+from gyrobench.bench.procedure.resolve import resolve
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.station.station import Station
 
 _PLACED = re.compile(r"(?P<file>.+?):(?P<line>\d+):(?P<column>\d+): (?P<message>.*)", re.DOTALL)
 

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bench.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 
-_PROGRAM = "drivers.emulators.documents"
+_PROGRAM = "gyrobench.drivers.emulators.documents"
 _LONGEST_S = 120.0
 _WRONG_FILE = 2
 

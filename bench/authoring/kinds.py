@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from bench.documents import Document, StrictModel
-from bench.errors import DocumentError
-from bench.procedure.document import Procedure
-from bench.run_store.compensation_file import CompensationFile
-from bench.sensor_log.document import LogMap
-from bench.station.document import StationFile
+from gyrobench.bench.foundations.documents import Document, StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.document import Procedure
+from gyrobench.bench.runs.compensation_file import CompensationFile
+from gyrobench.bench.sensor_log.document import LogMap
+from gyrobench.bench.station.document import StationFile
 
 
 @dataclass(frozen=True)

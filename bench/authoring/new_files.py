@@ -7,18 +7,18 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.authoring.kinds import PROCEDURE, STATION, WORLD, FileKind
-from bench.authoring.schemas import EDITOR_MARK, editor_line, schema_of
-from bench.authoring.starting_file import StartingFile, comment, inline
-from bench.documents import find_document, parse_document, read_document, validate
-from bench.errors import DocumentError
-from bench.json_schema import Schema
-from bench.procedure.document import checked_procedure
-from bench.procedure.resolve import resolve
-from bench.procedure.step import Step
-from bench.procedure.steps import STEP_KINDS
-from bench.shipped import TEMPLATES
-from bench.station.document import StationFile
+from gyrobench.bench.authoring.kinds import PROCEDURE, STATION, WORLD, FileKind
+from gyrobench.bench.authoring.schemas import EDITOR_MARK, editor_line, schema_of
+from gyrobench.bench.authoring.starting_file import StartingFile, comment, inline
+from gyrobench.bench.foundations.documents import find_document, parse_document, read_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.json_schema import Schema
+from gyrobench.bench.foundations.shipped import TEMPLATES
+from gyrobench.bench.procedure.document import checked_procedure
+from gyrobench.bench.procedure.resolve import resolve
+from gyrobench.bench.procedure.step import Step
+from gyrobench.bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.station.document import StationFile
 
 _EXAMPLE_STATION = "example_bench"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
@@ -34,7 +34,7 @@ def new_procedure(name: str, like: str, path: Path) -> str:
     name : str
         Of the procedure.
     like : str
-        A key of :data:`bench.shipped.TEMPLATES`, a shipped procedure, or a file.
+        A key of :data:`gyrobench.bench.foundations.shipped.TEMPLATES`, a shipped procedure, or a file.
     path : Path
         Where it is to stand.
 

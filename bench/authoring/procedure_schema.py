@@ -6,10 +6,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from bench.json_schema import Schema, json_schema
-from bench.procedure.document import VARIABLE_PATTERN, Procedure, Repeat
-from bench.procedure.step import Step
-from bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.foundations.json_schema import Schema, json_schema
+from gyrobench.bench.procedure.document import VARIABLE_PATTERN, Procedure, Repeat
+from gyrobench.bench.procedure.step import Step
+from gyrobench.bench.procedure.steps import STEP_KINDS
 
 _VARIABLE = {"$ref": "#/$defs/variable"}
 _ENTRY = {"$ref": "#/$defs/entry"}

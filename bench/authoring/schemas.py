@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from bench.authoring.emulator_files import emulator_schema
-from bench.authoring.kinds import PROCEDURE, FileKind
-from bench.authoring.procedure_schema import procedure_schema
-from bench.json_schema import Schema, json_schema
-from bench.shipped import shipped_folders
+from gyrobench.bench.authoring.emulator_files import emulator_schema
+from gyrobench.bench.authoring.kinds import PROCEDURE, FileKind
+from gyrobench.bench.authoring.procedure_schema import procedure_schema
+from gyrobench.bench.foundations.json_schema import Schema, json_schema
+from gyrobench.bench.foundations.shipped import shipped_folders
 
 _FOLDER = "schemas"
 #: What a YAML file begins with for the language server of its editor.

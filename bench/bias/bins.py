@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
-from bench.bias.tables.csv_text import CsvTable, format_cell, format_csv, read_text, write_text
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.weighted_mean import weighted_mean
-from bench.errors import MeasurementError
-from bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.
 DEFAULT_WIDTH_C = 5.0
@@ -29,7 +29,7 @@ class BiasBin:
     gyro : str
         "x", "y" or "z".
     position : str
-        Key of :data:`bench.navigation.positions.POSITIONS`.
+        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
     bin_low_c, bin_high_c : float
         Range of the gyro's temperature; the upper end belongs to the next bin.
     temperature_c, bias_dph : float

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import MeasurementError
-from bench.navigation.attitude import angle_between, rotation_vector_enu
-from bench.navigation.earth import RADPS_TO_DPH
-from bench.navigation.positions import POSITIONS, Position
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import angle_between, rotation_vector_enu
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH
+from gyrobench.bench.navigation.positions import POSITIONS, Position
 
 #: Fewest epochs of a window.
 MIN_EPOCHS = 30
@@ -123,7 +123,7 @@ class Dwell:
     Attributes
     ----------
     position_name : str
-        Key of :data:`bench.navigation.positions.POSITIONS`.
+        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
     azimuth_rad : float
         Azimuth of the position before the first turn; 0 in the paper.
     windows : tuple of NavigationWindow

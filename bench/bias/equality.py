@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from bench.bias.bins import BiasBin
-from bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.weighted_mean import weighted_mean
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
     Parameters
     ----------
     bins : iterable of BiasBin
-        Of one unit, in any order; :func:`bench.bias.bins.paper_bins` for the paper's method.
+        Of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
 
     Returns
     -------

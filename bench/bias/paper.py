@@ -21,10 +21,10 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
-from bench.bias.noise.model import NoiseModel
-from bench.errors import MeasurementError
-from bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
 
 #: How far from half a turn about the vertical the turn may be, rad.
 TURN_TOLERANCE = np.deg2rad(1.0)

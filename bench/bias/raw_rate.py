@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.stats import chi2, norm
 
-from bench.bias.noise.allan import (
+from gyrobench.bench.bias.noise.allan import (
     RANDOM_WALK,
     WHITE_ANGLE,
     AllanVariance,
@@ -35,9 +35,9 @@ from bench.bias.noise.allan import (
     allan_variance,
     fit_rate_noise,
 )
-from bench.errors import MeasurementError
-from bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH, earth_rate_enu
-from bench.navigation.positions import AXES
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.navigation.positions import AXES
 
 #: Shortest recording, s, and fewest samples.
 MIN_DURATION_S = 55.0

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from bench.bias.stops import mean_c
-from bench.bias.tables.dwell_table import DwellRow
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.stops import mean_c
+from gyrobench.bench.navigation.positions import POSITIONS
 
 FloatArray = NDArray[np.float64]
 _Stop = Sequence[DwellRow]

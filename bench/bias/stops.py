@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from bench.bias.tables.dwell_table import DwellRow
+from gyrobench.bench.bias.dwell_table import DwellRow
 
 #: Gyros of one stop differ by this much at most, K. Settled ones come to some 5 K.
 COMPARED_WITHIN_C = 8.0
@@ -47,7 +47,7 @@ class PlannedDwell:
     Attributes
     ----------
     dwell, cycle, position
-        As in :class:`bench.bias.tables.dwell_table.DwellRow`.
+        As in :class:`gyrobench.bench.bias.dwell_table.DwellRow`.
     chamber_set_c : float
         Set point of the chamber; NaN where nothing sets it.
     gyro_c : tuple of float

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from bench.documents import StrictModel
+from gyrobench.bench.foundations.documents import StrictModel
 
 #: What a limit is on.
 Quantity = Literal["position difference", "bias"]

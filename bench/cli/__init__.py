@@ -6,7 +6,7 @@ import os
 
 import typer
 
-from bench.cli import (
+from gyrobench.bench.cli import (
     bins,
     check,
     close,
@@ -30,15 +30,15 @@ from bench.cli import (
     validate,
     verify,
 )
-from bench.cli.command_groups import CommandGroups
-from bench.cli.exit_codes import (
+from gyrobench.bench.cli.command_groups import CommandGroups
+from gyrobench.bench.cli.exit_codes import (
     EXIT_CODES_HELP,
     EXIT_INSTRUMENT,
     EXIT_NOT_FINISHED,
     EXIT_WRONG_INPUT,
     fail,
 )
-from bench.errors import BenchInUseError, DocumentError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.errors import BenchInUseError, DocumentError, GyrobenchError, InstrumentError
 
 # The matrices of this project are small: threads of the linear algebra only get into each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

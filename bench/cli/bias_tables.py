@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.bias.bins import BiasBin
-    from bench.bias.tables.verification_table import VerificationRow
-    from bench.bias.verdicts import Acceptance
+    from gyrobench.bench.bias.bins import BiasBin
+    from gyrobench.bench.bias.verdicts import Acceptance
+    from gyrobench.bench.runs.tables.verification_table import VerificationRow
 
 
 def print_biases(
     console: Console, bins: list[BiasBin], verification: list[VerificationRow], acceptance: Acceptance
 ) -> None:
     """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
-    from bench.bias.equality import compare_positions
-    from bench.report.terminal.acceptance import acceptance_summary
-    from bench.report.terminal.tables import bins_table
-    from bench.report.verification.terminal import verification_table
+    from gyrobench.bench.bias.equality import compare_positions
+    from gyrobench.bench.report.terminal.acceptance import acceptance_summary
+    from gyrobench.bench.report.terminal.tables import bins_table
+    from gyrobench.bench.report.verification.terminal import verification_table
 
     if bins or not verification:
         console.print(bins_table(bins, compare_positions(bins)))

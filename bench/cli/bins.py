@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bench.cli.bias_tables import print_biases
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.options import RunArgument
+from gyrobench.bench.cli.bias_tables import print_biases
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.options import RunArgument
 
 
 def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
@@ -16,11 +16,11 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
     Example: gyrobench bins runs/six_position_fig7-001
     """
-    from bench.bias.bins import read_bins
-    from bench.bias.tables.acceptance_file import read_acceptance
-    from bench.bias.tables.verification_table import read_verification
-    from bench.engine.session import measure_again
-    from bench.report.html import write_report
+    from gyrobench.bench.bias.bins import read_bins
+    from gyrobench.bench.engine.session import measure_again
+    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
+    from gyrobench.bench.runs.tables.verification_table import read_verification
 
     folder = measure_again(run_folder)
     verification = read_verification(folder.verification) if folder.verification.exists() else []

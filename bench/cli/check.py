@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.completion import complete_procedure
-from bench.cli.console import console
-from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.options import (
+from gyrobench.bench.cli.completion import complete_procedure
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.options import (
     EMULATED,
     FaultsOption,
     SeedOption,
@@ -45,11 +45,11 @@ def check(
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
-    from bench.engine.preflight.answer import nobody_answers
-    from bench.engine.preflight.session import check_bench
-    from bench.report.terminal.preflight import preflight_report
-    from bench.station.check import Verdict
-    from bench.station.instruments import Emulation
+    from gyrobench.bench.engine.preflight.answer import nobody_answers
+    from gyrobench.bench.engine.preflight.session import check_bench
+    from gyrobench.bench.report.terminal.preflight import preflight_report
+    from gyrobench.bench.station.check import Verdict
+    from gyrobench.bench.station.instruments import Emulation
 
     checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
     is_fit = all(each.verdict is not Verdict.FAIL for each in checks)

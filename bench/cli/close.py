@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.completion import complete_run
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.search import search
+from gyrobench.bench.cli.completion import complete_run
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.search import search
 
 
 def close(
@@ -38,8 +38,8 @@ def close(
     """
     import json
 
-    from bench.report.closure.search_files import write_search
-    from bench.report.closure.terminal import closure_summary
+    from gyrobench.bench.report.closure.search_files import write_search
+    from gyrobench.bench.report.closure.terminal import closure_summary
 
     closure = search(campaign, hold_out_cycle or ())
     written = write_search(closure, campaign, out)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from bench.run_store.folder import RUNS, RunFolder
-from bench.shipped import TEMPLATES, shipped_names
+from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
+from gyrobench.bench.runs.folder import RUNS, RunFolder
 
 _MOST_RUNS = 200
 
@@ -37,14 +37,14 @@ def complete_template(incomplete: str) -> list[str]:
 
 def complete_table(incomplete: str) -> list[str]:
     """Installed dialects of rate tables."""
-    from drivers.dialects import RATE_TABLES, installed
+    from gyrobench.drivers.dialects import RATE_TABLES, installed
 
     return _beginning_with(incomplete, installed(RATE_TABLES))
 
 
 def complete_chamber(incomplete: str) -> list[str]:
     """Installed dialects of chambers."""
-    from drivers.dialects import CHAMBERS, installed
+    from gyrobench.drivers.dialects import CHAMBERS, installed
 
     return _beginning_with(incomplete, installed(CHAMBERS))
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import EMULATED, FaultsOption, SeedOption, StationOption, WorldOption
+from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationOption, WorldOption
 
 _PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
 
@@ -56,12 +56,12 @@ def emulate(
 
     Example: gyrobench emulate --speed 10 --write-station mine.yaml
     """
-    from bench.documents import find_document
-    from bench.emulation.guide import guide
-    from bench.emulation.process import EmulatorProcess, end_at_sigterm
-    from bench.emulation.serving import Life, serve_options
-    from bench.emulation.station_file import write_station_file
-    from bench.station.station import Station
+    from gyrobench.bench.emulation.guide import guide
+    from gyrobench.bench.emulation.process import EmulatorProcess, end_at_sigterm
+    from gyrobench.bench.emulation.serving import Life, serve_options
+    from gyrobench.bench.emulation.station_file import write_station_file
+    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.station.station import Station
 
     bench = Station(find_document("stations", station))
     ports = {"table": table_port, "chamber": chamber_port, "ins": ins_port}

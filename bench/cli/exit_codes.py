@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import typer
 
-from bench.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError
 
 #: The run did not finish, or what was looked at is not as it should be.
 EXIT_NOT_FINISHED = 1

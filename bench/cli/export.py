@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import RunArgument
-from bench.errors import DocumentError
+from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.foundations.errors import DocumentError
 
 _WHAT = "dwells, bins, joint, verification, telemetry, navigation, can, compensation"
 
@@ -38,9 +38,9 @@ def export(
 
     Example: gyrobench export runs/six_position_fig7-001 --what dwells,can --format csv,mf4
     """
-    from bench.export.run_export import export_run
-    from bench.export.wanted import Format, Wanted, What
-    from bench.run_store.folder import open_run_folder
+    from gyrobench.bench.export.run_export import export_run
+    from gyrobench.bench.export.wanted import Format, Wanted, What
+    from gyrobench.bench.runs.folder import open_run_folder
 
     wanted = Wanted(
         [What(name) for name in _chosen(what, list(What), "--what")],

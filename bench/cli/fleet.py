@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli import fleet_batch
-from bench.cli.console import console
-from bench.cli.exit_codes import EXIT_NOT_FINISHED
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.run_selection import (
+from gyrobench.bench.cli import fleet_batch
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.run_selection import (
     BatchOption,
     BenchOption,
     EndedOption,
@@ -25,12 +25,12 @@ from bench.cli.run_selection import (
     open_index,
     selection_of,
 )
-from bench.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
-    from bench.fleet.cluster import Workers
-    from bench.fleet.jobs import JobKind, JobResult
-    from bench.fleet.record import FleetRecord
+    from gyrobench.bench.fleet.cluster import Workers
+    from gyrobench.bench.fleet.jobs import JobKind, JobResult
+    from gyrobench.bench.fleet.record import FleetRecord
 
 fleet = typer.Typer(
     help="Evaluate many runs at once, and compare the units of a batch.\n\n"
@@ -99,9 +99,9 @@ def _add_command(kind: str) -> None:
         out: _OutOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        from bench.fleet.choice import runs_in_index, runs_named
-        from bench.fleet.cluster import Workers
-        from bench.fleet.jobs import JobKind
+        from gyrobench.bench.fleet.choice import runs_in_index, runs_named
+        from gyrobench.bench.fleet.cluster import Workers
+        from gyrobench.bench.fleet.jobs import JobKind
 
         if scheduler and (workers or threads):
             wrong = "--workers and --threads are of this machine, --scheduler has workers of its own"
@@ -127,17 +127,17 @@ fleet.command()(fleet_batch.batch)
 
 
 def _record(kind: JobKind, folder: Path, *, again: bool) -> FleetRecord:
-    from bench.fleet.record import FleetRecord, read_record
+    from gyrobench.bench.fleet.record import FleetRecord, read_record
 
     return FleetRecord(kind, folder) if again else read_record(kind, folder)
 
 
 def _work(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: bool) -> None:
-    from bench.clock import WallClock
-    from bench.fleet.cluster import connected
-    from bench.fleet.progress import FleetProgress
-    from bench.fleet.record import RECORD
-    from bench.fleet.work import work_through
+    from gyrobench.bench.fleet.cluster import connected
+    from gyrobench.bench.fleet.progress import FleetProgress
+    from gyrobench.bench.fleet.record import RECORD
+    from gyrobench.bench.fleet.work import work_through
+    from gyrobench.bench.foundations.clock import WallClock
 
     left = record.left_of(paths)
     terminal = console(as_json)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.run_selection import (
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.run_selection import (
     BatchOption,
     BenchOption,
     IndexOption,
@@ -20,10 +20,10 @@ from bench.cli.run_selection import (
     open_index,
     selection_of,
 )
-from bench.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
-    from bench.run_index.index import RunIndex
+    from gyrobench.bench.runs.index import RunIndex
 
 
 def batch(
@@ -45,10 +45,10 @@ def batch(
 
     Example: gyrobench fleet batch runs --batch B7
     """
-    from bench.fleet.batch_data import read_batch
-    from bench.fleet.batch_model import fit_batch
-    from bench.fleet.batch_report import batch_document, batch_summary, write_batch
-    from bench.run_index.selection import find_runs
+    from gyrobench.bench.fleet.batch_data import read_batch
+    from gyrobench.bench.fleet.batch_model import fit_batch
+    from gyrobench.bench.fleet.batch_report import batch_document, batch_summary, write_batch
+    from gyrobench.bench.runs.index_selection import find_runs
 
     opened = open_index(root, index)
     runs = find_runs(opened, selection_of(None, batch, bench, procedure, since, until))

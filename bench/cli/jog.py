@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.exit_codes import EXIT_NOT_FINISHED
-from bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
+from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
+from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
 
 
 def jog(
@@ -37,8 +37,8 @@ def jog(
 
     Example: gyrobench jog my_bench.yaml "table outer 30" "chamber 40 at 1.5" "watch 60"
     """
-    from bench.jog.session import jog_bench
-    from bench.station.instruments import Emulation
+    from gyrobench.bench.jog.session import jog_bench
+    from gyrobench.bench.station.instruments import Emulation
 
     all_done = jog_bench(station, commands or [], Emulation(world, seed, faults or ""), leave)
     if not all_done:

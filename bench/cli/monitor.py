@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.completion import complete_run
+from gyrobench.bench.cli.completion import complete_run
 
 _HELP = "Run folder, or a folder of runs: then a list of them, each with its page."
 
@@ -33,10 +33,10 @@ def monitor(
     import threading
     import webbrowser
 
-    from bench.clock import WallClock
-    from bench.errors import RunFolderError
-    from bench.monitor.server import MonitorServer
-    from bench.monitor.site import Site
+    from gyrobench.bench.foundations.clock import WallClock
+    from gyrobench.bench.foundations.errors import RunFolderError
+    from gyrobench.bench.monitor.server import MonitorServer
+    from gyrobench.bench.monitor.site import Site
 
     if not run.is_dir():
         raise RunFolderError(f"{run}: there is no such folder. Give a run folder, or a folder of runs")

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.completion import complete_chamber, complete_table, complete_template, complete_world
-from bench.errors import DocumentError
+from gyrobench.bench.cli.completion import complete_chamber, complete_table, complete_template, complete_world
+from gyrobench.bench.foundations.errors import DocumentError
 
 _STANDARD_OUTPUT = Path("-")
 
@@ -42,7 +42,7 @@ def procedure(
 
     Example: gyrobench new procedure my_check --like check
     """
-    from bench.authoring.new_files import new_procedure
+    from gyrobench.bench.authoring.new_files import new_procedure
 
     _write(name, out, lambda path: new_procedure(name, like, path), "Look at it with: gyrobench plan")
 
@@ -63,7 +63,7 @@ def station(
 
     Example: gyrobench new station my_bench --chamber watlow_f4
     """
-    from bench.authoring.new_files import new_station
+    from gyrobench.bench.authoring.new_files import new_station
 
     _write(
         name,
@@ -85,7 +85,7 @@ def world(
 
     Example: gyrobench new world hidden --like gyro_b
     """
-    from bench.authoring.new_files import new_world
+    from gyrobench.bench.authoring.new_files import new_world
 
     _write(
         name, out, lambda path: new_world(name, like, path), "Change it, look at it with: gyrobench validate"

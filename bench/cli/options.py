@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.completion import (
+from gyrobench.bench.cli.completion import (
     complete_faults,
     complete_procedure,
     complete_run,

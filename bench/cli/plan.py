@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.options import EMULATED, ProcedureArgument, StationOption
-from bench.errors import DocumentError, MeasurementError
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
-    from bench.engine.session import Job
+    from gyrobench.bench.engine.session import Job
 
 
 def plan(
@@ -40,10 +40,10 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
-    from bench.engine.session import prepare_job
-    from bench.procedure.timeline import timeline_rows
-    from bench.report.figures import plan_figure, save_figure
-    from bench.report.terminal.tables import timeline_table
+    from gyrobench.bench.engine.session import prepare_job
+    from gyrobench.bench.procedure.timeline import timeline_rows
+    from gyrobench.bench.report.figures import plan_figure, save_figure
+    from gyrobench.bench.report.terminal.tables import timeline_table
 
     if as_json and separability:
         raise DocumentError("--separability is told as text only; leave out one of it and --json")
@@ -85,14 +85,14 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
 def _print_separability(job: Job, target_dph: float) -> None:
     from functools import partial
 
-    from bench.closure.effects import all_effects
-    from bench.closure.planned_campaign import planned_campaign
-    from bench.closure.separability import searched_dwells, separability
-    from bench.closure.separability_advice import advise
-    from bench.measurement.planned_unit import plan_on, planned_unit
-    from bench.report.figures import save_figure
-    from bench.report.figures.separability import separability_figure
-    from bench.report.terminal.separability import separability_summary
+    from gyrobench.bench.closure.effects import all_effects
+    from gyrobench.bench.closure.planned_campaign import planned_campaign
+    from gyrobench.bench.closure.separability import searched_dwells, separability
+    from gyrobench.bench.closure.separability_advice import advise
+    from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
+    from gyrobench.bench.report.figures import save_figure
+    from gyrobench.bench.report.figures.separability import separability_figure
+    from gyrobench.bench.report.terminal.separability import separability_summary
 
     unit, name = planned_unit(job.station), job.plan.procedure.procedure
     try:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
-from bench.errors import DocumentError
+from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
+from gyrobench.bench.foundations.errors import DocumentError
 
 
 class Instrument(StrEnum):
@@ -54,8 +54,8 @@ def record(
 
     Example: gyrobench record my_bench.yaml --instrument chamber --out chamber.rec
     """
-    from bench.recording.session import Recorder
-    from bench.station.instruments import Emulation
+    from gyrobench.bench.recording.session import Recorder
+    from gyrobench.bench.station.instruments import Emulation
 
     recorder = Recorder(station, Emulation(world, seed, faults or ""), note, typer.echo)
     if command:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.exit_codes import EXIT_NOT_FINISHED
+from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
 
 
 def replay(
@@ -19,7 +19,7 @@ def replay(
 
     Example: gyrobench replay chamber.rec
     """
-    from bench.recording.replay import replay as replay_recording
+    from gyrobench.bench.recording.replay import replay as replay_recording
 
     recorded, calls = replay_recording(recording)
     changed = 0

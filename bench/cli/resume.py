@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption
-from bench.cli.options import RunArgument, View, ViewOption
-from bench.cli.run_end import print_end
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption
+from gyrobench.bench.cli.options import RunArgument, View, ViewOption
+from gyrobench.bench.cli.run_end import print_end
 
 
 def resume(
@@ -33,8 +33,8 @@ def resume(
 
     Example: gyrobench resume runs/six_position_fig7-001
     """
-    from bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
-    from bench.live.watched import watched
+    from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
+    from gyrobench.bench.live.watched import watched
 
     terminal = console(as_json)
     resumption = prepare_resumption(run_folder, anyway)

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.completion import complete_run
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption
-from bench.cli.options import (
+from gyrobench.bench.cli.completion import complete_run
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption
+from gyrobench.bench.cli.options import (
     EMULATED,
     FaultsOption,
     ProcedureArgument,
@@ -20,7 +20,7 @@ from bench.cli.options import (
     ViewOption,
     WorldOption,
 )
-from bench.cli.run_end import print_end
+from gyrobench.bench.cli.run_end import print_end
 
 
 def run(
@@ -50,10 +50,10 @@ def run(
 
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
-    from bench.engine.session import prepare_job, run_job
-    from bench.live.watched import watched
-    from bench.run_store.compensation_file import read_compensation
-    from bench.station.instruments import Emulation
+    from gyrobench.bench.engine.session import prepare_job, run_job
+    from gyrobench.bench.live.watched import watched
+    from gyrobench.bench.runs.compensation_file import read_compensation
+    from gyrobench.bench.station.instruments import Emulation
 
     terminal = console(as_json)
     loaded = read_compensation(compensation) if compensation else None

@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from bench.cli.bias_tables import print_biases
-from bench.cli.exit_codes import EXIT_NOT_FINISHED
-from bench.cli.json_output import print_json
+from gyrobench.bench.cli.bias_tables import print_biases
+from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
+from gyrobench.bench.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from rich.console import Console
 
-    from bench.engine.outcome import RunOutcome
-    from bench.run_store.folder import RunFolder
+    from gyrobench.bench.engine.outcome import RunOutcome
+    from gyrobench.bench.runs.folder import RunFolder
 
 
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
     """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
-    from bench.report.html import write_report
-    from bench.report.terminal.tables import durations_table
+    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.terminal.tables import durations_table
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     is_finished = outcome.ended == "finished"

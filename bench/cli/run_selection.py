@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli.console import console
+from gyrobench.bench.cli.console import console
 
 if TYPE_CHECKING:
-    from bench.run_index.index import RunIndex
-    from bench.run_index.selection import Selection
+    from gyrobench.bench.runs.index import RunIndex
+    from gyrobench.bench.runs.index_selection import Selection
 
 _DAYS = ["%Y-%m-%d"]
 
@@ -56,7 +56,7 @@ def selection_of(
     ended: str | None = None,
 ) -> Selection:
     """What the options above choose."""
-    from bench.run_index.selection import Selection
+    from gyrobench.bench.runs.index_selection import Selection
 
     first, last = (None if day is None else day.date() for day in (since, until))
     return Selection(unit, batch, bench, procedure, first, last, verdict, ended)
@@ -64,8 +64,8 @@ def selection_of(
 
 def open_index(root: str, path: Path | None = None, *, rebuild: bool = False) -> RunIndex:
     """Open the index of a store, up to date; a terminal is told how far it has come, and what changed."""
-    from bench.run_index.index import RunIndex
-    from bench.run_index.run_files import open_store
+    from gyrobench.bench.runs.index import RunIndex
+    from gyrobench.bench.runs.index_run_files import open_store
 
     opened = RunIndex(open_store(root), path)
     terminal = console(as_json=True)

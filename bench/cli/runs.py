@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from bench.cli.console import console
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.run_selection import (
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.run_selection import (
     BatchOption,
     BenchOption,
     EndedOption,
@@ -23,13 +23,13 @@ from bench.cli.run_selection import (
     open_index,
     selection_of,
 )
-from bench.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from bench.run_index.index import RunIndex
-    from bench.run_index.selection import Selection
+    from gyrobench.bench.runs.index import RunIndex
+    from gyrobench.bench.runs.index_selection import Selection
 
 _SHOWN = 40
 
@@ -91,16 +91,16 @@ def runs(
 
 
 def _listed(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str, Any], RenderableType]:
-    from bench.run_index.selection import find_runs
-    from bench.run_index.terminal import runs_table
+    from gyrobench.bench.report.terminal.runs import runs_table
+    from gyrobench.bench.runs.index_selection import find_runs
 
     found = find_runs(index, selection)
     return {"runs": found}, runs_table(found, most)
 
 
 def _grouped(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, Any], RenderableType]:
-    from bench.run_index.groups import group_runs
-    from bench.run_index.terminal import groups_table
+    from gyrobench.bench.report.terminal.runs import groups_table
+    from gyrobench.bench.runs.index_groups import group_runs
 
     groups = group_runs(index, by, selection)
     return {"by": by, "groups": groups}, groups_table(by, groups)
@@ -109,10 +109,10 @@ def _grouped(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, 
 def _trends(
     index: RunIndex, selection: Selection, figure: Path | None
 ) -> tuple[dict[str, Any], RenderableType]:
-    from bench.run_index.run_biases import read_run_biases
-    from bench.run_index.selection import find_runs
-    from bench.run_index.terminal import trend_summary
-    from bench.run_index.trend import mixed_origins, trends
+    from gyrobench.bench.report.terminal.runs import trend_summary
+    from gyrobench.bench.runs.index_run_biases import read_run_biases
+    from gyrobench.bench.runs.index_selection import find_runs
+    from gyrobench.bench.runs.index_trend import mixed_origins, trends
 
     found = find_runs(index, selection)
     units = sorted({run["unit"] for run in found})
@@ -122,8 +122,8 @@ def _trends(
         raise DocumentError(f"a trend is of one unit; {what}. Give --unit")
     fitted = trends(read_run_biases(index, [run["path"] for run in found]))
     if figure is not None:
-        from bench.report.style import save_figure
-        from bench.run_index.trend_figure import trend_figure
+        from gyrobench.bench.report.figures.trend import trend_figure
+        from gyrobench.bench.report.style import save_figure
 
         save_figure(trend_figure(units[0], fitted), figure)
     content = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
@@ -131,7 +131,7 @@ def _trends(
 
 
 def _queried(index: RunIndex, sql: str) -> tuple[dict[str, Any], RenderableType]:
-    from bench.run_index.terminal import answer_table
+    from gyrobench.bench.report.terminal.runs import answer_table
 
     answer = index.query(sql)
     return {"rows": answer.records()}, answer_table(answer)
@@ -147,7 +147,7 @@ def _plain_trend(trend: Any) -> dict[str, Any]:
 
 
 def _print(view: RenderableType, problems: dict[str, str]) -> None:
-    from bench.run_index.terminal import problems_text
+    from gyrobench.bench.report.terminal.runs import problems_text
 
     terminal = console()
     terminal.print(view)

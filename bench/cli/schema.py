@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.validate import Kind
+from gyrobench.bench.cli.validate import Kind
 
 
 def schema(
@@ -24,8 +24,8 @@ def schema(
 
     Example: gyrobench schema procedure
     """
-    from bench.authoring.kinds import KINDS
-    from bench.authoring.schemas import editor_line, schema_of, schema_text
+    from gyrobench.bench.authoring.kinds import KINDS
+    from gyrobench.bench.authoring.schemas import editor_line, schema_of, schema_text
 
     if kind is not None:
         typer.echo(schema_text(schema_of(KINDS[kind.value])), nl=False)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.errors import DocumentError, MeasurementError, RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
-    from bench.closure.closure import Closure
+    from gyrobench.bench.closure.closure import Closure
 
 
 def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
@@ -20,8 +20,8 @@ def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
     DocumentError
         It can't be used for a search.
     """
-    from bench.closure.closure import close_loop
-    from bench.measurement.campaign import read_campaign
+    from gyrobench.bench.closure.closure import close_loop
+    from gyrobench.bench.dwells.campaign import read_campaign
 
     try:
         return close_loop(read_campaign(campaign), hold_out_cycles)

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from bench.cli.options import RunArgument
-from bench.engine.orders import Order
-from bench.errors import RunFolderError
+from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.foundations.errors import RunFolderError
 
 
 def tell(
@@ -24,8 +24,8 @@ def tell(
     """
     import socket
 
-    from bench.engine.orders import MEANINGS, SIGNALS
-    from bench.station.bench_lock import holder_of
+    from gyrobench.bench.engine.orders import MEANINGS, SIGNALS
+    from gyrobench.bench.station.bench_lock import holder_of
 
     holder = holder_of(run_folder)
     if holder is None:

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli.completion import complete_station
-from bench.cli.exit_codes import EXIT_WRONG_INPUT
-from bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.completion import complete_station
+from gyrobench.bench.cli.exit_codes import EXIT_WRONG_INPUT
+from gyrobench.bench.cli.json_output import JsonOption, print_json
 
 if TYPE_CHECKING:
-    from bench.authoring.checking import FileCheck
+    from gyrobench.bench.authoring.checking import FileCheck
 
 
 class Kind(StrEnum):
-    """Kinds of file; the names are those of bench.authoring.kinds."""
+    """Kinds of file; the names are those of gyrobench.bench.authoring.kinds."""
 
     PROCEDURE = "procedure"
     STATION = "station"
@@ -49,10 +49,10 @@ def validate(
 
     Example: gyrobench validate my_procedure.yaml --station my_bench.yaml
     """
-    from bench.authoring.checking import check_file
-    from bench.authoring.kinds import KINDS
-    from bench.documents import find_document
-    from bench.station.station import Station
+    from gyrobench.bench.authoring.checking import check_file
+    from gyrobench.bench.authoring.kinds import KINDS
+    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.station.station import Station
 
     kind = KINDS[as_kind.value] if as_kind else None
     bench = Station(find_document("stations", station)) if station else None

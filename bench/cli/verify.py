@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli.completion import complete_procedure, complete_station, complete_world
-from bench.cli.console import console
-from bench.cli.exit_codes import EXIT_NOT_FINISHED
-from bench.cli.json_output import JsonOption, print_json
-from bench.cli.options import STATION_HELP, RunArgument, View, ViewOption
-from bench.cli.search import search
+from gyrobench.bench.cli.completion import complete_procedure, complete_station, complete_world
+from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
+from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.options import STATION_HELP, RunArgument, View, ViewOption
+from gyrobench.bench.cli.search import search
 
 if TYPE_CHECKING:
-    from bench.closure.closure import Closure
-    from bench.engine.verify import Verification
-    from bench.live.console import PatientConsole
-    from bench.run_store.folder import RunFolder
+    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.engine.verify import Verification
+    from gyrobench.bench.live.console import PatientConsole
+    from gyrobench.bench.runs.folder import RunFolder
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of bench.measurement.comparison."""
+    """What `verify` measures with; the values are those of gyrobench.bench.dwells.comparison."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -67,9 +67,9 @@ def verify(
 
     Example: gyrobench verify runs/six_position_fig7-001
     """
-    from bench.engine.verify import Verification, new_emulation
-    from bench.report.comparison.terminal import verify_plan
-    from bench.run_store.folder import open_run_folder
+    from gyrobench.bench.engine.verify import Verification, new_emulation
+    from gyrobench.bench.report.comparison.terminal import verify_plan
+    from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
     run = open_run_folder(run_folder)
@@ -93,8 +93,8 @@ def verify(
 
 def _search(run: RunFolder) -> Closure:
     """Search in a run as it was searched before; what is found is written unless it is there."""
-    from bench.closure.files import is_written, read_held_out_cycles
-    from bench.report.closure.search_files import write_search
+    from gyrobench.bench.closure.files import is_written, read_held_out_cycles
+    from gyrobench.bench.report.closure.search_files import write_search
 
     closure = search(run.path, read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
@@ -104,8 +104,8 @@ def _search(run: RunFolder) -> Closure:
 
 def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
-    from bench.live.watched import watched
-    from bench.report.html import write_report
+    from gyrobench.bench.live.watched import watched
+    from gyrobench.bench.report.html import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")
     with watched(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
@@ -119,10 +119,10 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
 
 def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
-    from bench.measurement.comparison import write_comparison
-    from bench.report.comparison.page import write_verify_page
-    from bench.report.comparison.terminal import verify_summary
-    from bench.report.html import write_report
+    from gyrobench.bench.dwells.comparison import write_comparison
+    from gyrobench.bench.report.comparison.page import write_verify_page
+    from gyrobench.bench.report.comparison.terminal import verify_summary
+    from gyrobench.bench.report.html import write_report
 
     folder, comparison = verification.folder, verification.comparison()
     table = folder / "comparison.csv"

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.closure.set_point_path import set_point_path
-from bench.closure.temperature_record import TemperatureRecord, record_of_dwells
-from bench.closure.thermal_network import electronics_above_optics
-from bench.errors import MeasurementError
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.set_point_path import set_point_path
+from gyrobench.bench.closure.temperature_record import TemperatureRecord, record_of_dwells
+from gyrobench.bench.closure.thermal_network import electronics_above_optics
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -139,7 +139,7 @@ class Campaign:
 
     @cached_property
     def set_point_path_c(self) -> FloatArray:
-        """See :func:`bench.closure.set_point_path.set_point_path`."""
+        """See :func:`gyrobench.bench.closure.set_point_path.set_point_path`."""
         if self.part_of is not None:
             return self.whole.set_point_path_c[self.part_of[1]]
         return set_point_path(self.start_s, self.end_s, self.set_c, self.air_c)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, Form
-from bench.closure.problem import Problem, Solution, solve
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.closure.problem import Problem, Solution, solve
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.closure.campaign import Campaign
-from bench.closure.candidate import Candidate, solve_with, stack
-from bench.closure.confirmation import leave_out_cycles, measured_minus, pooled_gain
-from bench.closure.effect_set import EffectSet, evaluate, scored
-from bench.closure.effects import all_effects
-from bench.closure.effects.effect import Effect
-from bench.closure.lack_of_fit import LackOfFit, lack_of_fit
-from bench.closure.problem import Problem, Solution, declared_problem
-from bench.closure.search import MOST_EFFECTS, Search
-from bench.errors import MeasurementError
-from bench.navigation.positions import AXES
-from bench.phrases import listed
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidate import Candidate, solve_with, stack
+from gyrobench.bench.closure.confirmation import leave_out_cycles, measured_minus, pooled_gain
+from gyrobench.bench.closure.effect_set import EffectSet, evaluate, scored
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.lack_of_fit import LackOfFit, lack_of_fit
+from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
+from gyrobench.bench.closure.search import MOST_EFFECTS, Search
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.navigation.positions import AXES
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -56,7 +56,7 @@ class FoundEffect:
         Its size in the dwells searched, without its mean.
     gains : dict of int to float
         Share of the squares of each cycle that it takes away, its size taken from the other cycles; see
-        :func:`bench.closure.confirmation.leave_out_cycles`.
+        :func:`gyrobench.bench.closure.confirmation.leave_out_cycles`.
     tied_with : tuple of str
         Effects that the data can't tell from it.
     """

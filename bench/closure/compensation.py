@@ -9,14 +9,14 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.closure.campaign import Campaign
-from bench.closure.closure import Closure, FoundEffect
-from bench.closure.problem import DEGREE, SCALE_C
-from bench.navigation.positions import AXES
-from drivers.ins.compensation import Compensation
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.closure.problem import DEGREE, SCALE_C
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.drivers.ins.compensation import Compensation
 
 FloatArray = NDArray[np.float64]
-#: Numbers of a :class:`~drivers.ins.compensation.Compensation` by their names.
+#: Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation` by their names.
 Numbers = dict[str, FloatArray]
 
 _GYROS = len(AXES)

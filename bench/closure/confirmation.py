@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.closure.campaign import Campaign
-from bench.closure.candidate import Candidate, solve_with
-from bench.closure.problem import Problem, Solution, declared_problem
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidate import Candidate, solve_with
+from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.closure.candidate import Candidate, stack
-from bench.closure.problem import Problem
+from gyrobench.bench.closure.candidate import Candidate, stack
+from gyrobench.bench.closure.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, Form, Parameter
-from bench.closure.problem import Problem
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
+from gyrobench.bench.closure.problem import Problem
 
 FloatArray = NDArray[np.float64]
 

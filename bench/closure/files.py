@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.bias.tables.csv_text import format_csv, write_text
-from bench.closure.closure import Closure, FoundEffect
-from bench.closure.problem import DEGREE, SCALE_C, predict
-from bench.closure.wording import separating_measurement, statement, whereabouts
-from bench.errors import RunFolderError
-from bench.files import make_folder
-from bench.navigation.positions import AXES
-from bench.reading import parse_json, read_limited
+from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
+from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
+from gyrobench.bench.foundations.csv_tables import format_csv, write_text
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.navigation.positions import AXES
 
 _DOCUMENT = "closure.json"
 _MAX_BYTES = 100_000_000

@@ -18,8 +18,8 @@ from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
-from bench.closure.campaign import Campaign
-from bench.closure.problem import SCALE_C, Problem
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.problem import SCALE_C, Problem
 
 FloatArray = NDArray[np.float64]
 

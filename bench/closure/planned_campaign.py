@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.closure.campaign import Campaign
-from bench.closure.temperature_forecast import forecast_temperatures
-from bench.closure.temperature_record import TemperatureRecord
-from bench.errors import MeasurementError
-from bench.navigation.positions import POSITIONS
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import Navigate, PowerOn
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.temperature_forecast import forecast_temperatures
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import Navigate, PowerOn
 
 FloatArray = NDArray[np.float64]
 

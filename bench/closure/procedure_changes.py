@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from bench.navigation.positions import POSITIONS
-from bench.procedure.document import variable_in
-from bench.procedure.navigation_steps import Align, Navigate
-from bench.procedure.steps import Chamber, GoTo, PowerOff, PowerOn, Soak, Turn, Wait
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.document import variable_in
+from gyrobench.bench.procedure.navigation_steps import Align, Navigate
+from gyrobench.bench.procedure.steps import Chamber, GoTo, PowerOff, PowerOn, Soak, Turn, Wait
 
 #: A step or loop: its name alone, or ``{name: {key: value}}``.
 Entry = Any

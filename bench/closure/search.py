@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from bench.closure.candidate import Candidate, best_start, refine, stack, tried
-from bench.closure.effect_set import EffectSet, evaluate
-from bench.closure.effects.effect import Effect
-from bench.closure.problem import Problem
+from gyrobench.bench.closure.candidate import Candidate, best_start, refine, stack, tried
+from gyrobench.bench.closure.effect_set import EffectSet, evaluate
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.problem import Problem
 
 #: An effect is found if chance gives as much with a smaller probability, over all that was tried.
 SIGNIFICANCE = 1e-3

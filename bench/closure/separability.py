@@ -1,13 +1,13 @@
 """Which effects a campaign could find, and which of them it could tell apart, before it is measured.
 
-The search (:mod:`bench.closure.search`) finds an effect if the sum of squares that it takes away
+The search (:mod:`gyrobench.bench.closure.search`) finds an effect if the sum of squares that it takes away
 is beyond chance, and calls two effects tied if their scores are near each other. Both follow from
 the dwells' times, temperatures and positions alone: the first from the length that is left of an
 effect's terms beside the declared model, in standard deviations (the non-centrality of a
 chi-square), the second from what a rival, in its best form and with its best parameters, leaves of
 them.
 
-Sizes are those of :mod:`bench.closure.effect_shapes`.
+Sizes are those of :mod:`gyrobench.bench.closure.effect_shapes`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from scipy.optimize import brentq
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import ncx2
 
-from bench.closure.campaign import Campaign
-from bench.closure.candidate import tried
-from bench.closure.effect_set import price
-from bench.closure.effect_shapes import NOTHING, Fit, Truth, basis_of, rivals, truths
-from bench.closure.effects.effect import Effect
-from bench.closure.problem import Problem, declared_problem
-from bench.closure.search import SAME_SHARE, SIGNIFICANCE, TIE_MARGIN
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidate import tried
+from gyrobench.bench.closure.effect_set import price
+from gyrobench.bench.closure.effect_shapes import NOTHING, Fit, Truth, basis_of, rivals, truths
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.problem import Problem, declared_problem
+from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE, TIE_MARGIN
 
 FloatArray = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from bench.closure.planned_campaign import PlannedUnit, planned_campaign
-from bench.closure.procedure_changes import CHANGES
-from bench.closure.separability import Separability, searched_dwells, separability
-from bench.documents import Document
-from bench.errors import DocumentError
-from bench.procedure.plan import Plan
+from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.procedure_changes import CHANGES
+from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.plan import Plan
 
 #: Checks and plans a changed procedure on the same station.
 Planner = Callable[[Document], Plan]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from bench.navigation.positions import POSITIONS
-from bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
 
 FloatArray = NDArray[np.float64]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.closure.closure import Closure, FoundEffect
-from bench.phrases import listed, spoken
+from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.foundations.text import listed, spoken
 
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from bench.station.document import StationFile
+from gyrobench.bench.station.document import StationFile
 
 #: The emulated chamber controller's output that feeds the unit.
 UNIT_POWER_EVENT = 2

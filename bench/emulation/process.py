@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from types import FrameType, TracebackType
 from typing import NoReturn, Self
 
-_PROGRAM = ("-m", "drivers.emulators.serve", "--until-stdin-closes")
+_PROGRAM = ("-m", "gyrobench.drivers.emulators.serve", "--until-stdin-closes")
 _END_TIME_S = 10.0
 
 
@@ -24,7 +24,7 @@ class EmulatorProcess:
     Parameters
     ----------
     options : sequence of str
-        Options of :mod:`drivers.emulators.serve`.
+        Options of :mod:`gyrobench.drivers.emulators.serve`.
 
     Attributes
     ----------

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from bench.station.document import StationFile
-from bench.station.station import Station
-from drivers import ins
+from gyrobench.bench.station.document import StationFile
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers import ins
 
 _LOOPBACK = ("127.0.0.1", "localhost")
 
@@ -42,7 +42,7 @@ class Life:
     for_s: float | None = None
 
     def options(self) -> list[str]:
-        """Options of :mod:`drivers.emulators.serve` by the same names."""
+        """Options of :mod:`gyrobench.drivers.emulators.serve` by the same names."""
         values = vars(self).items()
         return [f"--{name.replace('_', '-')}={value}" for name, value in values if value is not None]
 
@@ -57,7 +57,7 @@ def emulated_frames(station: Station) -> str | None:
 def serve_options(
     station: Station, ports: Mapping[str, str], tcp: bool, can: str | None, life: Life | None = None
 ) -> list[str]:
-    """Options of :mod:`drivers.emulators.serve` for a station.
+    """Options of :mod:`gyrobench.drivers.emulators.serve` for a station.
 
     Parameters
     ----------

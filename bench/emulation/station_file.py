@@ -9,12 +9,12 @@ from urllib.parse import urlsplit
 
 import yaml
 
-from bench.documents import parse_document, validate
-from bench.emulation.serving import emulated_frames
-from bench.errors import DocumentError
-from bench.files import write_whole
-from bench.station.document import StationFile
-from bench.station.station import Station
+from gyrobench.bench.emulation.serving import emulated_frames
+from gyrobench.bench.foundations.documents import parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.station.document import StationFile
+from gyrobench.bench.station.station import Station
 
 #: python-can waits so long for an adapter that starts anew when it is opened; this one is up.
 _SLCAN_OPTIONS = {"sleep_after_open": 0.05}

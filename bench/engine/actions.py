@@ -14,21 +14,21 @@ from typing import TypeVar
 
 import numpy as np
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.engine.dwell_recorder import DwellRecorder
-from bench.engine.live_bench import LiveBench
-from bench.engine.operator import Operator, asked
-from bench.errors import (
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.dwells.temperatures import slopes_c_per_h
+from gyrobench.bench.engine.dwell_recorder import DwellRecorder
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import Operator, asked
+from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     FaultError,
     InstrumentError,
     RunStoppedError,
     SpoiltDwellError,
 )
-from bench.measurement.temperatures import slopes_c_per_h
-from bench.navigation.positions import POSITIONS
-from bench.navigation.table_axes import Angles
-from bench.procedure.steps import (
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
     Chamber,
@@ -42,8 +42,8 @@ from bench.procedure.steps import (
     Turn,
     Wait,
 )
-from drivers.ins.attitude import EulerSequence
-from drivers.ins.readout import Alignment, InsMode
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 Ticks = Iterator[None]
 T = TypeVar("T")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.bias.tables.dwell_table import DwellRow
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import Order
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.procedure.plan import PlannedStep
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.bench.runs.folder import RunFolder
 
 
 class Audience(Progress):

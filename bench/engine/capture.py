@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import can
 
-from bench.navigation.table_axes import Angles
-from drivers.ins.frames import FrameBlock, concatenate
+from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.drivers.ins.frames import FrameBlock, concatenate
 
 _FRAMES_PER_BLOCK = 2000
 

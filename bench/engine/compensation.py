@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
-from bench.engine.operator import Operator, asked
-from bench.errors import RefusedError, RunStoppedError
-from bench.station.instruments import Instruments
-from drivers.ins.can_bus import INSTRUMENT
-from drivers.ins.compensation import Compensation
-from drivers.ins.ins_status import InsStatus
+from gyrobench.bench.engine.operator import Operator, asked
+from gyrobench.bench.foundations.errors import RefusedError, RunStoppedError
+from gyrobench.bench.station.instruments import Instruments
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
+from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.ins_status import InsStatus
 
 _CLEAR, _KEEP, _STOP = "clear", "keep", "stop"
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from bench.bias.tables.dwell_table import write_dwells
-from bench.engine.dwell_recorder import DwellRecorder
-from bench.engine.live_bench import LiveBench
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.engine.progress import RunProgress
-from bench.measurement.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
-from bench.measurement.run_dwells import add_dwell
-from bench.measurement.verification_dwell import measure_verification
-from bench.procedure.document import Procedure
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import Journal
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
+from gyrobench.bench.dwells.run_dwells import add_dwell
+from gyrobench.bench.dwells.verification_dwell import measure_verification
+from gyrobench.bench.engine.dwell_recorder import DwellRecorder
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.progress import RunProgress
+from gyrobench.bench.procedure.document import Procedure
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
 
 
 class DwellBook:

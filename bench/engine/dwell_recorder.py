@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.engine.live_bench import LiveBench
-from bench.measurement.dwell import MeasurementSetup
-from bench.measurement.live import LiveEstimate
-from bench.measurement.marks import DwellMarks, WindowMark
-from bench.navigation.table_axes import Angles
-from drivers.ins.frames import FrameBlock
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.live import LiveEstimate
+from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.drivers.ins.frames import FrameBlock
 
 #: One reading of the table may differ by this much from that at the window's begin, deg.
 _STILL_DEG = 0.001

@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 
-from bench.clock import Deadline
-from bench.documents import Document
-from bench.engine.actions import Context, perform
-from bench.engine.compensation import CompensationWatch
-from bench.engine.dwell_book import DwellBook
-from bench.engine.dwell_recorder import DwellRecorder
-from bench.engine.heartbeat import Heartbeat
-from bench.engine.holding import Holding
-from bench.engine.interlocks import Finding, Trip, text_of
-from bench.engine.interruptions import OrderedError, TrippedError, trip_of
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import GivenOrder, Order
-from bench.engine.outcome import RunOutcome
-from bench.engine.outputs import SafeOutputs
-from bench.engine.people import People
-from bench.engine.progress import RunProgress
-from bench.errors import (
+from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.engine.actions import Context, perform
+from gyrobench.bench.engine.compensation import CompensationWatch
+from gyrobench.bench.engine.dwell_book import DwellBook
+from gyrobench.bench.engine.dwell_recorder import DwellRecorder
+from gyrobench.bench.engine.heartbeat import Heartbeat
+from gyrobench.bench.engine.holding import Holding
+from gyrobench.bench.engine.interlocks import Finding, Trip, text_of
+from gyrobench.bench.engine.interruptions import OrderedError, TrippedError, trip_of
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import GivenOrder, Order
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.outputs import SafeOutputs
+from gyrobench.bench.engine.people import People
+from gyrobench.bench.engine.progress import RunProgress
+from gyrobench.bench.foundations.clock import Deadline
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import (
     FaultError,
     GyrobenchError,
     InstrumentError,
@@ -30,16 +31,15 @@ from bench.errors import (
     SpoiltDwellError,
     StepTimeoutError,
 )
-from bench.guard.link import Guard
-from bench.measurement.dwell import MeasurementSetup
-from bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
-from bench.procedure.plan import Plan, PlannedStep, turns_after
-from bench.procedure.steps import Align, GoTo, PowerOn
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import Journal
-from bench.run_store.provenance import add_identity
-from bench.station.safe_state import SafeAction
-from drivers.ins.compensation import Compensation
+from gyrobench.bench.guard.link import Guard
+from gyrobench.bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.plan import Plan, PlannedStep, turns_after
+from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.provenance import add_identity
+from gyrobench.bench.station.safe_state import SafeAction
+from gyrobench.drivers.ins.compensation import Compensation
 
 #: A dwell that was given up so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
@@ -51,7 +51,7 @@ class Engine:
     """Runs one plan on one bench.
 
     What interrupts a step - a trip, a failed instrument, an order - leads to a hold, in the safe state
-    where it has to be, and back into the plan by :mod:`bench.procedure.approach`. Nothing of an
+    where it has to be, and back into the plan by :mod:`gyrobench.bench.procedure.approach`. Nothing of an
     interrupted dwell is used: it is done again.
 
     Parameters

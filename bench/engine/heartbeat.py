@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import GivenOrder, Order
-from bench.engine.people import People
-from bench.errors import RunStoppedError
-from bench.guard.link import Guard
-from bench.run_store.journal import Journal
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import GivenOrder, Order
+from gyrobench.bench.engine.people import People
+from gyrobench.bench.foundations.errors import RunStoppedError
+from gyrobench.bench.guard.link import Guard
+from gyrobench.bench.runs.journal import Journal
 
 #: A calendar that differs by so much more than before has been set, or was corrected for long.
 _CALENDAR_SET_S = 1.0

@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from bench.engine.heartbeat import Heartbeat
-from bench.engine.interlocks import Trip, text_of
-from bench.engine.interruptions import TrippedError
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import Order
-from bench.engine.people import People
-from bench.errors import InstrumentError, RunStoppedError
-from bench.run_store.journal import Journal
+from gyrobench.bench.engine.heartbeat import Heartbeat
+from gyrobench.bench.engine.interlocks import Trip, text_of
+from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.people import People
+from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
+from gyrobench.bench.runs.journal import Journal
 
 #: A person who said to go on before all was good is asked again after this long.
 _ASK_AGAIN_S = 60.0

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.engine.interlocks import Finding, Trip, text_of
-from bench.engine.orders import GivenOrder
-from bench.errors import FaultError, GyrobenchError, InstrumentError, InterlockError, RefusedError
-from bench.procedure.steps import PowerOn, Step
-from bench.station.interlocks import InterlockRule
-from bench.station.station import Station
+from gyrobench.bench.engine.interlocks import Finding, Trip, text_of
+from gyrobench.bench.engine.orders import GivenOrder
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    GyrobenchError,
+    InstrumentError,
+    InterlockError,
+    RefusedError,
+)
+from gyrobench.bench.procedure.steps import PowerOn, Step
+from gyrobench.bench.station.interlocks import InterlockRule
+from gyrobench.bench.station.station import Station
 
 _SILENT = {"rate table": "table_silence", "chamber": "chamber_silence", "INS": "ins_silence"}
 _FAULTY = {"rate table": "table_fault", "chamber": "chamber_alarm", "INS": "ins_fault"}

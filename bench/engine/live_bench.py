@@ -10,17 +10,22 @@ from typing import Protocol, TypeVar
 
 import can
 
-from bench.clock import Clock
-from bench.engine.capture import Capture
-from bench.engine.interlocks import Expected, InterlockWatch, Trip
-from bench.engine.readings import Readings
-from bench.engine.tick_lateness import TickLateness
-from bench.errors import ConnectionFailedError, FaultError, InstrumentError, NoReplyError
-from bench.navigation.table_axes import Angles
-from bench.station.instruments import Instruments
-from bench.station.station import Station
-from drivers.ins.frames import FrameBlock
-from drivers.ins.readout import InsMode
+from gyrobench.bench.engine.capture import Capture
+from gyrobench.bench.engine.interlocks import Expected, InterlockWatch, Trip
+from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.engine.tick_lateness import TickLateness
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import (
+    ConnectionFailedError,
+    FaultError,
+    InstrumentError,
+    NoReplyError,
+)
+from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.bench.station.instruments import Instruments
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.readout import InsMode
 
 #: How often an instrument that does not answer at the start is asked again, and how long in between.
 _FIRST_ASKS, _FIRST_PAUSE_S = 5, 2.0
@@ -35,7 +40,7 @@ T = TypeVar("T")
 
 
 class FrameLog(Protocol):
-    """Where received frames go, as to a :class:`~bench.run_store.can_log.CanLog`."""
+    """Where received frames go, as to a :class:`~gyrobench.bench.runs.can_log.CanLog`."""
 
     @property
     def next_part(self) -> int:
@@ -52,7 +57,7 @@ class FrameLog(Protocol):
 
 
 class ReadingsLog(Protocol):
-    """Where readings go, as to a :class:`~bench.run_store.telemetry.Telemetry`."""
+    """Where readings go, as to a :class:`~gyrobench.bench.runs.telemetry.Telemetry`."""
 
     def add(self, row: tuple[float, ...]) -> None:
         """Add the values of one moment."""

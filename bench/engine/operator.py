@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from typing import Protocol
 
-from bench.engine.orders import Order
+from gyrobench.bench.engine.orders import Order
 
 
 class Operator(Protocol):

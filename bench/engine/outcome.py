@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bench.measurement.dwell import MeasuredDwell
-from bench.measurement.results import RunResults
-from bench.measurement.verification_dwell import VerificationDwell
-from bench.station.safe_state import SafeAction
+from gyrobench.bench.dwells.dwell import MeasuredDwell
+from gyrobench.bench.dwells.results import RunResults
+from gyrobench.bench.dwells.verification_dwell import VerificationDwell
+from gyrobench.bench.station.safe_state import SafeAction
 
 
 @dataclass

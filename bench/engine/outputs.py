@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from bench.engine.live_bench import LiveBench
-from bench.station.safe_state import SafeAction, make_safe
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.station.safe_state import SafeAction, make_safe
 
 
 class SafeOutputs:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.bias.tables.dwell_table import DwellRow
-from bench.engine.live_bench import LiveBench
-from bench.engine.operator import Operator
-from bench.engine.orders import Order, Orders
-from bench.engine.outcome import RunOutcome
-from bench.procedure.plan import PlannedStep
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import Operator
+from gyrobench.bench.engine.orders import Order, Orders
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.bench.runs.folder import RunFolder
 
 
 class Progress:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.chamber import ChamberReading
-from drivers.ins.ins_status import InsStatus
-from drivers.rate_table import TableReading
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.rate_table import TableReading
 
 
 @dataclass(frozen=True)

@@ -5,23 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.bias.tables.dwell_table import write_dwells
-from bench.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
-from bench.engine.operator import Operator
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.engine.progress import WITHOUT_A_WORD, RunProgress, progress_of
-from bench.engine.session import Job, carry_out, emulation_of, prepare_job
-from bench.errors import RunFolderError
-from bench.measurement.replay import replay
-from bench.measurement.setup import measurement_setup
-from bench.procedure.timeline import hours_minutes
-from bench.run_store.compensation_file import read_compensation
-from bench.run_store.folder import RunFolder, open_run_folder
-from bench.run_store.journal import read_journal
-from bench.run_store.provenance import started_utc
-from bench.run_store.telemetry import last_reading_s
-from bench.station.instruments import Instruments
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.dwells.replay import replay
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.engine.operator import Operator
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.progress import WITHOUT_A_WORD, RunProgress, progress_of
+from gyrobench.bench.engine.session import Job, carry_out, emulation_of, prepare_job
+from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.provenance import started_utc
+from gyrobench.bench.runs.telemetry import last_reading_s
+from gyrobench.bench.station.instruments import Instruments
 
 #: So many times in a row a run is resumed without finishing anything before somebody has to look at it.
 MOST_RESUMED_IN_VAIN = 5
@@ -70,7 +70,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
 def resume_run(
     resumption: Resumption, progress: Progress, operator: Operator
 ) -> tuple[RunFolder, RunOutcome]:
-    """Go on with a run that was cut short; raises what :func:`~bench.engine.session.run_job` does."""
+    """Resume an interrupted run; raises what :func:`~gyrobench.bench.engine.session.run_job` does."""
     job, folder, done = resumption.job, resumption.folder, resumption.done
     last_s = max(done.last_s, last_reading_s(folder.telemetry))
     clock: Clock

@@ -6,15 +6,15 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import Order
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.engine.progress import RunProgress
-from bench.messages.message import Event, Left, Message
-from bench.messages.messenger import Messenger
-from bench.procedure.plan import Plan, PlannedStep
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.progress import RunProgress
+from gyrobench.bench.messages.message import Event, Left, Message
+from gyrobench.bench.messages.messenger import Messenger
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.runs.folder import RunFolder
 
 #: A question that is answered sooner was put to somebody who is there.
 UNANSWERED_S = 30.0

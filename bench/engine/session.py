@@ -8,40 +8,40 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from bench.bias.tables.dwell_table import DwellRow, read_dwells, write_dwells
-from bench.clock import Clock
-from bench.documents import Document, find_document
-from bench.engine.audience import Audience
-from bench.engine.engine import Engine
-from bench.engine.live_bench import LiveBench
-from bench.engine.operator import Operator
-from bench.engine.orders import Orders
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import AnnouncedOperator, People, Progress
-from bench.engine.progress import RunProgress
-from bench.engine.run_news import RunNews
-from bench.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
-from bench.files import write_whole
-from bench.guard.link import guard_for
-from bench.measurement.calibration import read_calibration
-from bench.measurement.dwell import MeasurementSetup
-from bench.measurement.live import warm_up
-from bench.measurement.replay import replay
-from bench.measurement.results import evaluate, planned_dwells, write_results
-from bench.measurement.setup import measurement_setup
-from bench.messages.messenger import PATIENCE_S, Messenger
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan
-from bench.run_store.can_log import CanLog
-from bench.run_store.compensation_file import write_compensation
-from bench.run_store.folder import RUNS, RunFolder, create_run_folder, open_run_folder
-from bench.run_store.journal import Journal
-from bench.run_store.provenance import read_provenance, write_provenance
-from bench.run_store.telemetry import Telemetry
-from bench.station.bench_lock import BenchLock, RunLock
-from bench.station.instruments import Emulation, Instruments
-from bench.station.station import Station
-from drivers.ins.compensation import Compensation
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
+from gyrobench.bench.dwells.calibration import read_calibration
+from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.live import warm_up
+from gyrobench.bench.dwells.replay import replay
+from gyrobench.bench.dwells.results import evaluate, planned_dwells, write_results
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.engine import Engine
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import Operator
+from gyrobench.bench.engine.orders import Orders
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import AnnouncedOperator, People, Progress
+from gyrobench.bench.engine.progress import RunProgress
+from gyrobench.bench.engine.run_news import RunNews
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.documents import Document, find_document
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.runs.can_log import CanLog
+from gyrobench.bench.runs.compensation_file import write_compensation
+from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder, open_run_folder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.provenance import read_provenance, write_provenance
+from gyrobench.bench.runs.telemetry import Telemetry
+from gyrobench.bench.station.bench_lock import BenchLock, RunLock
+from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.compensation import Compensation
 
 #: A guard that has just made the bench safe lets go of it within this time.
 _GUARD_TIME_S = 60.0

@@ -9,25 +9,25 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bench.bias.tables.dwell_table import DwellRow, read_dwells
-from bench.closure.closure import Closure
-from bench.closure.compensation import LoadableModel, declared_model, model_with_effects
-from bench.engine.operator import Operator
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.engine.session import Job, emulation_of, prepare_job, run_job
-from bench.errors import DocumentError, RunFolderError
-from bench.measurement.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
-from bench.measurement.replay import replay
-from bench.measurement.setup import measurement_setup
-from bench.measurement.verification_dwell import VerificationDwell
-from bench.run_store.compensation_file import read_compensation
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.run_store.provenance import read_provenance
-from bench.run_store.run_facts import facts_of
-from bench.station.instruments import Emulation
-from drivers.ins.compensation import Compensation
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.compensation import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
+from gyrobench.bench.dwells.replay import replay
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.verification_dwell import VerificationDwell
+from gyrobench.bench.engine.operator import Operator
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import Job, emulation_of, prepare_job, run_job
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.run_facts import facts_of
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.ins.compensation import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
 
@@ -142,7 +142,7 @@ class Verification:
         Raises
         ------
         InstrumentError, RunFolderError
-            As :func:`bench.engine.session.run_job`.
+            As :func:`gyrobench.bench.engine.session.run_job`.
         """
         folder, outcome = run_job(self.jobs[name], self.folder / name, progress, operator)
         if outcome.ended == "finished":

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import can
 
-from bench.export.placed_parts import PlacedPart
+from gyrobench.bench.export.placed_parts import PlacedPart
 
 
 def write_blf(path: Path, parts: Iterable[PlacedPart]) -> int:

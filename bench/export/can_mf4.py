@@ -25,7 +25,7 @@ from asammdf.blocks.v4_constants import BUS_TYPE_CAN, SOURCE_BUS
 from can.util import channel2int, len2dlc
 from numpy.typing import NDArray
 
-from bench.export.placed_parts import PlacedPart
+from gyrobench.bench.export.placed_parts import PlacedPart
 
 _BUS = Source(name="CAN", path="CAN", comment="", source_type=SOURCE_BUS, bus_type=BUS_TYPE_CAN)
 #: Transposed and deflated: what changes little from frame to frame takes little space.

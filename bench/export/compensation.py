@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from bench.closure.closure import Closure
-from bench.closure.compensation import declared_model, model_with_effects
-from bench.export.columns import field_of, unit_of
-from bench.export.destination import Destination
-from bench.navigation.positions import AXES
-from bench.run_store.compensation_file import write_compensation
-from drivers.ins.compensation import TERMS, Compensation
+from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.export.columns import field_of, unit_of
+from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.compensation_file import write_compensation
+from gyrobench.drivers.ins.compensation import TERMS, Compensation
 
 _TABLE, _TERMS, _FILE = "compensation_table", "compensation_terms", "compensation.yaml"
 #: Spacing of the table, and decimals of its biases: far below what any gyro keeps.

@@ -13,10 +13,16 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from bench.errors import RunFolderError
-from bench.export.columns import unit_of
-from bench.files import cant_be_written, make_folder, sync_folder, temporary_path, write_whole
-from bench.reading import parse_json, read_limited
+from gyrobench.bench.export.columns import unit_of
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import (
+    cant_be_written,
+    make_folder,
+    sync_folder,
+    temporary_path,
+    write_whole,
+)
+from gyrobench.bench.foundations.reading import parse_json, read_limited
 
 #: Beside the files: what they are.
 ABOUT = "export.json"

@@ -15,18 +15,18 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bench.errors import RunFolderError
-from bench.export.calendar_times import UTC_FIELD, calendar_times
-from bench.export.columns import field_of
-from bench.export.destination import Destination
-from bench.export.placed_parts import PlacedLog, PlacedPart
-from bench.measurement.dwell import MeasurementSetup
-from bench.measurement.marks import DwellMarks
-from bench.navigation.attitude import euler_rpy321
-from bench.navigation.positions import AXES
-from bench.run_store.folder import RunFolder
-from drivers.ins.frames import FrameBlock
-from drivers.ins.navigation_data import NavigationData
+from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.export.calendar_times import UTC_FIELD, calendar_times
+from gyrobench.bench.export.columns import field_of
+from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.export.placed_parts import PlacedLog, PlacedPart
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.navigation.attitude import euler_rpy321
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import NavigationData
 
 Array = NDArray[np.float64]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import bench
-from bench.files import file_sha256
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.run_store.provenance import read_provenance
-from bench.run_store.run_facts import facts_of
+import gyrobench
+from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.run_facts import facts_of
 
 
 def origin_of(folder: RunFolder) -> dict[str, Any]:
@@ -31,6 +31,6 @@ def origin_of(folder: RunFolder) -> dict[str, Any]:
         "started_utc": provenance.get("started_utc"),
         "instruments": provenance.get("instruments", {}),
         "measured_by": f"gyrobench {provenance.get('gyrobench', '?')}",
-        "exported_by": f"gyrobench {bench.__version__}",
+        "exported_by": f"gyrobench {gyrobench.__version__}",
         "sha256": {**provenance.get("files_sha256", {}), folder.journal.name: file_sha256(folder.journal)},
     }

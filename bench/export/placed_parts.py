@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import can
 
-from bench.measurement.replay import finished_marks
-from bench.run_store.can_log import read_can_log
-from bench.run_store.folder import RunFolder
-from bench.run_store.provenance import started_utc
+from gyrobench.bench.dwells.replay import finished_marks
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import started_utc
 
 #: 1990-01-01 UTC: no time before it is one of the calendar, for the BLF format neither.
 _FIRST_CALENDAR_S = 631_152_000.0

@@ -8,23 +8,23 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bench.closure.closure import close_loop
-from bench.closure.files import read_held_out_cycles
-from bench.errors import MeasurementError, RunFolderError
-from bench.export.can_blf import write_blf
-from bench.export.compensation import compensation_files, export_compensation
-from bench.export.destination import Destination
-from bench.export.navigation import export_navigation
-from bench.export.origin import origin_of
-from bench.export.placed_parts import PlacedLog
-from bench.export.tables import export_csv
-from bench.export.telemetry import export_telemetry
-from bench.export.wanted import Wanted, What
-from bench.measurement.campaign import read_campaign
-from bench.measurement.setup import measurement_setup
-from bench.run_store.folder import RunFolder
-from bench.run_store.provenance import started_utc
-from bench.station.station import Station
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.files import read_held_out_cycles
+from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.export.can_blf import write_blf
+from gyrobench.bench.export.compensation import compensation_files, export_compensation
+from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.export.navigation import export_navigation
+from gyrobench.bench.export.origin import origin_of
+from gyrobench.bench.export.placed_parts import PlacedLog
+from gyrobench.bench.export.tables import export_csv
+from gyrobench.bench.export.telemetry import export_telemetry
+from gyrobench.bench.export.wanted import Wanted, What
+from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import started_utc
+from gyrobench.bench.station.station import Station
 
 _TABLES = MappingProxyType(
     {
@@ -141,7 +141,7 @@ def _write_can(folder: RunFolder, name: str, destination: Destination) -> None:
 def _write_mf4(path: Path, log: PlacedLog, dbc: Path, origin: Mapping[str, Any]) -> None:
     """Write MDF4; its library is optional, since python-can loads it with every use of CAN where it is."""
     try:
-        from bench.export.can_mf4 import write_mf4
+        from gyrobench.bench.export.can_mf4 import write_mf4
     except ImportError as error:
         raise RunFolderError(
             f"{path}: MDF4 needs asammdf, which is not installed. Install it: pip install 'gyrobench[mf4]'"

@@ -9,11 +9,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.csv
 
-from bench.bias.tables.csv_text import read_text
-from bench.errors import DocumentError
-from bench.export.columns import field_of, type_of, unit_of
-from bench.export.destination import Destination
-from bench.files import file_sha256
+from gyrobench.bench.export.columns import field_of, type_of, unit_of
+from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.foundations.csv_tables import read_text
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import file_sha256
 
 
 def export_csv(path: Path, name: str, destination: Destination) -> None:

@@ -7,11 +7,11 @@ from datetime import datetime
 import numpy as np
 import pyarrow as pa
 
-from bench.export.calendar_times import UTC_FIELD, calendar_times
-from bench.export.columns import field_of, type_of
-from bench.export.destination import Destination
-from bench.run_store.folder import RunFolder
-from bench.run_store.telemetry import COLUMNS, read_telemetry
+from gyrobench.bench.export.calendar_times import UTC_FIELD, calendar_times
+from gyrobench.bench.export.columns import field_of, type_of
+from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
 
 _SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in COLUMNS)])
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from bench.errors import DocumentError
-from bench.phrases import listed
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import listed
 
 
 class What(StrEnum):

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.fleet.batch_model import EffectSize, Trait
-from bench.run_index.index import RunIndex
-from bench.run_index.run_biases import RunBias, read_run_biases
+from gyrobench.bench.fleet.batch_model import EffectSize, Trait
+from gyrobench.bench.runs.index import RunIndex
+from gyrobench.bench.runs.index_run_biases import RunBias, read_run_biases
 
 #: Verdicts of searches that tell also what is not there.
 _TELLING = ("clean", "explained")

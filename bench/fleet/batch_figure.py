@@ -8,12 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.fleet.batch_model import EffectSize, TraitInBatch, standing_out
-from bench.fleet.batch_wording import batch_scale
-from bench.navigation.positions import AXES
-from bench.report.style import house_style, new_figure, say_empty
-from bench.report.wording import BiasScale, bin_label, gyro_label, position_label
-from bench.run_index.run_biases import LEVEL, Quantity
+from gyrobench.bench.fleet.batch_model import EffectSize, TraitInBatch, standing_out
+from gyrobench.bench.fleet.batch_wording import batch_scale
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
+from gyrobench.bench.report.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.wording import BiasScale
+from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity
 
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _WIDTH = 0.62

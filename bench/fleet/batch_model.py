@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from bench.bias.many_comparisons import holm
-from bench.bias.random_effects import (
+from gyrobench.bench.bias.many_comparisons import holm
+from gyrobench.bench.bias.random_effects import (
     ExcessSigma,
     excess_information,
     excess_sigma,
@@ -39,9 +39,9 @@ from bench.bias.random_effects import (
     restricted_deviance,
     weighted_fit,
 )
-from bench.errors import MeasurementError
-from bench.phrases import spoken
-from bench.run_index.run_biases import LEVEL, Quantity, RunBias
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
 
 FloatArray = NDArray[np.float64]
 

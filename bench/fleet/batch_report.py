@@ -12,10 +12,9 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from bench.files import make_folder, write_whole
-from bench.fleet.batch_figure import batch_figure
-from bench.fleet.batch_model import TraitInBatch, standing_out
-from bench.fleet.batch_wording import (
+from gyrobench.bench.fleet.batch_figure import batch_figure
+from gyrobench.bench.fleet.batch_model import TraitInBatch, standing_out
+from gyrobench.bench.fleet.batch_wording import (
     OUT_HEADER,
     SPREAD_HEADER,
     batch_scale,
@@ -25,11 +24,12 @@ from bench.fleet.batch_wording import (
     spread_rows,
     unit_rows,
 )
-from bench.report.page.findings import Findings
-from bench.report.page.findings_page import write_findings
-from bench.report.page.sections import Section, SectionFigure, SectionTable
-from bench.report.terminal.parts import plain_table
-from bench.report.wording import counted
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.report.page.findings import Findings
+from gyrobench.bench.report.page.findings_page import write_findings
+from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.report.terminal.parts import plain_table
 
 _BAND = (
     "The line is the batch's mean, the bands are one and two standard deviations of the units about it, with "

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.fleet.batch_model import FALSE_ALARM, EffectSize, TraitInBatch, UnitInBatch, standing_out
-from bench.phrases import listed
-from bench.report.wording import BiasScale, counted, dph_with_sigma, p_text
-from bench.run_index.run_biases import LEVEL
+from gyrobench.bench.fleet.batch_model import FALSE_ALARM, EffectSize, TraitInBatch, UnitInBatch, standing_out
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.report.wording import BiasScale, dph_with_sigma, p_text
+from gyrobench.bench.runs.index_run_biases import LEVEL
 
 OUT_HEADER = ("unit", "runs", "in", "its value", "others lead to", "p all")
 SPREAD_HEADER = ("quantity", "units", "mean", "between units", "95 %", "between runs")

@@ -6,11 +6,11 @@ import glob
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bench.errors import RunFolderError
-from bench.run_index.index import RunIndex
-from bench.run_index.run_files import open_store
-from bench.run_index.selection import Selection, find_runs
-from bench.run_store.folder import JOURNAL
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.runs.folder import JOURNAL
+from gyrobench.bench.runs.index import RunIndex
+from gyrobench.bench.runs.index_run_files import open_store
+from gyrobench.bench.runs.index_selection import Selection, find_runs
 
 
 def runs_named(names: Sequence[str]) -> list[Path]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import dask
 from distributed import Client, LocalCluster
 
-from bench.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError
 
 #: A worker that dies takes what it did along; that is tried once more, in case another run was to blame.
 _ALLOWED_DEATHS = 1

@@ -10,11 +10,11 @@ from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 
-from bench.clock import WallClock
-from bench.errors import BenchInUseError, GyrobenchError, MeasurementError
-from bench.phrases import spoken
-from bench.run_store.folder import RunFolder, open_run_folder
-from bench.station.bench_lock import RunLock
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError, MeasurementError
+from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.station.bench_lock import RunLock
 
 #: The style of figures is the whole process's, so of several threads one draws at a time.
 _DRAWING = threading.Lock()
@@ -81,7 +81,7 @@ def do_job(kind: JobKind, path: str) -> JobResult:
 
 def inputs_of(kind: JobKind, path: Path) -> str:
     """Sizes and times of what a job is made from: another text after that changed."""
-    from bench.report.page.findings_file import FINDINGS_FILE
+    from gyrobench.bench.report.page.findings_file import FINDINGS_FILE
 
     folder = RunFolder(path)
     files = {
@@ -97,8 +97,8 @@ def inputs_of(kind: JobKind, path: Path) -> str:
 
 
 def _measured(folder: RunFolder) -> str:
-    from bench.bias.tables.dwell_table import read_dwells
-    from bench.engine.session import measure_again
+    from gyrobench.bench.bias.dwell_table import read_dwells
+    from gyrobench.bench.engine.session import measure_again
 
     measure_again(folder.path)
     rows = read_dwells(folder.dwells)
@@ -107,9 +107,9 @@ def _measured(folder: RunFolder) -> str:
 
 
 def _closed(folder: RunFolder) -> str:
-    from bench.closure.closure import close_loop
-    from bench.measurement.campaign import read_campaign
-    from bench.report.closure.search_files import write_search
+    from gyrobench.bench.closure.closure import close_loop
+    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.report.closure.search_files import write_search
 
     try:
         closure = close_loop(read_campaign(folder.path))
@@ -122,7 +122,7 @@ def _closed(folder: RunFolder) -> str:
 
 
 def _reported(folder: RunFolder) -> str:
-    from bench.report.html import write_report
+    from gyrobench.bench.report.html import write_report
 
     with _DRAWING:
         return write_report(folder).name

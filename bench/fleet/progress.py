@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bench.fleet.jobs import JobResult, JobState
+from gyrobench.bench.fleet.jobs import JobResult, JobState
 
 
 class FleetProgress:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from distributed import Client, Future, KilledWorker, as_completed
 
-from bench.clock import Deadline, WallClock
-from bench.fleet.jobs import JobKind, JobResult, JobState, do_job
-from bench.fleet.record import FleetRecord
+from gyrobench.bench.fleet.jobs import JobKind, JobResult, JobState, do_job
+from gyrobench.bench.fleet.record import FleetRecord
+from gyrobench.bench.foundations.clock import Deadline, WallClock
 
 #: What was done is on the disk at the latest after this.
 _WRITE_EVERY_S = 5.0

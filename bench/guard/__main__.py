@@ -1,4 +1,4 @@
-"""The guard process; :class:`bench.guard.link.GuardLink` starts it."""
+"""The guard process; :class:`gyrobench.bench.guard.link.GuardLink` starts it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import signal
 import sys
 from pathlib import Path
 
-from bench.clock import WallClock
-from bench.guard.engine_process import EngineProcess
-from bench.guard.log import GuardLog
-from bench.guard.orders import LOG_NAME, READY, Orders
-from bench.guard.watch import Ending, watch
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.guard.engine_process import EngineProcess
+from gyrobench.bench.guard.log import GuardLog
+from gyrobench.bench.guard.orders import LOG_NAME, READY, Orders
+from gyrobench.bench.guard.watch import Ending, watch
 
 _IN, _OUT = 0, 1
 
@@ -31,7 +31,7 @@ def main() -> int:
     log.add(f"watches process {orders.engine_pid}; acts after {orders.silence_s:g} s of silence")
     try:
         # Loaded now, while everything is there: later the disk may fail or the files be replaced.
-        from bench.guard.rescue import Rescue
+        from gyrobench.bench.guard.rescue import Rescue
 
         rescue = Rescue(orders, engine, clock, log)
         ending = watch(_IN, orders.silence_s, clock)

@@ -6,16 +6,16 @@ import contextlib
 from types import TracebackType
 from typing import Any
 
-from bench.clock import Clock
-from bench.errors import GyrobenchError
-from bench.guard.log import GuardLog
-from bench.guard.watch import Ending
-from bench.messages.message import Message
-from bench.messages.messenger import Messenger
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.run_store.run_facts import RunFacts, facts_of
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.guard.log import GuardLog
+from gyrobench.bench.guard.watch import Ending
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.messenger import Messenger
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.run_facts import RunFacts, facts_of
+from gyrobench.bench.station.station import Station
 
 #: The guard has nothing else to do; networks come back.
 _PATIENCE_S = 900.0

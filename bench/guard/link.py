@@ -12,11 +12,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from bench.clock import Clock, Deadline
-from bench.errors import GyrobenchError
-from bench.guard.orders import BEAT, LOG_NAME, READY, RELEASE, Orders
-from bench.run_store.folder import RunFolder
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.guard.orders import BEAT, LOG_NAME, READY, RELEASE, Orders
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.station import Station
 
 #: A guard is ready in a fraction of a second; a machine may be busy.
 _READY_TIME_S = 30.0
@@ -187,7 +187,12 @@ class GuardLink:
             except OSError:
                 complaints = subprocess.DEVNULL
             return subprocess.Popen(
-                [sys.executable, "-P", "-m", "bench.guard"],  # -P: nothing out of the present folder
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "gyrobench.bench.guard",
+                ],  # -P: nothing out of the present folder
                 stdin=pipe,
                 stdout=subprocess.PIPE,
                 stderr=complaints,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from bench.clock import Clock
+from gyrobench.bench.foundations.clock import Clock
 
 
 class GuardLog:

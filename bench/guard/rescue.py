@@ -7,19 +7,19 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
-from bench.clock import Clock, Deadline
-from bench.errors import BenchInUseError, GyrobenchError
-from bench.guard.alarm import AlarmSender
-from bench.guard.engine_process import EngineProcess
-from bench.guard.log import GuardLog
-from bench.guard.orders import Orders
-from bench.guard.watch import Ending
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import Journal
-from bench.station.bench_lock import GUARD_COMMAND, BenchLock, Holder, bench_holders
-from bench.station.instruments import Outputs
-from bench.station.safe_state import SafeAction, make_safe
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.guard.alarm import AlarmSender
+from gyrobench.bench.guard.engine_process import EngineProcess
+from gyrobench.bench.guard.log import GuardLog
+from gyrobench.bench.guard.orders import Orders
+from gyrobench.bench.guard.watch import Ending
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.station.bench_lock import GUARD_COMMAND, BenchLock, Holder, bench_holders
+from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.safe_state import SafeAction, make_safe
+from gyrobench.bench.station.station import Station
 
 #: Pauses between attempts, s: a quarter of an hour in all.
 PAUSES_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, *[60.0] * 14)

@@ -6,8 +6,8 @@ import os
 import select
 from enum import Enum
 
-from bench.clock import Clock
-from bench.guard.orders import RELEASE
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.guard.orders import RELEASE
 
 _LOOK_S = 0.5
 _CHUNK = 4096

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TextIO
 
-from bench.clock import Clock
+from gyrobench.bench.foundations.clock import Clock
 
 #: Where lines can't be written over, one comes this often.
 _EVERY_S = 5.0

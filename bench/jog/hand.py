@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
-from bench.engine.interruptions import TrippedError
-from bench.engine.live_bench import LiveBench
-from bench.engine.outputs import SafeOutputs
-from bench.errors import FaultError, InstrumentError, RefusedError
-from bench.jog.display import Display
-from bench.jog.interruptions import Interruptions
-from bench.jog.limits import AXES, HandLimits
-from bench.jog.refused import CommandError
-from bench.jog.screen import mode_words, watch_line
-from bench.station.safe_state import SafeAction
-from drivers.ins.readout import InsMode
+from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.outputs import SafeOutputs
+from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
+from gyrobench.bench.jog.display import Display
+from gyrobench.bench.jog.interruptions import Interruptions
+from gyrobench.bench.jog.limits import AXES, HandLimits
+from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.jog.screen import mode_words, watch_line
+from gyrobench.bench.station.safe_state import SafeAction
+from gyrobench.drivers.ins.readout import InsMode
 
 #: Usual rate of a move by hand, deg/s, where the station allows it.
 _USUAL_RATE_DPS = 10.0

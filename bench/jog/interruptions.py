@@ -6,7 +6,7 @@ import signal
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from bench.jog.refused import LeaveError, StoppedByHandError
+from gyrobench.bench.jog.refused import LeaveError, StoppedByHandError
 
 _LEAVES = (signal.SIGTERM, signal.SIGHUP)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bench.errors import RefusedError
-from bench.jog.refused import CommandError
-from bench.station.station import Station
-from drivers.chamber import Chamber
-from drivers.rate_table import RateTable
+from gyrobench.bench.foundations.errors import RefusedError
+from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.rate_table import RateTable
 
 #: The axes of the table, in the order of their angles.
 AXES = ("outer", "inner")

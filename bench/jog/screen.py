@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.engine.live_bench import LiveBench
-from bench.jog.limits import HandLimits
-from bench.navigation.positions import POSITIONS
-from drivers.ins.ins_status import Float64, InsStatus
-from drivers.ins.readout import Alignment, InsMode
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.jog.limits import HandLimits
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.drivers.ins.ins_status import Float64, InsStatus
+from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 #: The unit stands in a position where each of its axes is this near.
 _NEAR = math.cos(math.radians(0.1))

@@ -12,21 +12,21 @@ from pathlib import Path
 
 import can
 
-from bench.documents import find_document
-from bench.engine.interruptions import TrippedError
-from bench.engine.live_bench import LiveBench
-from bench.errors import GyrobenchError, InstrumentError
-from bench.guard.link import guard_for
-from bench.jog.display import Display
-from bench.jog.hand import Hand
-from bench.jog.interruptions import Interruptions
-from bench.jog.limits import hand_limits
-from bench.jog.refused import LeaveError, StoppedByHandError
-from bench.jog.shell import Shell
-from bench.jog.typed import TypedLines
-from bench.station.bench_lock import JOG_COMMAND, BenchLock
-from bench.station.instruments import Emulation, Instruments
-from bench.station.station import Station
+from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
+from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.jog.display import Display
+from gyrobench.bench.jog.hand import Hand
+from gyrobench.bench.jog.interruptions import Interruptions
+from gyrobench.bench.jog.limits import hand_limits
+from gyrobench.bench.jog.refused import LeaveError, StoppedByHandError
+from gyrobench.bench.jog.shell import Shell
+from gyrobench.bench.jog.typed import TypedLines
+from gyrobench.bench.station.bench_lock import JOG_COMMAND, BenchLock
+from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.station import Station
 
 _PROMPT = "jog> "
 _LISTEN_TICKS = 2

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.documents import hint
-from bench.jog.display import Display
-from bench.jog.hand import Hand
-from bench.jog.limits import AXES
-from bench.jog.refused import CommandError
-from bench.jog.screen import limit_lines, readings
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.foundations.documents import hint
+from gyrobench.bench.jog.display import Display
+from gyrobench.bench.jog.hand import Hand
+from gyrobench.bench.jog.limits import AXES
+from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.jog.screen import limit_lines, readings
+from gyrobench.bench.navigation.positions import POSITIONS
 
 _WATCH_S = 60.0
 _LONGEST_WATCH_S = 604_800.0

@@ -6,7 +6,7 @@ import os
 import select
 from collections.abc import Callable
 
-from bench.jog.refused import CommandError
+from gyrobench.bench.jog.refused import CommandError
 
 _LOOK_S = 0.1
 _CHUNK = 4096

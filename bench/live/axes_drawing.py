@@ -6,8 +6,8 @@ import math
 
 from rich.text import Text
 
-from bench.live.canvas import Canvas, Point
-from bench.live.picture_parts import Attitude, Triple
+from gyrobench.bench.live.canvas import Canvas, Point
+from gyrobench.bench.live.picture_parts import Attitude, Triple
 
 _STYLES = ("red", "green", "cyan")
 #: The direction that the picture is seen from: turned to the east, and raised, by these angles.

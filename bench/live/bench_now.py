@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from bench.engine.live_bench import LiveBench
-from bench.live.picture_parts import Alarm, Attitude, BenchNow
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.live.picture_parts import Alarm, Attitude, BenchNow
 
 
 def bench_now(bench: LiveBench) -> BenchNow:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from bench.live.picture_parts import Attitude
-from bench.navigation.positions import AXES
+from gyrobench.bench.live.picture_parts import Attitude
+from gyrobench.bench.navigation.positions import AXES
 
 _NAMES = (("East", "West"), ("North", "South"), ("Up", "Down"))
 #: From there on an axis is said to point in a direction, and below the rest of it not to lean to it.

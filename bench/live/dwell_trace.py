@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.live.picture import MOST_ESTIMATES, MOST_IN_WINDOW
-from bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
-from bench.live.thinned import Thinned
-from bench.procedure.plan import PlannedStep
-from drivers.ins.ins_status import InsStatus
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.live.picture import MOST_ESTIMATES, MOST_IN_WINDOW
+from gyrobench.bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
+from gyrobench.bench.live.thinned import Thinned
+from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.drivers.ins.ins_status import InsStatus
 
 
 class _Window:

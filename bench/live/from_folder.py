@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.engine.progress import WITHOUT_A_WORD, progress_of
-from bench.errors import GyrobenchError, RunFolderError
-from bench.live.picture import MOST_MESSAGES, Picture, RunState, read_picture
-from bench.live.picture_parts import Attitude, BenchNow, MeasuredProfile, Note, PlannedProfile
-from bench.live.profiles import planned_profile, profile_of_telemetry
-from bench.live.tables import dwells_done, filling_bins
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan
-from bench.report.content import Entry, RunContent, read_run
-from bench.run_store.folder import RunFolder, open_run_folder
-from bench.run_store.run_facts import LONGEST_RUN_S, RunFacts
-from bench.station.bench_lock import holder_of
-from bench.station.station import Station
-from drivers.ins.readout import InsMode
+from gyrobench.bench.engine.progress import WITHOUT_A_WORD, progress_of
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.live.picture import MOST_MESSAGES, Picture, RunState, read_picture
+from gyrobench.bench.live.picture_parts import Attitude, BenchNow, MeasuredProfile, Note, PlannedProfile
+from gyrobench.bench.live.profiles import planned_profile, profile_of_telemetry
+from gyrobench.bench.live.tables import dwells_done, filling_bins
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.report.content import Entry, RunContent, read_run
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.run_facts import LONGEST_RUN_S, RunFacts
+from gyrobench.bench.station.bench_lock import holder_of
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.readout import InsMode
 
 
 def picture_of(path: Path) -> Picture:

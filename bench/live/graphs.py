@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from bench.live.axes_drawing import axes_drawing
-from bench.live.directions import directions
-from bench.live.picture import Picture
-from bench.live.picture_parts import FillingBin, WindowTrace
-from bench.live.plot import Curve, plot
-from bench.navigation.positions import POSITIONS
-from bench.procedure.timeline import hours_minutes
+from gyrobench.bench.live.axes_drawing import axes_drawing
+from gyrobench.bench.live.directions import directions
+from gyrobench.bench.live.picture import Picture
+from gyrobench.bench.live.picture_parts import FillingBin, WindowTrace
+from gyrobench.bench.live.plot import Curve, plot
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.timeline import hours_minutes
 
 _CHAMBER, _GYRO, _NORTH = "cyan", "yellow", "magenta"
 _AXES_WIDTH = 24

@@ -7,10 +7,10 @@ import textwrap
 
 from rich.text import Text
 
-from bench.live.picture import Picture, RunState
-from bench.live.picture_parts import BenchNow, LiveBias
-from bench.navigation.positions import AXES
-from bench.procedure.timeline import hours_minutes
+from gyrobench.bench.live.picture import Picture, RunState
+from gyrobench.bench.live.picture_parts import BenchNow, LiveBias
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.timeline import hours_minutes
 
 _STATE_STYLES = {
     RunState.STARTING: "bold cyan",

@@ -7,15 +7,15 @@ from rich.padding import Padding
 from rich.status import Status
 from rich.text import Text
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.bias.tables.dwell_table import DwellRow
-from bench.engine.live_bench import LiveBench
-from bench.engine.people import Progress
-from bench.navigation.positions import AXES
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import Chamber
-from bench.procedure.timeline import hours_minutes
-from bench.report.wording import counted
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import Chamber
+from gyrobench.bench.procedure.timeline import hours_minutes
 
 _UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
 _UPDATE_EVERY_TICKS = 50

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import TextIO
 
-from bench.clock import Deadline, WallClock
+from gyrobench.bench.foundations.clock import Deadline, WallClock
 
 #: What waits beyond this many texts is dropped; a run of weeks does not print as much.
 _MOST_WAITING = 10_000

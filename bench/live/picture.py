@@ -1,6 +1,6 @@
 """The picture of a run at one moment: everything that a view of it shows.
 
-Its parts, and how their numbers are to be read, are in :mod:`bench.live.picture_parts`.
+Its parts, and how their numbers are to be read, are in :mod:`gyrobench.bench.live.picture_parts`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from bench.errors import RunFolderError
-from bench.live.picture_parts import (
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.live.picture_parts import (
     Alarm,
     Attitude,
     BenchNow,
@@ -32,7 +33,6 @@ from bench.live.picture_parts import (
     Strict,
     WindowTrace,
 )
-from bench.reading import read_limited
 
 #: Changes with the meaning of the fields.
 FORMAT = 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rich.text import Text
 
-from bench.live.canvas import Canvas, Point
+from gyrobench.bench.live.canvas import Canvas, Point
 
 #: Most room for the numbers of the vertical axis.
 _LABEL_WIDTH = 6

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.live.picture import MOST_MEASURED, MOST_PLANNED
-from bench.live.picture_parts import MeasuredProfile, PlannedProfile, PositionSpan
-from bench.procedure.plan import Plan
-from bench.procedure.timeline import position_spans, temperature_profile
+from gyrobench.bench.live.picture import MOST_MEASURED, MOST_PLANNED
+from gyrobench.bench.live.picture_parts import MeasuredProfile, PlannedProfile, PositionSpan
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 
 #: Columns of the telemetry that make a measured profile, in its order.
 COLUMNS = ("time_s", "chamber_set_c", "chamber_c", "gyro_x_c", "gyro_y_c", "gyro_z_c")

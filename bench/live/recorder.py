@@ -7,25 +7,25 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from bench.bias.state_space.bias_filter import StateSpaceEstimate
-from bench.bias.tables.dwell_table import DwellRow
-from bench.clock import WallClock
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import Order
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.errors import RunFolderError
-from bench.files import write_whole
-from bench.live.bench_now import alarms_now, attitude_now, bench_now
-from bench.live.dwell_trace import DwellTrace
-from bench.live.picture import MOST_MEASURED, MOST_MESSAGES, Picture, RunState
-from bench.live.picture_parts import DwellDone, FillingBin, Note, Question, StepNow
-from bench.live.profiles import measured_profile, planned_profile
-from bench.live.tables import dwells_done, filling_bins
-from bench.live.thinned import Thinned
-from bench.procedure.plan import Phase, Plan, PlannedStep
-from bench.procedure.steps import GoTo, Turn
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.live.bench_now import alarms_now, attitude_now, bench_now
+from gyrobench.bench.live.dwell_trace import DwellTrace
+from gyrobench.bench.live.picture import MOST_MEASURED, MOST_MESSAGES, Picture, RunState
+from gyrobench.bench.live.picture_parts import DwellDone, FillingBin, Note, Question, StepNow
+from gyrobench.bench.live.profiles import measured_profile, planned_profile
+from gyrobench.bench.live.tables import dwells_done, filling_bins
+from gyrobench.bench.live.thinned import Thinned
+from gyrobench.bench.procedure.plan import Phase, Plan, PlannedStep
+from gyrobench.bench.procedure.steps import GoTo, Turn
+from gyrobench.bench.runs.folder import RunFolder
 
 #: Of real time, whatever the run's clock does.
 _WRITE_EVERY_S = 2.0

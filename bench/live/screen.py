@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from bench.live.graphs import bins_table, dwell_graphs, profile_graph
-from bench.live.headlines import (
+from gyrobench.bench.live.graphs import bins_table, dwell_graphs, profile_graph
+from gyrobench.bench.live.headlines import (
     attention,
     bias_line,
     headline,
@@ -14,7 +14,7 @@ from bench.live.headlines import (
     sigma_line,
     step_line,
 )
-from bench.live.picture import Picture
+from gyrobench.bench.live.picture import Picture
 
 WIDEST, TALLEST = 80, 40
 #: Least and most rows of what can be drawn larger or smaller.

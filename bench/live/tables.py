@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.bias.bins import bin_biases
-from bench.bias.tables.dwell_table import DwellRow
-from bench.live.picture_parts import DwellDone, FillingBin
+from gyrobench.bench.bias.bins import bin_biases
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.live.picture_parts import DwellDone, FillingBin
 
 
 def dwells_done(rows: Sequence[DwellRow]) -> tuple[DwellDone, ...]:

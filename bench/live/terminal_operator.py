@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from bench.engine.orders import Order
-from bench.live.keyboard import Keyboard
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.live.keyboard import Keyboard
 
 
 class TerminalOperator:

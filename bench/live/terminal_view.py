@@ -10,16 +10,16 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from bench.clock import WallClock
-from bench.engine.live_bench import LiveBench
-from bench.engine.orders import Order
-from bench.engine.outcome import RunOutcome
-from bench.engine.people import Progress
-from bench.live.c_locale import is_c_locale
-from bench.live.keyboard import Keyboard
-from bench.live.picture import Picture
-from bench.live.recorder import PictureRecorder
-from bench.live.screen import TALLEST, WIDEST, screen
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.live.c_locale import is_c_locale
+from gyrobench.bench.live.keyboard import Keyboard
+from gyrobench.bench.live.picture import Picture
+from gyrobench.bench.live.recorder import PictureRecorder
+from gyrobench.bench.live.screen import TALLEST, WIDEST, screen
 
 #: Rows that stay free above the view, for the lines that scroll by.
 _ROWS_ABOVE = 4

@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TextIO, cast
 
-from bench.engine.audience import Audience
-from bench.engine.operator import ConsentingOperator, Operator
-from bench.engine.people import Progress
-from bench.engine.session import Job
-from bench.live.console import PatientConsole
-from bench.live.keyboard import Keyboard, is_in_foreground
-from bench.live.lines_view import LinesView
-from bench.live.patient_stream import PatientStream
-from bench.live.recorder import PictureRecorder
-from bench.live.terminal_operator import TerminalOperator
-from bench.live.terminal_view import TerminalView
+from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.operator import ConsentingOperator, Operator
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import Job
+from gyrobench.bench.live.console import PatientConsole
+from gyrobench.bench.live.keyboard import Keyboard, is_in_foreground
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.live.patient_stream import PatientStream
+from gyrobench.bench.live.recorder import PictureRecorder
+from gyrobench.bench.live.terminal_operator import TerminalOperator
+from gyrobench.bench.live.terminal_view import TerminalView
 
 #: So long a terminal has at the end to take what has not been shown yet.
 _LONGEST_DRAIN_S = 10.0

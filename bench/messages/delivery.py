@@ -8,13 +8,13 @@ from concurrent.futures import Future
 from types import MappingProxyType
 from typing import Any
 
-from bench.errors import DocumentError
-from bench.messages.mail import send_mail
-from bench.messages.message import Message
-from bench.messages.post import post_ntfy, post_webhook
-from bench.messages.secret import read_secret, without_secret
-from bench.messages.undelivered import UndeliveredError
-from bench.station.messages import Receiver
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.messages.mail import send_mail
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.post import post_ntfy, post_webhook
+from gyrobench.bench.messages.secret import read_secret, without_secret
+from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.station.messages import Receiver
 
 #: The whole exchange, from the name of the host to the end of the answer.
 LONGEST_S = 30.0

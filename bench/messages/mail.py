@@ -7,10 +7,10 @@ import ssl
 from email.message import EmailMessage
 from email.utils import format_datetime, make_msgid
 
-from bench.messages.message import Message
-from bench.messages.secret import server_words
-from bench.messages.undelivered import UndeliveredError
-from bench.station.messages import Email
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.secret import server_words
+from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.station.messages import Email
 
 #: A server that says nothing for so long is given up for now.
 TIMEOUT_S = 10.0

@@ -9,9 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from bench.phrases import listed
-from bench.procedure.timeline import hours_minutes
-from bench.station.messages import EventName
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.station.messages import EventName
 
 #: What happened. Receivers choose among those that their key ``on`` allows; the others are for all.
 Event = Literal[EventName, "guard_acted", "test"]

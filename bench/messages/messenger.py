@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
-from bench.clock import Clock, Deadline, WallClock
-from bench.errors import RunFolderError
-from bench.messages.message import Message
-from bench.messages.quota import Quota
-from bench.messages.sender import PAUSES_S, Sender
-from bench.station.messages import Receiver
+from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.quota import Quota
+from gyrobench.bench.messages.sender import PAUSES_S, Sender
+from gyrobench.bench.station.messages import Receiver
 
 #: So long a process waits at its end for messages that are still to go.
 PATIENCE_S = 15.0

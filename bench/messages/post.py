@@ -15,11 +15,11 @@ from email.header import Header
 from typing import Any
 from urllib.parse import quote
 
-import bench
-from bench.messages.message import Message
-from bench.messages.secret import server_words
-from bench.messages.undelivered import UndeliveredError
-from bench.station.messages import SECRET, Ntfy, Webhook
+import gyrobench
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.secret import server_words
+from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.station.messages import SECRET, Ntfy, Webhook
 
 #: A server that says nothing for so long is given up for now.
 TIMEOUT_S = 10.0
@@ -57,7 +57,7 @@ def post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
 
 
 def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> str:
-    headers["User-Agent"] = f"gyrobench/{bench.__version__}"
+    headers["User-Agent"] = f"gyrobench/{gyrobench.__version__}"
     if secret and SECRET in address:
         address = address.replace(SECRET, quote(secret, safe="/"))
     elif secret:

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote, quote_plus
 
-from bench.errors import DocumentError
-from bench.reading import read_limited
-from bench.station.messages import SECRET, Receiver
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.station.messages import SECRET, Receiver
 
 _MAX_BYTES = 10_000
 #: Fewer letters of Base64 may be a part of any word.

@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from itertools import chain, count, repeat
 from typing import Any
 
-from bench.messages.delivery import deliver
-from bench.messages.message import Message
-from bench.messages.undelivered import UndeliveredError
-from bench.station.messages import Receiver
+from gyrobench.bench.messages.delivery import deliver
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.station.messages import Receiver
 
 #: Pauses between attempts.
 PAUSES_S = (5.0, 15.0, 60.0, 300.0, 600.0)

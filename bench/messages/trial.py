@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bench.clock import WallClock
-from bench.documents import Problem, find_document
-from bench.messages.delivery import deliver
-from bench.messages.message import Message
-from bench.messages.undelivered import UndeliveredError
-from bench.station.document import load_station_file
-from bench.station.messages import Receiver
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.documents import Problem, find_document
+from gyrobench.bench.messages.delivery import deliver
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.station.document import load_station_file
+from gyrobench.bench.station.messages import Receiver
 
 
 @dataclass(frozen=True)

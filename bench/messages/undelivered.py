@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError
 
 
 class UndeliveredError(GyrobenchError):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bench.live.directions import directions
-from bench.live.picture_parts import Attitude
-from bench.navigation.positions import AXES
+from gyrobench.bench.live.directions import directions
+from gyrobench.bench.live.picture_parts import Attitude
+from gyrobench.bench.navigation.positions import AXES
 
 #: Width and height of the drawing.
 SIZE = 240.0

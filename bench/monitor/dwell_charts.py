@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
-from bench.monitor.chart import MINUTE_S, Axis, Chart, CurvePath, band, line, time_axis, value_axis
-from bench.navigation.positions import AXES
-from bench.report.wording import BiasScale, gyro_label, true_minus
+from gyrobench.bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
+from gyrobench.bench.monitor.chart import MINUTE_S, Axis, Chart, CurvePath, band, line, time_axis, value_axis
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.wording import BiasScale, true_minus
 
 _MM_PER_M = 1e3
 _ARCSEC_PER_DEG = 3600.0

@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from bench.clock import parsed_utc
-from bench.live.picture import Picture, RunState
-from bench.live.picture_parts import BenchNow, mean_known
-from bench.procedure.timeline import hours_minutes
-from bench.report.wording import position_label, true_minus
+from gyrobench.bench.foundations.clock import parsed_utc
+from gyrobench.bench.live.picture import Picture, RunState
+from gyrobench.bench.live.picture_parts import BenchNow, mean_known
+from gyrobench.bench.navigation.positions import position_label
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.wording import true_minus
 
 #: Sign beside each state, so that it is known from afar and without colours.
 SIGNS = {

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from bench.monitor.headline import SIGNS, state_look
-from bench.monitor.news import News
-from bench.monitor.runs import RunSummary
-from bench.procedure.timeline import hours_minutes
-from bench.report.wording import counted
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.monitor.headline import SIGNS, state_look
+from gyrobench.bench.monitor.news import News
+from gyrobench.bench.monitor.runs import RunSummary
+from gyrobench.bench.procedure.timeline import hours_minutes
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from bench.clock import parsed_utc
-from bench.live.picture import RunState
+from gyrobench.bench.foundations.clock import parsed_utc
+from gyrobench.bench.live.picture import RunState
 
 #: A run writes every other second; one that is busy may take some longer.
 SILENT_AFTER_S = 20.0

@@ -8,18 +8,18 @@ from functools import cache
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from bench.live.picture import Picture
-from bench.live.picture_parts import Attitude
-from bench.monitor.axes_drawing import axes_drawing
-from bench.monitor.dwell_charts import bias_charts, window_charts
-from bench.monitor.headline import headline
-from bench.monitor.list_rows import ListRow
-from bench.monitor.news import News
-from bench.monitor.profile_chart import profile_chart
-from bench.monitor.rows import bin_tables, reading_rows, shown_dwells
-from bench.navigation.positions import POSITIONS
-from bench.procedure.timeline import hours_minutes
-from bench.report.wording import position_label, true_minus
+from gyrobench.bench.live.picture import Picture
+from gyrobench.bench.live.picture_parts import Attitude
+from gyrobench.bench.monitor.axes_drawing import axes_drawing
+from gyrobench.bench.monitor.dwell_charts import bias_charts, window_charts
+from gyrobench.bench.monitor.headline import headline
+from gyrobench.bench.monitor.list_rows import ListRow
+from gyrobench.bench.monitor.news import News
+from gyrobench.bench.monitor.profile_chart import profile_chart
+from gyrobench.bench.monitor.rows import bin_tables, reading_rows, shown_dwells
+from gyrobench.bench.navigation.positions import POSITIONS, position_label
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.wording import true_minus
 
 
 def run_fragment(picture: Picture, news: News, records: Mapping[str, str], home: str) -> str:
@@ -75,7 +75,7 @@ def whole_page(fragment: str, nonce: str) -> str:
 @cache
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("bench.monitor"),
+        loader=PackageLoader("gyrobench.bench.monitor"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -7,10 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.live.picture import Picture
-from bench.live.picture_parts import MeasuredProfile, PlannedProfile
-from bench.monitor.chart import HOUR_S, MINUTE_S, Axis, Chart, CurvePath, line, time_axis, value_axis
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.live.picture import Picture
+from gyrobench.bench.live.picture_parts import MeasuredProfile, PlannedProfile
+from gyrobench.bench.monitor.chart import (
+    HOUR_S,
+    MINUTE_S,
+    Axis,
+    Chart,
+    CurvePath,
+    line,
+    time_axis,
+    value_axis,
+)
+from gyrobench.bench.navigation.positions import POSITIONS
 
 _LEAST_SPAN_C = 10.0
 _SHORT_S = 2.0 * HOUR_S

@@ -6,17 +6,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bench.live.picture_parts import BenchNow, DwellDone, FillingBin, mean_known
-from bench.monitor.headline import celsius
-from bench.navigation.positions import AXES, POSITIONS
-from bench.report.wording import (
-    BiasScale,
-    bin_label,
-    by_temperature,
-    gyro_label,
-    position_label,
-    true_minus,
-)
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.live.picture_parts import BenchNow, DwellDone, FillingBin, mean_known
+from gyrobench.bench.monitor.headline import celsius
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.wording import BiasScale, by_temperature, true_minus
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.errors import RunFolderError
-from bench.live.from_folder import end_of, picture_of
-from bench.live.picture import Picture, RunState
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.run_store.run_facts import facts_of
-from bench.station.bench_lock import holder_of
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.live.from_folder import end_of, picture_of
+from gyrobench.bench.live.picture import Picture, RunState
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.run_facts import facts_of
+from gyrobench.bench.station.bench_lock import holder_of
 
 #: Pages that a run may leave, each whole in itself, and what they are called.
 RECORDS = {

@@ -12,8 +12,8 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from bench.errors import GyrobenchError
-from bench.monitor.answer import Answer, refusal
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.monitor.answer import Answer, refusal
 
 LOOPBACK = "127.0.0.1"
 #: Names by which a browser may call the server: another one comes from a page that rebound its own name.

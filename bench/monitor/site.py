@@ -9,15 +9,15 @@ from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
-from bench.errors import GyrobenchError, RunFolderError
-from bench.live.from_folder import picture_of
-from bench.monitor.answer import HTML, RECORD_POLICY, Answer, page_policy, refusal
-from bench.monitor.list_rows import ListRow, list_row, unreadable_row
-from bench.monitor.memory import FolderMemory
-from bench.monitor.news import news_of
-from bench.monitor.page import list_fragment, problem_fragment, run_fragment, whole_page
-from bench.monitor.runs import is_run, records_of, runs_in, signature_of, summarise
-from bench.reading import read_limited
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.live.from_folder import picture_of
+from gyrobench.bench.monitor.answer import HTML, RECORD_POLICY, Answer, page_policy, refusal
+from gyrobench.bench.monitor.list_rows import ListRow, list_row, unreadable_row
+from gyrobench.bench.monitor.memory import FolderMemory
+from gyrobench.bench.monitor.news import news_of
+from gyrobench.bench.monitor.page import list_fragment, problem_fragment, run_fragment, whole_page
+from gyrobench.bench.monitor.runs import is_run, records_of, runs_in, signature_of, summarise
 
 _MOST_LISTED = 200
 _MOST_PICTURES = 8

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import MeasurementError
-from bench.navigation.earth import curvature_radii, earth_rate_enu, gravity
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu, gravity
 
 #: Components of the state and of the input.
 STATES, INPUTS = 6, 5

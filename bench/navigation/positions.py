@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.navigation.attitude import UP, rotation_matrix
+from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 
 #: Body axes, in the order of arrays.
 AXES = ("x", "y", "z")
@@ -77,3 +77,13 @@ POSITIONS: Mapping[str, Position] = MappingProxyType(
         )
     }
 )
+
+
+def position_label(name: str) -> str:
+    """Name of a position as the paper writes it: "Z-Up" for "z_up"."""
+    return "-".join(part.capitalize() for part in name.split("_"))
+
+
+def gyro_label(gyro: str) -> str:
+    """Name of a gyro as the paper writes it: "X gyro" for "x"."""
+    return f"{gyro.upper()} gyro"

@@ -25,12 +25,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bench.errors import MeasurementError
-from bench.navigation.attitude import UP
-from bench.navigation.earth import DPH_TO_RADPS, curvature_radii
-from bench.navigation.error_model import INPUTS, STATES, Site, integrate
-from bench.navigation.positions import AXES, POSITIONS
-from bench.navigation.table_axes import TwoAxisTable
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import UP
+from gyrobench.bench.navigation.earth import DPH_TO_RADPS, curvature_radii
+from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.navigation.table_axes import TwoAxisTable
 
 Float64 = NDArray[np.float64]
 #: Time since the start (n,), s, and Up in body axes (n, 3), to the gyros' residual bias (n, 3), deg/h.
@@ -227,7 +227,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     Parameters
     ----------
     biases_dph : mapping of str to array_like, each of shape (3,)
-        Bias of the gyros, body axes, by the names of :data:`bench.navigation.positions.POSITIONS`.
+        Bias of the gyros, body axes, by the names of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
         Where one of two opposite positions is missing the scheme must not pass it.
 
     Raises

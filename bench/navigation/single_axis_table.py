@@ -8,9 +8,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.navigation.attitude import UP
-from bench.navigation.positions import POSITIONS
-from bench.navigation.table_axes import TwoAxisTable, named_direction
+from gyrobench.bench.navigation.attitude import UP
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import TwoAxisTable, named_direction
 
 _TOLERANCE = 1e-6
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import DocumentError
-from bench.navigation.attitude import UP, rotation_matrix
-from bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.attitude import UP, rotation_matrix
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Angles of the outer and the inner axis, deg.
 Angles = tuple[float, float]

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from bench.procedure.climate_steps import Chamber, ChamberOff, Soak
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import GoTo, PowerOff, PowerOn, Step, Wait
+from gyrobench.bench.procedure.climate_steps import Chamber, ChamberOff, Soak
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import GoTo, PowerOff, PowerOn, Step, Wait
 
 #: A soak begins with the air this near to its set point, however early the chamber's step ends otherwise.
 _NEAR_C = 1.0

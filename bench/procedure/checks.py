@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
-from bench.documents import Document, Problem
-from bench.limits import StationLimits
-from bench.procedure.climate_steps import Chamber, Soak
-from bench.procedure.dwell_checks import find_dwell_problems
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.reach import find_reach_problems
-from bench.procedure.steps import Align, GoTo, Navigate, PowerOn, Turn
+from gyrobench.bench.foundations.documents import Document, Problem
+from gyrobench.bench.procedure.climate_steps import Chamber, Soak
+from gyrobench.bench.procedure.dwell_checks import find_dwell_problems
+from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.reach import find_reach_problems
+from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, PowerOn, Turn
 
 
 def check(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:

@@ -9,8 +9,8 @@ from typing import Self
 from pydantic import ConfigDict, Field, model_validator
 from typing_extensions import override
 
-from bench.procedure.estimate import BenchEstimate
-from bench.procedure.step import Celsius, Duration, DurationOrZero, Step, span
+from gyrobench.bench.procedure.estimate import BenchEstimate
+from gyrobench.bench.procedure.step import Celsius, Duration, DurationOrZero, Step, span
 
 _CHAMBER_MARGIN_S = 1800.0
 _LONGEST_SOAK_S = 14_400.0

@@ -1,6 +1,6 @@
 """A procedure as written: its YAML file, checked step by step where each stands.
 
-Loops (``repeat``) and variables (``$name``) are still in it; :mod:`bench.procedure.plan` takes
+Loops (``repeat``) and variables (``$name``) are still in it; :mod:`gyrobench.bench.procedure.plan` takes
 them out. A step is validated here with the values that stand in the file; a value that is a
 variable is checked when the plan gives it its value.
 """
@@ -18,11 +18,19 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
-from bench.bias.verdicts import AcceptanceLimits
-from bench.documents import Document, Location, Problem, StrictModel, hint, read_document, validate
-from bench.procedure.navigation_steps import Until
-from bench.procedure.step import Step
-from bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.bias.verdicts import AcceptanceLimits
+from gyrobench.bench.foundations.documents import (
+    Document,
+    Location,
+    Problem,
+    StrictModel,
+    hint,
+    read_document,
+    validate,
+)
+from gyrobench.bench.procedure.navigation_steps import Until
+from gyrobench.bench.procedure.step import Step
+from gyrobench.bench.procedure.steps import STEP_KINDS
 
 #: A value that a loop variable can take.
 Value = float | int | str

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 
-from bench.documents import Problem
-from bench.procedure.navigation_steps import MIN_NAVIGATION_S, Navigate, Turn
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import Wait
-from bench.procedure.verification_checks import find_unpaired_verifications
+from gyrobench.bench.foundations.documents import Problem
+from gyrobench.bench.procedure.navigation_steps import MIN_NAVIGATION_S, Navigate, Turn
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import Wait
+from gyrobench.bench.procedure.verification_checks import find_unpaired_verifications
 
 _NOT_TOLD = "the biases can't be told from the initial errors"
 

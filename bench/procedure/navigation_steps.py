@@ -8,10 +8,10 @@ from typing import Literal, Self
 from pydantic import ConfigDict, Field, field_validator, model_validator
 from typing_extensions import override
 
-from bench.bias.dwell import MIN_DURATION
-from bench.documents import StrictModel
-from bench.procedure.estimate import BenchEstimate
-from bench.procedure.step import Duration, DurationOrZero, Step, TableRate, span
+from gyrobench.bench.bias.dwell import MIN_DURATION
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.procedure.estimate import BenchEstimate
+from gyrobench.bench.procedure.step import Duration, DurationOrZero, Step, TableRate, span
 
 #: Shortest navigation that gives a bias, s: the shortest window, and what its commands cost.
 MIN_NAVIGATION_S = MIN_DURATION + 5.0

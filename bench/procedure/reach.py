@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bench.documents import Location, Problem
-from bench.limits import StationLimits
-from bench.navigation.positions import POSITIONS
-from bench.procedure.plan import Plan, PlannedStep, turn_steps_after
-from bench.procedure.steps import GoTo, Turn
+from gyrobench.bench.foundations.documents import Location, Problem
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after
+from gyrobench.bench.procedure.steps import GoTo, Turn
 
 #: Azimuths to try for advice.
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)

@@ -10,9 +10,16 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from bench.documents import Document, Location, Problem, problems_of
-from bench.procedure.document import Procedure, Repeat, StepTemplate, Value, entry_location, variable_in
-from bench.procedure.step import Step
+from gyrobench.bench.foundations.documents import Document, Location, Problem, problems_of
+from gyrobench.bench.procedure.document import (
+    Procedure,
+    Repeat,
+    StepTemplate,
+    Value,
+    entry_location,
+    variable_in,
+)
+from gyrobench.bench.procedure.step import Step
 
 MAX_STEPS = 100_000
 

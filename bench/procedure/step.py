@@ -6,9 +6,9 @@ from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, Field
 
-from bench.documents import StrictModel, hint
-from bench.navigation.positions import POSITIONS
-from bench.procedure.estimate import BenchEstimate
+from gyrobench.bench.foundations.documents import StrictModel, hint
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.estimate import BenchEstimate
 
 #: A step of more than a week is taken for a slip of the pen.
 MAX_STEP_S = 604_800.0

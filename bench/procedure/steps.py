@@ -9,10 +9,10 @@ from types import MappingProxyType
 from pydantic import Field, field_validator
 from typing_extensions import override
 
-from bench.procedure.climate_steps import Chamber, ChamberOff, Soak
-from bench.procedure.estimate import BenchEstimate
-from bench.procedure.navigation_steps import Align, Navigate, Turn
-from bench.procedure.step import Duration, DurationOrZero, PositionName, Step, TableRate, span
+from gyrobench.bench.procedure.climate_steps import Chamber, ChamberOff, Soak
+from gyrobench.bench.procedure.estimate import BenchEstimate
+from gyrobench.bench.procedure.navigation_steps import Align, Navigate, Turn
+from gyrobench.bench.procedure.step import Duration, DurationOrZero, PositionName, Step, TableRate, span
 
 __all__ = [
     "STEP_KINDS",

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import GoTo
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import GoTo
 
 _MOST_SAMPLES = 200
 

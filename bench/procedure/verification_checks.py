@@ -6,9 +6,9 @@ import itertools
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from bench.documents import Problem
-from bench.procedure.plan import Plan, PlannedStep
-from bench.procedure.steps import Navigate, Turn
+from gyrobench.bench.foundations.documents import Problem
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import Navigate, Turn
 
 _TOLERANCE_DEG = 0.5
 

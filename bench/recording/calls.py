@@ -8,10 +8,10 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from bench.documents import Problem, hint
-from drivers.chamber import Chamber
-from drivers.rate_table import RateTable
-from drivers.recording.document import Call, Recording
+from gyrobench.bench.foundations.documents import Problem, hint
+from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.rate_table import RateTable
+from gyrobench.drivers.recording.document import Call, Recording
 
 #: Where a recording names none.
 USUAL_AXES = (1, 2)

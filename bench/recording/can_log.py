@@ -7,13 +7,13 @@ from pathlib import Path
 
 import can
 
-from bench.clock import Clock, Deadline
-from bench.errors import DocumentError, NoReplyError
-from bench.files import cant_be_written, make_folder
-from bench.station.instruments import Emulation, Outputs, open_ins
-from bench.station.station import Station
-from drivers.ins.can_bus import INSTRUMENT
-from drivers.ins.can_ins import CanIns
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import DocumentError, NoReplyError
+from gyrobench.bench.foundations.files import cant_be_written, make_folder
+from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
+from gyrobench.drivers.ins.can_ins import CanIns
 
 #: Logs that a kill leaves readable.
 SUFFIXES = (".log", ".asc", ".blf")

@@ -6,18 +6,18 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.clock import Clock
-from bench.errors import ConnectionFailedError, DocumentError
-from bench.files import make_folder
-from bench.recording.record import Instrument, headers
-from bench.station.instruments import CHAMBER, RATE_TABLE
-from bench.station.station import Station
-from drivers.dialects import LineDefaults
-from drivers.recording.document import RecordingHeader
-from drivers.recording.proxy import Proxy
-from drivers.recording.tap import RecordingFile
-from drivers.serial_line import open_port
-from drivers.served_ports import Port, PseudoTerminal, TcpPort
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.recording.record import Instrument, headers
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.recording.document import RecordingHeader
+from gyrobench.drivers.recording.proxy import Proxy
+from gyrobench.drivers.recording.tap import RecordingFile
+from gyrobench.drivers.serial_line import open_port
+from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 
 _SLCAN_BAUDRATE = 115200
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from bench.errors import InstrumentError
-from drivers.chamber import Chamber
-from drivers.rate_table import RateTable
-from drivers.recording.document import Call
+from gyrobench.bench.foundations.errors import InstrumentError
+from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.rate_table import RateTable
+from gyrobench.drivers.recording.document import Call
 
 TABLE_QUESTIONS = tuple(Call(ask=name) for name in ("identify", "faults", "limits", "read", "identify"))
 CHAMBER_QUESTIONS = tuple(

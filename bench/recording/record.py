@@ -6,14 +6,14 @@ import tempfile
 from pathlib import Path
 from typing import Literal
 
-from bench.clock import Clock
-from bench.documents import StrictModel
-from bench.files import make_folder, write_whole
-from bench.recording.questions import CHAMBER_QUESTIONS, TABLE_QUESTIONS, answered
-from bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, open_chamber, open_table
-from bench.station.station import Station
-from drivers.recording.document import Call, RecordingHeader, joined, read_recording, recording_text
-from drivers.recording.tap import recording_lines
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.recording.questions import CHAMBER_QUESTIONS, TABLE_QUESTIONS, answered
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, open_chamber, open_table
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.recording.document import Call, RecordingHeader, joined, read_recording, recording_text
+from gyrobench.drivers.recording.tap import recording_lines
 
 Instrument = Literal["table", "chamber", "ins"]
 

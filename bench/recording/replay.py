@@ -7,19 +7,19 @@ from urllib.parse import quote
 
 from pydantic import ValidationError
 
-from bench.clock import VirtualClock
-from bench.documents import Problem, problems_of
-from bench.errors import DocumentError
-from bench.recording.calls import USUAL_AXES, calls_of
-from bench.recording.questions import answered
-from drivers.chamber import Chamber
-from drivers.chamber.dialect import ChamberDialect
-from drivers.dialects import CHAMBERS, RATE_TABLES, load
-from drivers.rate_table import RateTable
-from drivers.rate_table.dialect import TableDialect
-from drivers.recording.document import Call, Recording, RecordingHeader, read_recording
-from drivers.recording.protocol_replay import SCHEME
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import Problem, problems_of
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.recording.calls import USUAL_AXES, calls_of
+from gyrobench.bench.recording.questions import answered
+from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, load
+from gyrobench.drivers.rate_table import RateTable
+from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.recording.document import Call, Recording, RecordingHeader, read_recording
+from gyrobench.drivers.recording.protocol_replay import SCHEME
+from gyrobench.drivers.serial_line import SerialLine
 
 _DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"
 

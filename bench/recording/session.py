@@ -6,16 +6,16 @@ import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.clock import WallClock
-from bench.documents import find_document
-from bench.errors import ConnectionFailedError, DocumentError
-from bench.recording.can_log import record_can
-from bench.recording.proxy import proxy
-from bench.recording.record import Instrument, headers, record_questions
-from bench.station.bench_lock import BenchLock
-from bench.station.instruments import Emulation
-from bench.station.station import Station
-from drivers.recording.tap import recording_lines
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
+from gyrobench.bench.recording.can_log import record_can
+from gyrobench.bench.recording.proxy import proxy
+from gyrobench.bench.recording.record import Instrument, headers, record_questions
+from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.recording.tap import recording_lines
 
 _LISTEN_S = 10.0
 

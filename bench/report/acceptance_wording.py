@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from bench.bias.verdicts import Acceptance, Judgement, RunVerdict
-from bench.navigation.positions import AXES
-from bench.phrases import listed
-from bench.report.wording import counted, gyro_label, position_label
+from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 
 #: Colours of the template's box, by verdict.
 VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(

@@ -12,24 +12,29 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
-from bench.bias.noise.estimate import NoiseEstimate
-from bench.bias.tables.acceptance_file import read_acceptance
-from bench.bias.tables.dwell_table import DwellRow, read_dwells
-from bench.bias.tables.joint_table import JointBiasRow, JointStopRow, read_joint_biases, read_joint_stops
-from bench.bias.tables.noise_file import read_noise
-from bench.bias.tables.verification_table import VerificationRow, read_verification
-from bench.bias.verdicts import Acceptance
-from bench.documents import read_document
-from bench.errors import GyrobenchError
-from bench.files import file_sha256
-from bench.report.page.findings import Findings
-from bench.report.page.findings_file import FINDINGS_FILE, read_findings_file
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.run_store.provenance import read_provenance
-from bench.run_store.run_facts import RunFacts, facts_of
-from bench.run_store.telemetry import read_telemetry
+from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.bias.noise.estimate import NoiseEstimate
+from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.report.page.findings import Findings
+from gyrobench.bench.report.page.findings_file import FINDINGS_FILE, read_findings_file
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.run_facts import RunFacts, facts_of
+from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
+from gyrobench.bench.runs.tables.joint_table import (
+    JointBiasRow,
+    JointStopRow,
+    read_joint_biases,
+    read_joint_stops,
+)
+from gyrobench.bench.runs.tables.noise_file import read_noise
+from gyrobench.bench.runs.tables.verification_table import VerificationRow, read_verification
+from gyrobench.bench.runs.telemetry import read_telemetry
 
 T = TypeVar("T")
 Entry = Mapping[str, Any]

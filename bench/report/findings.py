@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from statistics import median
 
-from bench.bias.bins import BiasBin
-from bench.bias.equality import PositionComparison
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.uniformity import uniformity_p_value
-from bench.phrases import listed
-from bench.report.wording import dph_with_sigma, p_text, position_label, temperature_ranges
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.equality import PositionComparison
+from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.navigation.positions import position_label
+from gyrobench.bench.report.wording import dph_with_sigma, p_text, temperature_ranges
 
 #: What there is to say of a run, or a gyro, whose positions can't be compared.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin holds dwells of two positions."

@@ -6,30 +6,36 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bench.errors import RunFolderError
-from bench.files import make_folder, write_whole
-from bench.navigation.positions import AXES
-from bench.report.acceptance_wording import VERDICT_COLOURS, verdict_sentence
-from bench.report.content import RunContent, read_run
-from bench.report.durations import clock_time, durations_by_kind, took_in_journal
-from bench.report.figures import save_figures
-from bench.report.findings import NOTHING_TO_COMPARE
-from bench.report.page.figure_files import with_figure_files
-from bench.report.page.rendering import render_page
-from bench.report.page.sections import Section
-from bench.report.run.acceptance_section import acceptance_section
-from bench.report.run.before_after import before_after_section
-from bench.report.run.dwell_lines import dwell_table
-from bench.report.run.estimator_sections import estimators_note, estimators_section, fit_section
-from bench.report.run.events import events_section
-from bench.report.run.gyro_parts import gyro_part, measured_positions
-from bench.report.run.head import ending_of, head_lines, instruments_of, serial_number_of, versions_of
-from bench.report.run.joint_section import joint_section
-from bench.report.run.noise_section import noise_section
-from bench.report.verification.section import verification_section, verification_sentence
-from bench.run_store.folder import RunFolder
-from bench.run_store.manifest import DataHash, data_hashes
-from bench.run_store.provenance import note_preparer
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.report.acceptance_wording import VERDICT_COLOURS, verdict_sentence
+from gyrobench.bench.report.content import RunContent, read_run
+from gyrobench.bench.report.durations import clock_time, durations_by_kind, took_in_journal
+from gyrobench.bench.report.figures import save_figures
+from gyrobench.bench.report.findings import NOTHING_TO_COMPARE
+from gyrobench.bench.report.page.figure_files import with_figure_files
+from gyrobench.bench.report.page.rendering import render_page
+from gyrobench.bench.report.page.sections import Section
+from gyrobench.bench.report.run.acceptance_section import acceptance_section
+from gyrobench.bench.report.run.before_after import before_after_section
+from gyrobench.bench.report.run.dwell_lines import dwell_table
+from gyrobench.bench.report.run.estimator_sections import estimators_note, estimators_section, fit_section
+from gyrobench.bench.report.run.events import events_section
+from gyrobench.bench.report.run.gyro_parts import gyro_part, measured_positions
+from gyrobench.bench.report.run.head import (
+    ending_of,
+    head_lines,
+    instruments_of,
+    serial_number_of,
+    versions_of,
+)
+from gyrobench.bench.report.run.joint_section import joint_section
+from gyrobench.bench.report.run.noise_section import noise_section
+from gyrobench.bench.report.verification.section import verification_section, verification_sentence
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.manifest import DataHash, data_hashes
+from gyrobench.bench.runs.provenance import note_preparer
 
 _TEMPLATE = "report.html.j2"
 
@@ -90,7 +96,7 @@ def render(
     content : RunContent
         What the run left.
     figures : iterable of Path
-        PNG files, by the names of :func:`bench.report.figures.save_figures`.
+        PNG files, by the names of :func:`gyrobench.bench.report.figures.save_figures`.
     sections : sequence of Section
         Parts that are not in every report, with figures that are drawn.
     hashes : sequence of DataHash

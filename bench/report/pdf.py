@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from bench.errors import GyrobenchError
-from bench.files import write_whole
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.files import write_whole
 
 _LACKING = (
     "PDF needs the library Pango, which can't be loaded here: {}. Install it (Debian, Ubuntu: "
@@ -21,7 +21,7 @@ def write_pdf(page: Path, pdf: Path) -> Path:
     Parameters
     ----------
     page : Path
-        What :func:`bench.report.html.write_report` wrote.
+        What :func:`gyrobench.bench.report.html.write_report` wrote.
     pdf : Path
         Where to write.
 

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from bench.files import write_whole
+from gyrobench.bench.foundations.files import write_whole
 
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from bench.bias.bins import BiasBin
-from bench.bias.equality import PositionComparison
-from bench.phrases import listed
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.equality import PositionComparison
+from gyrobench.bench.foundations.text import bin_label, listed
 
 BinT = TypeVar("BinT")
 
@@ -72,16 +72,6 @@ def dph_with_sigma(value_dph: float, sigma_dph: float) -> str:
     return f"{value_dph:z.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
 
 
-def position_label(name: str) -> str:
-    """Name of a position as the paper writes it: "Z-Up" for "z_up"."""
-    return "-".join(part.capitalize() for part in name.split("_"))
-
-
-def gyro_label(gyro: str) -> str:
-    """Name of a gyro as the paper writes it: "X gyro" for "x"."""
-    return f"{gyro.upper()} gyro"
-
-
 def p_text(p_value: float) -> str:
     """Write a p-value in seven characters at most; empty for NaN."""
     if math.isnan(p_value):
@@ -89,11 +79,6 @@ def p_text(p_value: float) -> str:
     if p_value < _SMALLEST_P:
         return f"<{_SMALLEST_P:.0e}"
     return f"{p_value:.3f}" if p_value >= _PLAIN_P else f"{p_value:.0e}"
-
-
-def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
-    """Write the range of a bin, without its unit."""
-    return f"{low_c:g}{between}{high_c:g}"
 
 
 def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, list[BiasBin]]]:
@@ -145,11 +130,6 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
 def true_minus(text: str) -> str:
     """With true minus signs, which are as wide as the plus and read as numbers."""
     return text.replace("-", "−")
-
-
-def counted(number: int, noun: str) -> str:
-    """Write how many: "1 dwell", "2 dwells"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _decimals(sigma: float, most: int) -> int:

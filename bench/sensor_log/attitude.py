@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
-from bench.navigation.positions import POSITIONS
-from bench.sensor_log.document import EarthRate
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.sensor_log.document import EarthRate
 
 
 def nearest_position(force: NDArray[np.float64]) -> tuple[str, float]:

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.errors import MeasurementError
-from bench.navigation.positions import AXES
-from bench.sensor_log.attitude import nearest_position
-from bench.sensor_log.document import LogMap
-from bench.sensor_log.samples import full_scale_dph
-from bench.sensor_log.windows import MIN_SAMPLES, Window
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.sensor_log.attitude import nearest_position
+from gyrobench.bench.sensor_log.document import LogMap
+from gyrobench.bench.sensor_log.samples import full_scale_dph
+from gyrobench.bench.sensor_log.windows import MIN_SAMPLES, Window
 
 #: Part of a window that must have been recorded, and of its samples that must be good.
 _LEAST_PART = 0.9

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from bench.bias.tables.csv_text import COLDEST_C, HOTTEST_C
-from bench.documents import StrictModel, read_document, validate
-from bench.navigation.positions import AXES
+from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.navigation.positions import AXES
 
 #: Name of a column, or its number from 1.
 Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]

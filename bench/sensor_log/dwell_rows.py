@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.tables.dwell_table import NOT_MEASURED, DwellRow, Triple
-from bench.errors import MeasurementError
-from bench.navigation.positions import AXES, POSITIONS
-from bench.sensor_log.attitude import earth_rate_dph, nearest_position
-from bench.sensor_log.checks import reasons_against
-from bench.sensor_log.cycles import legs
-from bench.sensor_log.document import LogMap
-from bench.sensor_log.samples import SampleReader
-from bench.sensor_log.windows import Window, cut_windows
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.sensor_log.attitude import earth_rate_dph, nearest_position
+from gyrobench.bench.sensor_log.checks import reasons_against
+from gyrobench.bench.sensor_log.cycles import legs
+from gyrobench.bench.sensor_log.document import LogMap
+from gyrobench.bench.sensor_log.samples import SampleReader
+from gyrobench.bench.sensor_log.windows import Window, cut_windows
 
 
 @dataclass(frozen=True, eq=False)

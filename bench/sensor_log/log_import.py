@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from bench.bias.tables.csv_text import write_text
-from bench.bias.tables.dwell_table import DwellRow, write_dwells
-from bench.documents import find_document
-from bench.errors import MeasurementError
-from bench.files import file_sha256
-from bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
-from bench.navigation.positions import AXES
-from bench.sensor_log.checks import temperature_resolution_c, temperature_warnings
-from bench.sensor_log.document import LogMap, load_log_map
-from bench.sensor_log.dwell_rows import ReadLog, dwell_rows, read_log
-from bench.sensor_log.noise import noise_of_means
-from bench.sensor_log.windows import Window
+from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.foundations.csv_tables import write_text
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.sensor_log.checks import temperature_resolution_c, temperature_warnings
+from gyrobench.bench.sensor_log.document import LogMap, load_log_map
+from gyrobench.bench.sensor_log.dwell_rows import ReadLog, dwell_rows, read_log
+from gyrobench.bench.sensor_log.noise import noise_of_means
+from gyrobench.bench.sensor_log.windows import Window
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from bench.errors import MeasurementError
-from bench.sensor_log.windows import BLOCKS, Window
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.sensor_log.windows import BLOCKS, Window
 
 #: Median of the square of a standard normal value.
 _MEDIAN_OF_SQUARE = 0.45494

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.errors import DocumentError
-from bench.sensor_log.document import Column, RecordFormat
-from bench.sensor_log.text_log import Batch
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.sensor_log.document import Column, RecordFormat
+from gyrobench.bench.sensor_log.text_log import Batch
 
 _BATCH_RECORDS = 100_000
 

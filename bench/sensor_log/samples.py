@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.tables.csv_text import COLDEST_C, HOTTEST_C
-from bench.errors import DocumentError, MeasurementError
-from bench.navigation.earth import RADPS_TO_DPH
-from bench.navigation.positions import AXES, POSITIONS
-from bench.sensor_log.document import Column, LogMap, TextFormat
-from bench.sensor_log.record_log import RecordLog
-from bench.sensor_log.text_log import Batch, TextLog
+from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.sensor_log.document import Column, LogMap, TextFormat
+from gyrobench.bench.sensor_log.record_log import RecordLog
+from gyrobench.bench.sensor_log.text_log import Batch, TextLog
 
 #: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x_dph``, ``gyro_x_c``, ...,
 #: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.

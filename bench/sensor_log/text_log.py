@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from bench.errors import DocumentError
-from bench.sensor_log.document import Column, TextFormat
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.sensor_log.document import Column, TextFormat
 
 if TYPE_CHECKING:
     from pyarrow import DataType, RecordBatch

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.sensor_log.samples import FORCES, RATES, Samples
+from gyrobench.bench.sensor_log.samples import FORCES, RATES, Samples
 
 #: Into how many blocks a window may be cut, whose means show the noise; each half of the one before.
 BLOCKS = (40, 20, 10, 5)

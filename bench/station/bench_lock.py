@@ -27,10 +27,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from bench.clock import Clock, Deadline, WallClock
-from bench.errors import BenchInUseError, GyrobenchError
-from bench.run_store.folder import LOCK
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
+from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.runs.folder import LOCK
+from gyrobench.bench.station.station import Station
 
 LOCK_DIR_VARIABLE = "GYROBENCH_LOCK_DIR"
 #: What a guard calls itself.

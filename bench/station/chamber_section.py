@@ -6,11 +6,11 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from bench.documents import StrictModel
-from bench.station.dialect_section import Dialect, DialectSection
-from bench.station.field_types import Positive
-from drivers.chamber.dialect import ChamberDialect
-from drivers.dialects import CHAMBERS
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.station.dialect_section import Dialect, DialectSection
+from gyrobench.bench.station.field_types import Positive
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.dialects import CHAMBERS
 
 
 class ChamberLimits(StrictModel):

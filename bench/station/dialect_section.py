@@ -9,12 +9,12 @@ from pydantic import Field, GetJsonSchemaHandler, ValidationError, create_model,
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
-from bench.documents import StrictModel
-from bench.errors import DocumentError
-from bench.station.field_types import Identity, Port
-from drivers.chamber.dialect import ChamberDialect
-from drivers.dialects import installed, load
-from drivers.rate_table.dialect import TableDialect
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.station.field_types import Identity, Port
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.dialects import installed, load
+from gyrobench.drivers.rate_table.dialect import TableDialect
 
 Dialect = TableDialect[Any] | ChamberDialect[Any]
 

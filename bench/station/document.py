@@ -17,16 +17,16 @@ from pydantic import (
     model_validator,
 )
 
-from bench.documents import Document, StrictModel, read_document, validate
-from bench.navigation.error_model import MAX_LATITUDE
-from bench.station.chamber_section import ChamberSection
-from bench.station.field_types import Identity, NotNegative, Positive, without_password
-from bench.station.interlocks import Interlocks
-from bench.station.messages import Receiver
-from bench.station.speed import why_not_fast
-from bench.station.table_section import RateTableSection
-from drivers.ins.command_map import CommandMap
-from drivers.ins.signal_map import SignalMap
+from gyrobench.bench.foundations.documents import Document, StrictModel, read_document, validate
+from gyrobench.bench.navigation.error_model import MAX_LATITUDE
+from gyrobench.bench.station.chamber_section import ChamberSection
+from gyrobench.bench.station.field_types import Identity, NotNegative, Positive, without_password
+from gyrobench.bench.station.interlocks import Interlocks
+from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.speed import why_not_fast
+from gyrobench.bench.station.table_section import RateTableSection
+from gyrobench.drivers.ins.command_map import CommandMap
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 #: Where an INS can still gyrocompass.
 _HIGHEST_DEG = round(math.degrees(MAX_LATITUDE), 6)

@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
 
-from bench.documents import StrictModel
+from gyrobench.bench.foundations.documents import StrictModel
 
 #: What a receiver can be told of; that the guard had to act is told to all.
 EventName = Literal["ends", "holds", "goes_on", "needs_person"]

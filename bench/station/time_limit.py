@@ -7,8 +7,8 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import TypeVar
 
-from bench.clock import Clock, Deadline
-from bench.errors import ConnectionFailedError
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import ConnectionFailedError
 
 _LOOK_S = 0.25
 

@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from yaml_keys import table
 
-from bench.cli import app as command_line
+from gyrobench.bench.cli import app as command_line
 
 
 def commands() -> Iterator[tuple[str, Any]]:

@@ -28,7 +28,7 @@ class ChamberReading:
 class Chamber(Protocol):
     """A thermal chamber.
 
-    Every method may raise an :class:`~bench.errors.InstrumentError`.
+    Every method may raise an :class:`~gyrobench.bench.foundations.errors.InstrumentError`.
     """
 
     def identify(self) -> str:

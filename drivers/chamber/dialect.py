@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from bench.documents import StrictModel
-from drivers.chamber import Chamber
-from drivers.dialects import LineDefaults
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.serial_line import SerialLine
 
 OptionsT = TypeVar("OptionsT", bound=StrictModel)
 

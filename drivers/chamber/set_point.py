@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.errors import RefusedError
+from gyrobench.bench.foundations.errors import RefusedError
 
 #: Decimals that commands are written with.
 DECIMALS = 3

@@ -10,12 +10,12 @@ from enum import IntEnum
 
 from pydantic import Field
 
-from bench.documents import StrictModel
-from bench.errors import FaultError, RefusedError, ReplyError
-from drivers.chamber import ChamberReading
-from drivers.chamber.dialect import ChamberDialect
-from drivers.modbus_rtu import ModbusRtu
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import FaultError, RefusedError, ReplyError
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.modbus_rtu import ModbusRtu
+from gyrobench.drivers.serial_line import SerialLine
 
 _RAMP_OFF, _RAMP_AT_EVERY_CHANGE = 0, 2
 _PER_MINUTE, _PER_HOUR = 0, 1

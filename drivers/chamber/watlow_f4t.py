@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from bench.documents import StrictModel
-from bench.errors import FaultError, RefusedError
-from drivers.chamber import ChamberReading
-from drivers.chamber.dialect import ChamberDialect
-from drivers.chamber.set_point import DECIMALS, check_commandable
-from drivers.dialects import LineDefaults
-from drivers.serial_line import SerialLine
-from drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import FaultError, RefusedError
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber.set_point import DECIMALS, check_commandable
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
 
 _OUTPUTS = 8
 _STATES = {b"ON": True, b"1": True, b"OFF": False, b"0": False}

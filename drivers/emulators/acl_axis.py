@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from drivers.emulators.acl_syntax import AclError, ErrorCode
-from drivers.emulators.world.motion_profile import AxisState
-from drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.acl_syntax import AclError, ErrorCode
+from gyrobench.drivers.emulators.world.motion_profile import AxisState
+from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: The rate trip stands this much above the rate limit until it is set.
 _RATE_TRIP_FACTOR = 1.2

@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from drivers.emulators.acl_axis import AclAxis, Mode
-from drivers.emulators.acl_syntax import AclError, Argument, ErrorCode, find_keyword, format_number
+from gyrobench.drivers.emulators.acl_axis import AclAxis, Mode
+from gyrobench.drivers.emulators.acl_syntax import AclError, Argument, ErrorCode, find_keyword, format_number
 
 Arguments = Sequence[Argument]
 #: Returns the answer of a query, nothing for a command.

@@ -17,8 +17,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Literal
 
-from drivers.emulators.acl_axis import AclAxis, SoftwareFault
-from drivers.emulators.acl_axis_commands import (
+from gyrobench.drivers.emulators.acl_axis import AclAxis, SoftwareFault
+from gyrobench.drivers.emulators.acl_axis_commands import (
     Arguments,
     AxisCommands,
     Handler,
@@ -26,14 +26,14 @@ from drivers.emulators.acl_axis_commands import (
     expect,
     whole_number,
 )
-from drivers.emulators.acl_syntax import (
+from gyrobench.drivers.emulators.acl_syntax import (
     MAX_MESSAGE_CHARACTERS,
     AclError,
     ErrorCode,
     parse_message,
 )
-from drivers.emulators.dialect import TableEmulation
-from drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.dialect import TableEmulation
+from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 _ERRORS_KEPT = 32
 _MAX_VARIABLES = 8

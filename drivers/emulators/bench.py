@@ -16,21 +16,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
-from bench.clock import Clock, WallClock, clock_named
-from bench.documents import find_document
-from bench.errors import DocumentError
-from drivers.dialects import EMULATORS, load
-from drivers.emulators.can_ins import CanInsEmulator, CanNode
-from drivers.emulators.dialect import ChamberEmulation, TableEmulation
-from drivers.emulators.faults.document import FaultList, check_faults, load_faults
-from drivers.emulators.faults.fault import BenchParts
-from drivers.emulators.faults.faulty_can import FaultyCan
-from drivers.emulators.faults.faulty_serial import FaultySerial
-from drivers.emulators.faults.injector import Injector
-from drivers.emulators.faults.record import Injected, InjectionRecord
-from drivers.emulators.serial_instrument import Connection, SerialInstrument
-from drivers.emulators.world.document import load_world
-from drivers.emulators.world.world import World
+from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.dialects import EMULATORS, load
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
+from gyrobench.drivers.emulators.faults.document import FaultList, check_faults, load_faults
+from gyrobench.drivers.emulators.faults.fault import BenchParts
+from gyrobench.drivers.emulators.faults.faulty_can import FaultyCan
+from gyrobench.drivers.emulators.faults.faulty_serial import FaultySerial
+from gyrobench.drivers.emulators.faults.injector import Injector
+from gyrobench.drivers.emulators.faults.record import Injected, InjectionRecord
+from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
+from gyrobench.drivers.emulators.world.document import load_world
+from gyrobench.drivers.emulators.world.world import World
 
 #: The chamber controller's event output that feeds the unit's power supply.
 UNIT_POWER_EVENT = 2

@@ -7,10 +7,10 @@ from typing import Protocol
 
 import can
 
-from bench.errors import DocumentError
-from drivers.emulators.can_formats import CAN_FORMATS
-from drivers.emulators.world.inertial_unit import Epochs, Mode
-from drivers.emulators.world.world import World
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.can_formats import CAN_FORMATS
+from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
+from gyrobench.drivers.emulators.world.world import World
 
 #: The set of frames of an INS that is told nothing else.
 DEFAULT_FORMAT = "gyrobench_ins"

@@ -8,8 +8,8 @@ from typing import Any
 
 import can
 
-from bench.errors import GyrobenchError
-from drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 class EmulatorBus(can.BusABC):
@@ -20,9 +20,10 @@ class EmulatorBus(can.BusABC):
     channel : str
         ``ins``.
     clock, world, seed, faults, table, chamber
-        Which emulated bench; see :mod:`drivers.emulators.bench`.
+        Which emulated bench; see :mod:`gyrobench.drivers.emulators.bench`.
     frames : str
-        What the INS speaks from now on: a name in :data:`drivers.emulators.can_formats.CAN_FORMATS`.
+        What the INS speaks from now on: a name in
+        :data:`gyrobench.drivers.emulators.can_formats.CAN_FORMATS`.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """What makes an emulator one of a dialect, and what faults can do to it beyond its line.
 
-Every emulator is at least a :class:`~drivers.emulators.serial_instrument.SerialInstrument`. The
+Every emulator is at least a :class:`~gyrobench.drivers.emulators.serial_instrument.SerialInstrument`. The
 protocols below are what it may offer besides; a fault that needs one of them is refused where the
 emulator lacks it.
 """
@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from drivers.emulators.serial_instrument import SerialInstrument
-from drivers.emulators.world.chamber_air import ChamberAir
-from drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.serial_instrument import SerialInstrument
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: Told of every event output that changes: its number, counted from 1, and its state.
 OnEvent = Callable[[int, bool], None]

@@ -1,4 +1,4 @@
-"""The emulators' own files from outside: ``python -m drivers.emulators.documents check world FILE``.
+"""The emulators' own files from outside: ``python -m gyrobench.drivers.emulators.documents check world W``.
 
 The bench never reads a world file or a list of faults. Whoever wants one checked, or its JSON
 Schema, asks this program.
@@ -11,11 +11,11 @@ import json
 import sys
 from pathlib import Path
 
-from bench.documents import StrictModel, read_document, validate
-from bench.errors import DocumentError
-from bench.json_schema import json_schema
-from drivers.emulators.faults.document import FaultList
-from drivers.emulators.world.document import WorldFile
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.json_schema import json_schema
+from gyrobench.drivers.emulators.faults.document import FaultList
+from gyrobench.drivers.emulators.world.document import WorldFile
 
 _WRONG_FILE = 2
 _KINDS: dict[str, tuple[type[StrictModel], str]] = {
@@ -26,7 +26,9 @@ _KINDS: dict[str, tuple[type[StrictModel], str]] = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Check a file, or print the schema of a kind; returns the exit code, 2 for a wrong file."""
-    parser = argparse.ArgumentParser(prog="python -m drivers.emulators.documents", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m gyrobench.drivers.emulators.documents", description=__doc__
+    )
     tasks = parser.add_subparsers(dest="task", required=True)
     for task, meaning in (("check", "check a file"), ("schema", "print a JSON Schema")):
         of_task = tasks.add_parser(task, help=meaning)

@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
 
-from drivers.emulators.dialect import TableEmulation
-from drivers.emulators.text_requests import TextRequests, decimal
-from drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.dialect import TableEmulation
+from gyrobench.drivers.emulators.text_requests import TextRequests, decimal
+from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: The axis of the world that such a table has.
 AXIS = 2

@@ -19,12 +19,12 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from bench.clock import VirtualClock, WallClock
-from bench.documents import find_document
-from bench.errors import DocumentError
-from drivers.emulators.bench import EmulatedBench
-from drivers.emulators.server import Server
-from drivers.served_ports import Port, PseudoTerminal, TcpPort
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.bench import EmulatedBench
+from gyrobench.drivers.emulators.server import Server
+from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 
 _INSTRUMENTS = ("table", "chamber", "ins")
 _MOST_SPEED = 100.0
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m drivers.emulators.serve", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m gyrobench.drivers.emulators.serve", description=__doc__)
     parser.add_argument("--world", default="gyro_a", help="world file, or the name of a shipped one")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
     parser.add_argument("--faults", default="", help="list of faults, or the name of a shipped one")

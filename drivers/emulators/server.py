@@ -7,11 +7,11 @@ import selectors
 from collections import deque
 from collections.abc import Callable
 
-from drivers.emulators.bench import EmulatedBench
-from drivers.emulators.serial_instrument import Connection, SerialInstrument
-from drivers.emulators.slcan_adapter import SlcanAdapter
-from drivers.emulators.socketcand_daemon import BUS_NAME, SocketcandDaemon
-from drivers.served_ports import Port
+from gyrobench.drivers.emulators.bench import EmulatedBench
+from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
+from gyrobench.drivers.emulators.slcan_adapter import SlcanAdapter
+from gyrobench.drivers.emulators.socketcand_daemon import BUS_NAME, SocketcandDaemon
+from gyrobench.drivers.served_ports import Port
 
 #: How often the world is looked at, s of the bench's time: its frames come no later than that.
 _PERIOD_S = 0.01

@@ -12,8 +12,8 @@ import re
 
 import can
 
-from drivers.emulators.can_ins import CanNode
-from drivers.emulators.serial_instrument import Connection
+from gyrobench.drivers.emulators.can_ins import CanNode
+from gyrobench.drivers.emulators.serial_instrument import Connection
 
 _OK, _ERROR = b"\r", b"\a"
 _LONGEST_LINE = 64
@@ -48,7 +48,7 @@ class SlcanAdapter:
         bus.listeners.append(self._on_bus)
 
     def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
-        """Take bytes from the line; see :class:`drivers.emulators.serial_instrument.SerialInstrument`."""
+        """Take bytes from the line; see ``SerialInstrument.feed``."""
         reply = bytearray()
         for byte in data:
             if byte == _OK[0]:

@@ -11,8 +11,8 @@ import re
 
 import can
 
-from drivers.emulators.can_ins import CanNode
-from drivers.emulators.serial_instrument import Connection
+from gyrobench.drivers.emulators.can_ins import CanNode
+from gyrobench.drivers.emulators.serial_instrument import Connection
 
 BUS_NAME = "can0"
 _COMMAND = re.compile(rb"<\s*([^<>]*?)\s*>")
@@ -52,7 +52,7 @@ class SocketcandDaemon:
         return b"< hi >"
 
     def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
-        """Take bytes; see :class:`drivers.emulators.serial_instrument.SerialInstrument`."""
+        """Take bytes; see :class:`gyrobench.drivers.emulators.serial_instrument.SerialInstrument`."""
         self._line += data
         reply, end = b"", 0
         for command in _COMMAND.finditer(self._line):

@@ -15,9 +15,9 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Literal
 
-from drivers.emulators.dialect import ChamberEmulation, OnEvent
-from drivers.emulators.text_requests import TextRequests, decimal
-from drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
+from gyrobench.drivers.emulators.text_requests import TextRequests, decimal
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 _CHANNEL = "1"
 _COMMAND = re.compile(r"([A-Z]{4})(\d*)(?:,([^,]*))?")

@@ -9,9 +9,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Literal, NamedTuple
 
-from drivers.emulators.dialect import ChamberEmulation, OnEvent
-from drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
-from drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
+from gyrobench.drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 MODEL_NUMBER = 5270
 

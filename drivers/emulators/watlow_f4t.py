@@ -14,9 +14,9 @@ import re
 from collections.abc import Callable
 from functools import partial
 
-from drivers.emulators.dialect import ChamberEmulation, OnEvent
-from drivers.emulators.text_requests import TextRequests, decimal
-from drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
+from gyrobench.drivers.emulators.text_requests import TextRequests, decimal
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 #: The output that switches the chamber's machinery.
 CHAMBER_OUTPUT = 1

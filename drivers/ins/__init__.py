@@ -6,19 +6,19 @@ raw log, to the same numbers. The station file says which signals and commands m
 enough.
 """
 
-from drivers.ins.attitude import EulerSequence
-from drivers.ins.bound_signals import bind_signals, check_signals
-from drivers.ins.can_bus import open_bus
-from drivers.ins.can_ins import CanIns, InsHealth
-from drivers.ins.command_map import CommandMap, check_commands
-from drivers.ins.compensation import Compensation
-from drivers.ins.dbc_codec import DbcCodec, load_dbc
-from drivers.ins.frames import FrameBlock, concatenate
-from drivers.ins.ins_status import InsStatus
-from drivers.ins.navigation_data import NavigationData, Temperatures, decode_navigation
-from drivers.ins.readout import Alignment, InsMode
-from drivers.ins.resolution import ResolutionLimit, resolution_report
-from drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.bound_signals import bind_signals, check_signals
+from gyrobench.drivers.ins.can_bus import open_bus
+from gyrobench.drivers.ins.can_ins import CanIns, InsHealth
+from gyrobench.drivers.ins.command_map import CommandMap, check_commands
+from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.frames import FrameBlock, concatenate
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures, decode_navigation
+from gyrobench.drivers.ins.readout import Alignment, InsMode
+from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 __all__ = [
     "Alignment",

@@ -14,7 +14,7 @@ import numpy as np
 from cantools.database.can import Signal
 from numpy.typing import NDArray
 
-from bench.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError
 
 Float64 = NDArray[np.float64]
 Words = NDArray[np.uint64]

@@ -13,11 +13,11 @@ import numpy as np
 from cantools.database.can import Signal
 from numpy.typing import NDArray
 
-from bench.documents import Location, Problem
-from bench.errors import DocumentError
-from drivers.ins.dbc_codec import DbcCodec
-from drivers.ins.frames import FrameBlock
-from drivers.ins.signal_map import Dimension, Quantity, SignalMap
+from gyrobench.bench.foundations.documents import Location, Problem
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.signal_map import Dimension, Quantity, SignalMap
 
 Float64 = NDArray[np.float64]
 Rows = NDArray[np.int64]

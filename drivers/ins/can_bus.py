@@ -9,8 +9,8 @@ from typing import Any
 import can
 from can.interfaces.slcan import slcanBus
 
-from bench.clock import Clock
-from bench.errors import ConnectionFailedError
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import ConnectionFailedError
 
 # python-can warns of each frame that comes from socketcand in two pieces, as frames over TCP do.
 logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)

@@ -10,8 +10,8 @@ from itertools import islice
 import can
 from cantools.database import Database
 
-from bench.clock import Clock, Deadline
-from bench.errors import (
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
     FaultError,
@@ -20,15 +20,15 @@ from bench.errors import (
     RefusedError,
     ReplyError,
 )
-from drivers.ins.attitude import EulerSequence
-from drivers.ins.bound_signals import bind_signals
-from drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage, stamp_in_time_of
-from drivers.ins.command_map import Command, CommandMap, check_commands
-from drivers.ins.compensation import Compensation, checksum
-from drivers.ins.dbc_codec import DbcCodec
-from drivers.ins.ins_status import InsStatus, NewestFrames
-from drivers.ins.readout import InsMode
-from drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.bound_signals import bind_signals
+from gyrobench.drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage, stamp_in_time_of
+from gyrobench.drivers.ins.command_map import Command, CommandMap, check_commands
+from gyrobench.drivers.ins.compensation import Compensation, checksum
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
+from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 #: The status comes once a second or so, and the INS needs its time for a command.
 REPLY_TIMEOUT_S = 5.0
@@ -54,7 +54,7 @@ class CanIns:
     Parameters
     ----------
     bus : can.BusABC
-        An open bus, from :func:`~drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
+        An open bus, from :func:`~gyrobench.drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
     on_frames : callable, optional
         Gets every batch of frames as it is polled, also while a command waits.
 

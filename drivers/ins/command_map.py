@@ -13,12 +13,12 @@ import can
 import numpy as np
 from pydantic import Field, model_validator
 
-from bench.documents import Location, Problem, StrictModel
-from bench.errors import DocumentError
-from drivers.ins.attitude import EulerSequence
-from drivers.ins.compensation import TERMS, Compensation
-from drivers.ins.dbc_codec import DbcCodec
-from drivers.ins.frames import EXTENDED_ID
+from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.compensation import TERMS, Compensation
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.frames import EXTENDED_ID
 
 
 class Command(StrictModel):

@@ -27,7 +27,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError
 
 Float64 = NDArray[np.float64]
 

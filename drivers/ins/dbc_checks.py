@@ -11,8 +11,8 @@ from itertools import pairwise
 from cantools.database import Database
 from cantools.database.can import Message
 
-from drivers.ins.bit_fields import FLOAT_LENGTHS
-from drivers.ins.frames import MAX_LENGTH
+from gyrobench.drivers.ins.bit_fields import FLOAT_LENGTHS
+from gyrobench.drivers.ins.frames import MAX_LENGTH
 
 #: The longest message of SAE J1939, whose DBC files describe it as one.
 _MAX_MESSAGE_BYTES = 1785

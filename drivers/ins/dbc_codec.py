@@ -20,11 +20,11 @@ from cantools.database import Database
 from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
-from bench.errors import DocumentError
-from bench.reading import read_limited
-from drivers.ins.bit_fields import BitField, Payloads
-from drivers.ins.dbc_checks import oversized, undecodable
-from drivers.ins.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.drivers.ins.bit_fields import BitField, Payloads
+from gyrobench.drivers.ins.dbc_checks import oversized, undecodable
+from gyrobench.drivers.ins.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock
 
 MAX_DBC_BYTES = 2_000_000
 

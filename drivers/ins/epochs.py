@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ins.bound_signals import BlockReader
-from drivers.ins.readout import Readout
+from gyrobench.drivers.ins.bound_signals import BlockReader
+from gyrobench.drivers.ins.readout import Readout
 
 Float64 = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -9,12 +9,12 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ins.attitude import EulerSequence
-from drivers.ins.bound_signals import BoundSignal
-from drivers.ins.dbc_codec import DbcCodec
-from drivers.ins.frames import EXTENDED_ID
-from drivers.ins.readout import Alignment, InsMode, Readout
-from drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.bound_signals import BoundSignal
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.frames import EXTENDED_ID
+from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 #: Values older than this are not known any more.
 STALE_S = 5.0

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ins.bound_signals import BlockReader, bind_signals
-from drivers.ins.dbc_codec import DbcCodec
-from drivers.ins.epochs import EpochCounts, Epochs, find_epochs
-from drivers.ins.frames import FrameBlock
-from drivers.ins.readout import Readout
-from drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.bound_signals import BlockReader, bind_signals
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.epochs import EpochCounts, Epochs, find_epochs
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.readout import Readout
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 Float64 = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -65,8 +65,8 @@ class NavigationData:
         ``C_nb``; NaN where the INS says that it is not valid and as long as a block has not told
         which Euler sequence applies.
     mode, alignment : ndarray of int8, shape (n,)
-        :class:`~drivers.ins.readout.InsMode` and :class:`~drivers.ins.readout.Alignment`, the last
-        known.
+        :class:`~gyrobench.drivers.ins.readout.InsMode` and :class:`~gyrobench.drivers.ins.readout.Alignment`,
+        the last known.
     temperatures : Temperatures
         On their own, slower time line.
     counts : EpochCounts

@@ -9,9 +9,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ins.attitude import EulerSequence, QuaternionFrames, attitude_matrices, quaternion_matrices
-from drivers.ins.bound_signals import BoundSignal
-from drivers.ins.signal_map import EulerMap, SignalMap
+from gyrobench.drivers.ins.attitude import (
+    EulerSequence,
+    QuaternionFrames,
+    attitude_matrices,
+    quaternion_matrices,
+)
+from gyrobench.drivers.ins.bound_signals import BoundSignal
+from gyrobench.drivers.ins.signal_map import EulerMap, SignalMap
 
 Float64 = NDArray[np.float64]
 Rows = NDArray[np.int64]

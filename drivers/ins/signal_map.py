@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from bench.documents import Location, StrictModel
+from gyrobench.bench.foundations.documents import Location, StrictModel
 
 
 class Dimension(StrEnum):
@@ -91,7 +91,7 @@ class SequenceMap(StrictModel):
 
 
 class EulerMap(StrictModel):
-    """Euler angles; :mod:`drivers.ins.attitude` says what they mean."""
+    """Euler angles; :mod:`gyrobench.drivers.ins.attitude` says what they mean."""
 
     roll: Source = Field(description="signal of roll")
     pitch: Source = Field(description="signal of pitch")

@@ -48,7 +48,7 @@ class RateTable(Protocol):
     """A table with one or more axes.
 
     Every method may raise NoReplyError, ReplyError, RefusedError and ConnectionFailedError of
-    :mod:`bench.errors`.
+    :mod:`gyrobench.bench.foundations.errors`.
     """
 
     def identify(self) -> str:

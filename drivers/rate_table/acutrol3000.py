@@ -13,12 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import TypeVar
 
-from bench.clock import Deadline
-from bench.documents import StrictModel
-from bench.errors import FaultError, NoReplyError, RefusedError, ReplyError
-from drivers.dialects import LineDefaults
-from drivers.rate_table import AxisLimits, TableReading
-from drivers.rate_table.acl_messages import (
+from gyrobench.bench.foundations.clock import Deadline
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.rate_table import AxisLimits, TableReading
+from gyrobench.drivers.rate_table.acl_messages import (
     ABORTS,
     DYNAMICS_POSITION_COMPLETE,
     INTERLOCKS,
@@ -28,9 +28,9 @@ from drivers.rate_table.acl_messages import (
     ReplyFraming,
     set_bits,
 )
-from drivers.rate_table.dialect import TableDialect
-from drivers.rate_table.standstill import await_standstill, require_rest
-from drivers.serial_line import SerialLine
+from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.rate_table.standstill import await_standstill, require_rest
+from gyrobench.drivers.serial_line import SerialLine
 
 AnswerT = TypeVar("AnswerT")
 
@@ -47,7 +47,7 @@ _NO_MESSAGE = b"~\r\n"
 
 
 class Acutrol3000:
-    """A table behind an Acutrol 3000; implements :class:`drivers.rate_table.RateTable`.
+    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`.
 
     Parameters
     ----------

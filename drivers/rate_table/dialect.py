@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from bench.documents import StrictModel
-from drivers.dialects import LineDefaults
-from drivers.rate_table import RateTable
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.rate_table import RateTable
+from gyrobench.drivers.serial_line import SerialLine
 
 OptionsT = TypeVar("OptionsT", bound=StrictModel)
 

@@ -17,14 +17,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from bench.documents import StrictModel
-from bench.errors import FaultError, RefusedError
-from drivers.dialects import LineDefaults
-from drivers.rate_table import AxisLimits, TableReading
-from drivers.rate_table.dialect import TableDialect
-from drivers.rate_table.standstill import await_standstill, require_rest
-from drivers.serial_line import SerialLine
-from drivers.text_line import TextLine
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import FaultError, RefusedError
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.rate_table import AxisLimits, TableReading
+from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.rate_table.standstill import await_standstill, require_rest
+from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.text_line import TextLine
 
 _PROMPT = b">"
 _DECIMALS = 4
@@ -38,7 +38,7 @@ _HELD_BACK_S = 0.2
 
 
 class IdealAerosmith:
-    """A table with one axis; implements :class:`drivers.rate_table.RateTable`.
+    """A table with one axis; implements :class:`gyrobench.drivers.rate_table.RateTable`.
 
     Parameters
     ----------

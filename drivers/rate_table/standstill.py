@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from bench.clock import Clock, Deadline
-from bench.errors import FaultError, NoReplyError, ReplyError
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import FaultError, NoReplyError, ReplyError
 
 #: Longest wait for rest.
 LONGEST_S = 30.0

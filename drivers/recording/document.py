@@ -11,9 +11,9 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field
 
-from bench.documents import Document, StrictModel, parse_document, validate
-from bench.errors import DocumentError
-from bench.reading import read_limited
+from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.reading import read_limited
 
 MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"

@@ -11,11 +11,11 @@ from urllib.parse import parse_qs, unquote, urlsplit
 
 from serial.serialutil import SerialException
 
-from bench.clock import Clock, WallClock, clock_named
-from bench.errors import DocumentError
-from drivers.clocked_port import ClockedPort
-from drivers.recording.document import read_recording
-from drivers.recording.script import ReplayError, ReplayScript
+from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.clocked_port import ClockedPort
+from gyrobench.drivers.recording.document import read_recording
+from gyrobench.drivers.recording.script import ReplayError, ReplayScript
 
 SCHEME = "replay://"
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bench.clock import Clock
-from drivers.recording.tap import LinePort, RecordingFile
-from drivers.served_ports import Port
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.drivers.recording.tap import LinePort, RecordingFile
+from gyrobench.drivers.served_ports import Port
 
 _PERIOD_S = 0.001
 _MOST_BYTES = 4096

@@ -7,7 +7,7 @@ from typing import Any
 
 import can
 
-from bench.clock import Clock, WallClock, clock_named
+from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
 
 
 class ReplayBus(can.BusABC):

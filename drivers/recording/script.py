@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.recording.document import Recording, Transfer
+from gyrobench.drivers.recording.document import Recording, Transfer
 
 #: A driver is never asked to keep time to better than this: what should have come by then has come.
 _TOLERANCE_S = 0.05

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from bench.clock import Clock
-from bench.files import cant_be_written, make_folder
-from drivers.recording.document import RecordingHeader, Transfer, header_text
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.files import cant_be_written, make_folder
+from gyrobench.drivers.recording.document import RecordingHeader, Transfer, header_text
 
 #: What waits unread when a driver throws it away; more of it is not kept.
 _MOST_DISCARDED = 65536

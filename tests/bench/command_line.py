@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli import main
+from gyrobench.bench.cli import main
 
 WIDTH = {"COLUMNS": "80"}
-PROCESS = (sys.executable, "-c", "from bench.cli import main; main()")
+PROCESS = (sys.executable, "-c", "from gyrobench.bench.cli import main; main()")
 
 
 def gyrobench_process(*arguments, cwd):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.documents import find_document
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.live.lines_view import LinesView
-from bench.navigation.earth import RADPS_TO_DPH
-from bench.station.instruments import Emulation
-from drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 class Watcher(LinesView):

@@ -6,8 +6,8 @@ from pathlib import Path
 import can
 import numpy as np
 
-import drivers.ins
-from drivers.ins import DbcCodec, FrameBlock, load_dbc
+import gyrobench.drivers.ins
+from gyrobench.drivers.ins import DbcCodec, FrameBlock, load_dbc
 
 FRAMES = 200_000
 MESSAGE = "HEADING"
@@ -15,7 +15,7 @@ MESSAGE = "HEADING"
 
 def measure() -> dict[str, float]:
     """Seconds for the same frames by cantools, in bulk, and from Message objects to a block."""
-    codec = DbcCodec(load_dbc(Path(drivers.ins.__file__).with_name("gyrobench_ins.dbc")))
+    codec = DbcCodec(load_dbc(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc")))
     message = codec.database.get_message_by_name(MESSAGE)
     payloads = [bytes(row) for row in np.random.default_rng(0).integers(0, 256, (FRAMES, 8), dtype=np.uint8)]
     frames = [

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.closure.files import write_closure
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.files import write_closure
 from tests.benchmarks.stock_methods import METHODS
 from tests.benchmarks.stock_methods import write_closure as write_stock_closure
 

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import kstest
 
-from bench.bias.dwell import Dwell
-from bench.bias.noise.model import NoiseModel
-from bench.bias.paper import estimate_paper
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate, estimate_state_space
-from bench.errors import MeasurementError
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell import Dwell
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias import disturbances
 from tests.bench.bias.cramer_rao import CramerRao
 from tests.bench.bias.emulated_dwells import CLEAN, DPH, LATITUDE_DEG, UG, emulate, noise_model, sensors, site

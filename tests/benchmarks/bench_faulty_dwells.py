@@ -15,16 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.measurement.dwell import measure_dwell
-from bench.measurement.marks import DwellMarks
-from bench.measurement.setup import measurement_setup
-from bench.run_store.can_log import read_can_log
-from bench.run_store.journal import read_journal
-from bench.station.station import Station
-from drivers.ins.frames import FrameBlock
+from gyrobench.bench.dwells.dwell import measure_dwell
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.frames import FrameBlock
 from tests.bench.conftest import watched_run
-from tests.bench.measurement.fault_kinds import FAULTS
-from tests.bench.measurement.frame_faults import Recording
+from tests.bench.dwells.fault_kinds import FAULTS
+from tests.bench.dwells.frame_faults import Recording
 
 RIGHT, FLAGGED, WRONG = range(3)
 

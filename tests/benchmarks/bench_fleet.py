@@ -17,12 +17,12 @@ from pathlib import Path
 
 import psutil
 
-from bench.clock import WallClock
-from bench.fleet.choice import runs_named
-from bench.fleet.cluster import Workers, connected
-from bench.fleet.jobs import JobKind
-from bench.fleet.record import FleetRecord
-from bench.fleet.work import work_through
+from gyrobench.bench.fleet.choice import runs_named
+from gyrobench.bench.fleet.cluster import Workers, connected
+from gyrobench.bench.fleet.jobs import JobKind
+from gyrobench.bench.fleet.record import FleetRecord
+from gyrobench.bench.fleet.work import work_through
+from gyrobench.bench.foundations.clock import WallClock
 from tests.benchmarks.fleet_runs import make_runs
 
 TABLE = Path(__file__).parents[2] / "docs" / "fleet_benchmark.md"

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.bias.raw_rate import RateRecording, up_down_pair
-from bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.bias.raw_rate import RateRecording, up_down_pair
+from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
 
 LN100 = Path(__file__).parents[3] / "shared" / "data" / "ln100"
 LATITUDE = np.deg2rad(51.0784)

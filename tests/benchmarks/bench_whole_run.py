@@ -5,11 +5,11 @@ import subprocess
 import sys
 import time
 
-from bench.run_store.can_log import read_can_log
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
 
-GYROBENCH = [sys.executable, "-c", "from bench.cli import main; main()"]
+GYROBENCH = [sys.executable, "-c", "from gyrobench.bench.cli import main; main()"]
 
 
 def run(procedure, out):

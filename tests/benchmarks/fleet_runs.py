@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from bench.clock import WallClock
-from bench.engine.operator import ConsentingOperator
-from bench.engine.people import Progress
-from bench.engine.session import prepare_job, run_job
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.station.instruments import Emulation
 
 PROCEDURE = Path(__file__).parent / "fleet_sample.yaml"
 WORLD = Path(__file__).parents[2] / "worlds" / "quick.yaml"

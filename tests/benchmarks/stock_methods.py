@@ -17,8 +17,8 @@ from scipy.stats import f as f_distribution
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LassoLarsIC
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.navigation.positions import POSITIONS
 
 HINGE_C = 50.0
 LAGS_S = (300.0, 600.0, 1800.0, 3600.0, 7200.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.document import load_procedure
 from tests.bench.command_line import gyrobench
 from tests.docs.pages import DOCS, blocks, pages
 
@@ -38,7 +38,7 @@ def test_the_tutorial_s_hidden_effect_is_found_under_its_name(tmp_path_factory):
 
 
 def test_the_effect_of_the_page_is_one(tmp_path):
-    from bench.closure.effects.effect import Effect
+    from gyrobench.bench.closure.effects.effect import Effect
 
     [block] = [block for block in blocks(DOCS / "extend/effect.md") if block.language == "python"]
     names = {}

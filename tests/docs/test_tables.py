@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from bench.bias.bins import BiasBin
-from bench.bias.joint.vertical_pairs import Finding
-from bench.bias.noise.allan import AllanVariance, RateNoise
-from bench.bias.noise.estimate import ChannelNoise, NoiseEstimate
-from bench.bias.tables import dwell_table, verification_table
-from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
-from bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
-from bench.measurement.comparison import ComparisonRow
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias import dwell_table
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.joint.vertical_pairs import Finding
+from gyrobench.bench.bias.noise.allan import AllanVariance, RateNoise
+from gyrobench.bench.bias.noise.estimate import ChannelNoise, NoiseEstimate
+from gyrobench.bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
+from gyrobench.bench.dwells.comparison import ComparisonRow
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.tables import verification_table
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
 from tests.bench.report.made_up_closure import explained
 
 TEXT = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")

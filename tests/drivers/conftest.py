@@ -4,9 +4,9 @@ from functools import cache
 
 import pytest
 
-from bench.clock import VirtualClock
-from drivers.emulators.bench import BenchAddress, emulated_bench
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.serial_line import SerialLine
 
 
 class Scripted:

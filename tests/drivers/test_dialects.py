@@ -2,13 +2,13 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from bench.errors import DocumentError
-from drivers import dialects
-from drivers.chamber import watlow_f4
-from drivers.chamber.dialect import ChamberDialect
-from drivers.dialects import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
-from drivers.emulators.dialect import ChamberEmulation, TableEmulation
-from drivers.rate_table.dialect import TableDialect
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers import dialects
+from gyrobench.drivers.chamber import watlow_f4
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.dialects import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
+from gyrobench.drivers.rate_table.dialect import TableDialect
 
 
 @pytest.fixture
@@ -54,13 +54,13 @@ def test_a_name_that_is_not_installed_is_told_with_those_that_are():
     ("value", "message"),
     [
         ("no_such_package.module:DIALECT", r"can't be imported: ModuleNotFoundError: No module named"),
-        ("drivers.chamber.watlow_f4:NOTHING", "can't be imported: AttributeError"),
-        ("drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*tell its maker"),
-        ("drivers.rate_table.acutrol3000:DIALECT", "is no ChamberDialect"),
+        ("gyrobench.drivers.chamber.watlow_f4:NOTHING", "can't be imported: AttributeError"),
+        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*tell its maker"),
+        ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is no ChamberDialect"),
     ],
 )
 def test_a_broken_package_is_told_by_those_who_use_it_alone(offered, value, message):
-    offered(broken=value, watlow_f4="drivers.chamber.watlow_f4:DIALECT")
+    offered(broken=value, watlow_f4="gyrobench.drivers.chamber.watlow_f4:DIALECT")
     with pytest.raises(DocumentError, match=f"the dialect 'broken' of .*{message}"):
         load(CHAMBERS, "broken", ChamberDialect)
     assert load(CHAMBERS, "watlow_f4", ChamberDialect) is watlow_f4.DIALECT

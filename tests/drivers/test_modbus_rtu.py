@@ -4,10 +4,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymodbus.framer.rtu import FramerRTU
 
-from bench.clock import VirtualClock
-from bench.errors import NoReplyError, ReplyError
-from drivers.modbus_rtu import PAUSE_AFTER_READ_S, ModbusRtu, crc16, framed
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
+from gyrobench.drivers.modbus_rtu import PAUSE_AFTER_READ_S, ModbusRtu, crc16, framed
+from gyrobench.drivers.serial_line import SerialLine
 
 TIMEOUT_S = 1.0
 

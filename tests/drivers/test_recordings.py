@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.recording.replay import replay
+from gyrobench.bench.recording.replay import replay
 
 RECORDINGS = sorted(Path(__file__).with_name("recordings").glob("*.rec"))
 

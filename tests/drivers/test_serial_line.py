@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.clock import Deadline, VirtualClock, WallClock
-from bench.errors import ConnectionFailedError, NoReplyError, ReplyError
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import Deadline, VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
+from gyrobench.drivers.serial_line import SerialLine
 
 
 def open_descriptors():

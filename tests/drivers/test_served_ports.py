@@ -3,7 +3,7 @@ import socket
 
 import pytest
 
-from drivers.served_ports import PseudoTerminal, TcpPort
+from gyrobench.drivers.served_ports import PseudoTerminal, TcpPort
 
 
 def test_a_link_that_a_killed_program_left_is_replaced(tmp_path):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.documents import Document
+from gyrobench.bench.foundations.documents import Document
 
 
 class WrongResultError(Exception):

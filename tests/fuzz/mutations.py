@@ -34,7 +34,7 @@ _TEXTS = (
 _RAW_YAML = (
     '!!python/object/apply:os.system ["touch gyrobench_was_here"]',
     "!!python/name:os.system ''",
-    "!!python/object:bench.documents.Document {}",
+    "!!python/object:gyrobench.bench.foundations.documents.Document {}",
     "!!binary aGVsbG8=",
     "!!set {a, b}",
     "!!omap [a: 1]",

@@ -12,28 +12,28 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from bench.bias.bins import read_bins
-from bench.bias.tables.dwell_table import read_dwells
-from bench.bias.tables.joint_table import read_joint_biases, read_joint_stops
-from bench.bias.tables.noise_file import read_noise
-from bench.bias.tables.verification_table import COLUMNS as VERIFICATION_COLUMNS
-from bench.bias.tables.verification_table import read_verification
-from bench.closure.files import read_held_out_cycles
-from bench.engine.operator import ConsentingOperator
-from bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
-from bench.engine.session import measure_again, prepare_job, run_job
-from bench.engine.verify import new_emulation
-from bench.live.console import PatientConsole
-from bench.live.lines_view import LinesView
-from bench.measurement.campaign import read_campaign
-from bench.procedure.plan import Plan
-from bench.report.content import read_run
-from bench.report.run.noise_section import noise_section
-from bench.report.verification.section import verification_section
-from bench.run_store.can_log import read_can_log
-from bench.run_store.folder import RunFolder, open_run_folder
-from bench.run_store.telemetry import COLUMNS, read_telemetry
-from bench.station.instruments import Emulation
+from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.closure.files import read_held_out_cycles
+from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
+from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
+from gyrobench.bench.engine.verify import new_emulation
+from gyrobench.bench.live.console import PatientConsole
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.run.noise_section import noise_section
+from gyrobench.bench.report.verification.section import verification_section
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops
+from gyrobench.bench.runs.tables.noise_file import read_noise
+from gyrobench.bench.runs.tables.verification_table import COLUMNS as VERIFICATION_COLUMNS
+from gyrobench.bench.runs.tables.verification_table import read_verification
+from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
+from gyrobench.bench.station.instruments import Emulation
 from tests.fuzz.checks import WrongResultError, cells_of, check_cell, written
 
 _RUN = Path(__file__).parent / "run.yaml"

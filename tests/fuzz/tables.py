@@ -7,11 +7,11 @@ import io
 from pathlib import Path
 from typing import Any
 
-from bench.bias.bins import bin_biases
-from bench.bias.tables.dwell_table import DwellRow, format_dwells, read_dwells
-from bench.measurement.calibration import read_calibration
-from bench.measurement.campaign import read_campaign
-from bench.navigation.positions import AXES
+from gyrobench.bench.bias.bins import bin_biases
+from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells
+from gyrobench.bench.dwells.calibration import read_calibration
+from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.navigation.positions import AXES
 from tests.fuzz.checks import WrongResultError, cells_of, check_cell, check_finite, written
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
-from bench.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError
 from tests.fuzz.sandbox import HangError, Sandbox
 from tests.fuzz.targets import Target, finished_run, targets
 

@@ -15,13 +15,13 @@ from pathlib import Path
 from random import Random
 from unittest import mock
 
-from bench.documents import find_document
-from bench.engine.live_bench import LiveBench
-from bench.engine.operator import ConsentingOperator
-from bench.engine.resumption import prepare_resumption, resume_run
-from bench.engine.session import prepare_job, run_job
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.resumption import prepare_resumption, resume_run
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
 from tests.soak.faults import KindTally, outcomes_of
 from tests.soak.truth import WORLD, TruthWatcher, compare
 
@@ -93,7 +93,7 @@ def _run(folder: Path, kind: str, count: int, seed: int) -> dict[str, object]:
     job = prepare_job(str(procedure), str(station), Emulation(str(WORLD), 0))
     calendar = _Calendar(job, 1 if "forward" in kind else -1, count, Random(f"{seed}/{kind}"))  # noqa: S311
     problems = []
-    with mock.patch("bench.clock._calendar", calendar.now):
+    with mock.patch("gyrobench.bench.foundations.clock._calendar", calendar.now):
         run, outcome = run_job(job, folder / "run", calendar, ConsentingOperator())
         if outcome.ended != "stopped":
             problems.append(f"{kind}: the run was to be stopped and {outcome.ended}: {outcome.reason}")

@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.engine.operator import ConsentingOperator, Operator
-from bench.engine.outcome import RunOutcome
-from bench.engine.resumption import Resumption, prepare_resumption, resume_run
-from bench.engine.session import prepare_job, run_job
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.operator import ConsentingOperator, Operator
+from gyrobench.bench.engine.outcome import RunOutcome
+from gyrobench.bench.engine.resumption import Resumption, prepare_resumption, resume_run
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
 from tests.soak.results import PartResult, PartTable, machine
 from tests.soak.truth import WORLD, WRONG_C, TruthWatcher, compare, true_bias_dph
 

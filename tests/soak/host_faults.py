@@ -17,12 +17,12 @@ from random import Random
 from typing import Any
 from unittest import mock
 
-from bench.engine.live_bench import LiveBench
-from bench.engine.operator import ConsentingOperator
-from bench.engine.orders import Order
-from bench.procedure.plan import PlannedStep
-from bench.procedure.steps import STEP_KINDS
-from bench.run_store.journal import read_journal
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.runs.journal import read_journal
 from tests.soak.faults import FaultyRun, InjectedError, KindTally
 from tests.soak.truth import TruthWatcher
 

@@ -22,20 +22,20 @@ from random import Random
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from bench.bias.tables.dwell_table import DwellRow, read_dwells
-from bench.engine.operator import ConsentingOperator
-from bench.engine.progress import progress_of
-from bench.engine.resumption import describe_resumption, prepare_resumption
-from bench.engine.session import Job, prepare_job, run_job
-from bench.errors import RunFolderError
-from bench.measurement.replay import replay
-from bench.measurement.setup import measurement_setup
-from bench.procedure.steps import STEP_KINDS
-from bench.run_store.can_log import read_can_log
-from bench.run_store.folder import RunFolder, open_run_folder
-from bench.run_store.journal import read_journal
-from bench.run_store.telemetry import read_telemetry
-from bench.station.instruments import Emulation
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.dwells.replay import replay
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.progress import progress_of
+from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption
+from gyrobench.bench.engine.session import Job, prepare_job, run_job
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.bench.station.instruments import Emulation
 from tests.soak.results import PartResult, counts, machine
 from tests.soak.truth import WORLD, Agreement, TruthWatcher, true_bias_dph
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.documents import find_document
-from bench.engine.live_bench import LiveBench
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import Job
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import Job
+from gyrobench.bench.foundations.documents import find_document
 from tests.soak.faults import OUTCOMES, FaultyRun
 from tests.soak.results import PartResult, PartTable, counts, machine
 from tests.soak.truth import TruthWatcher

@@ -19,11 +19,11 @@ from urllib.parse import urlsplit
 
 import yaml
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.documents import find_document
-from bench.run_store.can_log import read_can_log
-from bench.run_store.folder import open_run_folder
-from bench.run_store.journal import read_journal
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import open_run_folder
+from gyrobench.bench.runs.journal import read_journal
 from tests.soak.results import PartResult, PartTable, machine
 from tests.soak.served_bench import FRAME, packed
 from tests.soak.truth import Agreement, true_bias_dph

@@ -1,6 +1,6 @@
 """The emulators of ``gyrobench emulate``, writing down every frame that the INS sends: eleven bytes each.
 
-``python -m tests.soak.served_bench FRAMES [options of drivers.emulators.serve]``
+``python -m tests.soak.served_bench FRAMES [options of gyrobench.drivers.emulators.serve]``
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 
 import can
 
-from drivers.emulators import serve
-from drivers.emulators.bench import EmulatedBench
+from gyrobench.drivers.emulators import serve
+from gyrobench.drivers.emulators.bench import EmulatedBench
 
 FRAME = struct.Struct("<HB8s")
 

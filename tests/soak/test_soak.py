@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import DwellRow
+from gyrobench.bench.bias.dwell_table import DwellRow
 from tests.soak.faults import ENDED, HELD, NONE, RETRIED, inject_faults, outcomes_of
 from tests.soak.kills import BACK, BETWEEN, RESULTS, START, kill_runs, under_way
 from tests.soak.long_run import long_run, slope

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.engine.live_bench import LiveBench
-from bench.engine.people import Progress
-from bench.engine.session import Job
-from bench.procedure.plan import PlannedStep
-from drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
-from drivers.emulators.world.document import load_world
-from drivers.emulators.world.sensor_errors import DPH, gyro_errors
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import Job
+from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
+from gyrobench.drivers.emulators.world.document import load_world
+from gyrobench.drivers.emulators.world.sensor_errors import DPH, gyro_errors
 
 WORLD = Path(__file__).with_name("world.yaml")
 #: A result that is off by more than this many of its sigma, and not flagged, is wrong.

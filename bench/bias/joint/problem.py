@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from bench.bias.least_squares import compress, misfit, solve
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space import causes
-from bench.bias.state_space.bias_filter import DwellInformation
-from bench.navigation.earth import STANDARD_GRAVITY
-from bench.navigation.positions import Position
+from gyrobench.bench.bias.least_squares import compress, misfit, solve
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space import causes
+from gyrobench.bench.bias.state_space.bias_filter import DwellInformation
+from gyrobench.bench.navigation.earth import STANDARD_GRAVITY
+from gyrobench.bench.navigation.positions import Position
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,8 @@ what the bench is for, and nothing here draws them to one another.
 
 There are three solutions: each dwell by itself; all together, with the latitude as well known as
 declared; and all together with any rate North, in which a rate Up stays in the biases of the
-vertical gyros. From the last one that rate can be taken away: see :mod:`bench.bias.joint.vertical_pairs`.
+vertical gyros. From the last one that rate can be taken away: see
+:mod:`gyrobench.bench.bias.joint.vertical_pairs`.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from bench.bias.dwell import BiasEstimate
-from bench.bias.joint.problem import (
+from gyrobench.bench.bias.dwell import BiasEstimate
+from gyrobench.bench.bias.joint.problem import (
     ACCELEROMETER_BIAS,
     ACCELEROMETER_MATRIX,
     GYRO_MATRIX,
@@ -34,11 +35,11 @@ from bench.bias.joint.problem import (
     solve_alone,
     solve_together,
 )
-from bench.bias.joint.vertical_pairs import UpRate, VerticalPairs, up_rate
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import DwellInformation
-from bench.errors import MeasurementError
-from bench.navigation.positions import POSITIONS, Position
+from gyrobench.bench.bias.joint.vertical_pairs import UpRate, VerticalPairs, up_rate
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import DwellInformation
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS, Position
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class JointDwell:
     number : int
         Of the dwell; no two dwells of a run have the same.
     position_name : str
-        Key of :data:`bench.navigation.positions.POSITIONS`.
+        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
     information : DwellInformation
         From its own estimate.
     cycle : int

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from bench.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError
 
 #: Terms of the noise, in the order of arrays: S^2, N^2, K^2.
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK = range(3)

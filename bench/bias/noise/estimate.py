@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from bench.bias.dwell import NavigationWindow
-from bench.bias.noise.allan import (
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise.allan import (
     RANDOM_WALK,
     RATE_WALK,
     WHITE_ANGLE,
@@ -37,11 +37,11 @@ from bench.bias.noise.allan import (
     fit_rate_noise,
     on_grid,
 )
-from bench.bias.noise.model import NoiseModel
-from bench.errors import MeasurementError
-from bench.navigation.attitude import rotation_vector_enu
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
-from bench.navigation.positions import AXES
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_vector_enu
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.navigation.positions import AXES
 
 #: One-sided 95 % point of the normal distribution.
 _LIMIT_SIGMAS = 1.645
@@ -142,7 +142,7 @@ class ChannelNoise:
         return np.asarray(self.allan.deviation * self.allan.tau_s > _ARITHMETIC)
 
     def parameter(self, term: int) -> NoiseParameter:
-        """One of the terms of :mod:`bench.bias.noise.allan`."""
+        """One of the terms of :mod:`gyrobench.bench.bias.noise.allan`."""
         if self.fit is not None:
             return NoiseParameter.measured(float(self.fit.unbounded[term]), float(self.fit.sigmas[term]))
         if term != RANDOM_WALK or self.step == 0.0:

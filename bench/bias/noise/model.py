@@ -17,8 +17,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import DocumentError
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
 
 
 @dataclass(frozen=True)

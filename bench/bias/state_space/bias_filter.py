@@ -20,16 +20,16 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.special import erfc
 
-from bench.bias.dwell import BiasEstimate, Dwell, TurnPath
-from bench.bias.least_squares import solve
-from bench.bias.noise.model import NoiseModel
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space import causes, whitening
-from bench.bias.state_space.fit_test import FitTest, fit_test
-from bench.bias.state_space.window_filter import WindowFilter
-from bench.errors import MeasurementError
-from bench.navigation.earth import earth_rate_enu
-from bench.navigation.error_model import STATES, Site, integrate
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, TurnPath
+from gyrobench.bench.bias.least_squares import solve
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space import causes, whitening
+from gyrobench.bench.bias.state_space.fit_test import FitTest, fit_test
+from gyrobench.bench.bias.state_space.window_filter import WindowFilter
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class DwellInformation:
     Attributes
     ----------
     rows : ndarray, shape (n, p)
-        White rows with unit variance, for the unknowns of :mod:`bench.bias.state_space.causes`.
+        White rows with unit variance, for the unknowns of :mod:`gyrobench.bench.bias.state_space.causes`.
     data : ndarray, shape (n,)
         What they are to give.
     bias_at_mean : ndarray, shape (3, p)

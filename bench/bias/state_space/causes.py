@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.prior import PriorKnowledge
-from bench.navigation.earth import STANDARD_GRAVITY
-from bench.navigation.error_model import INPUTS
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.navigation.earth import STANDARD_GRAVITY
+from gyrobench.bench.navigation.error_model import INPUTS
 
 #: Biases of the gyros and their slopes with temperature, accelerometer biases (body axes), rate
 #: North and Up that is fixed in the navigation frame, gyro error matrix by rows.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.least_squares import misfit
+from gyrobench.bench.bias.least_squares import misfit
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ def whiten(
     variances : ndarray, shape (3,)
         Of the noise of each of them.
     transitions, responses, covariances : ndarray, shape (n, 6, 6), (n, 6, 5), (n, 6, 6)
-        The interval that leads to each epoch; :class:`bench.navigation.error_model.Intervals`.
+        The interval that leads to each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
     C_nb : ndarray, shape (3, 3)
         Attitude in the window.
     temperatures : ndarray, shape (n, 3)

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.dwell import slots
-from bench.bias.least_squares import compress
-from bench.bias.noise.model import NoiseModel
-from bench.bias.state_space import whitening
-from bench.navigation.attitude import rotation_vector_enu
-from bench.navigation.error_model import STATES, Site, integrate
+from gyrobench.bench.bias.dwell import slots
+from gyrobench.bench.bias.least_squares import compress
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.state_space import whitening
+from gyrobench.bench.navigation.attitude import rotation_vector_enu
+from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class WindowFilter:
     ----------
     columns : ndarray, shape (6, 16)
         What the filter does not know of the state at the last epoch, for the columns of
-        :mod:`bench.bias.state_space.whitening`.
+        :mod:`gyrobench.bench.bias.state_space.whitening`.
     root : ndarray, shape (k, 16)
         Rows with the same normal equations as the white ones of all epochs.
     last_s : float

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bench.bias.prior import PriorKnowledge
-from bench.bias.tables.dwell_table import DwellRow, Triple
-from bench.bias.verification.estimators import KnownAccelerometers
-from bench.bias.verification.temperature_curve import TemperatureCurve
-from bench.bias.weighted_mean import weighted_mean
-from bench.navigation.earth import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2
-from bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow, Triple
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.verification.estimators import KnownAccelerometers
+from gyrobench.bench.bias.verification.temperature_curve import TemperatureCurve
+from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K.
 _ACCELEROMETER_SLOPE_UG = 10.0
@@ -49,7 +49,7 @@ class Calibration:
         Parameters
         ----------
         position : str
-            Key of :data:`bench.navigation.positions.POSITIONS`.
+            Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
         gyro_c : tuple of float
             Temperatures of the gyros; each stands for that of the accelerometer beside it.
         """

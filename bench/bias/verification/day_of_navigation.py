@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.weighted_mean import weighted_mean
-from bench.errors import MeasurementError
-from bench.navigation.error_model import Site
-from bench.navigation.positions import AXES, POSITIONS
-from bench.navigation.rotational_ins import (
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.navigation.rotational_ins import (
     DAY_S,
     NAUTICAL_MILE_M,
     SIX_POSITIONS,

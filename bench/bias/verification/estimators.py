@@ -22,18 +22,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.dwell import Dwell, NavigationWindow
-from bench.bias.least_squares import solve
-from bench.bias.noise.model import NoiseModel
-from bench.bias.paper import TURN_TOLERANCE, PolynomialTrend
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space import causes
-from bench.bias.state_space.bias_filter import BiasFilter
-from bench.bias.state_space.fit_test import FitTest
-from bench.errors import MeasurementError
-from bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
-from bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
-from bench.navigation.error_model import Site
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
+from gyrobench.bench.bias.least_squares import solve
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.paper import TURN_TOLERANCE, PolynomialTrend
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space import causes
+from gyrobench.bench.bias.state_space.bias_filter import BiasFilter
+from gyrobench.bench.bias.state_space.fit_test import FitTest
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.navigation.error_model import Site
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.bias.weighted_mean import weighted_mean
 
 #: How far beyond the outermost temperature that was measured a curve goes, K.
 REACH_K = 2.0

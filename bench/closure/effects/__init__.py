@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.effects.effect import Effect
 
 
 def all_effects() -> tuple[Effect, ...]:

@@ -14,8 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import expit
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import (
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import (
     Effect,
     FloatArray,
     Form,

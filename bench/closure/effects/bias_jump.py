@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form, Parameter
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.closure.campaign import Campaign
+from gyrobench.bench.closure.campaign import Campaign
 
 FloatArray = NDArray[np.float64]
 

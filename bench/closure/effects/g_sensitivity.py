@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form, needs_positions
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, needs_positions
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:

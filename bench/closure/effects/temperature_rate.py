@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:

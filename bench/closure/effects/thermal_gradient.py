@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form, above_optics_c, needs_electronics
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, above_optics_c, needs_electronics
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:

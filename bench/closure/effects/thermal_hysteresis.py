@@ -5,8 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
 
 
 @numba.njit(cache=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
 
 
 def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArray:

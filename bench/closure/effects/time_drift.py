@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.closure.campaign import Campaign
-from bench.closure.effects.effect import Effect, FloatArray, Form
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form
 
 _S_PER_DAY = 86_400.0
 

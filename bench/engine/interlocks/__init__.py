@@ -5,8 +5,8 @@ levels, never at changes: what is wrong already when a run begins trips at once,
 until it is good again.
 """
 
-from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import Finding
-from bench.engine.interlocks.watch import InterlockWatch, Trip, text_of
+from gyrobench.bench.engine.interlocks.expected import Expected
+from gyrobench.bench.engine.interlocks.findings import Finding
+from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip, text_of
 
 __all__ = ["Expected", "Finding", "InterlockWatch", "Trip", "text_of"]

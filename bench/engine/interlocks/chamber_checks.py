@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent, too_fast
-from bench.engine.interlocks.rate_window import RateWindow
-from bench.engine.readings import Readings
-from bench.station.station import Station
+from gyrobench.bench.engine.interlocks.expected import Expected
+from gyrobench.bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent, too_fast
+from gyrobench.bench.engine.interlocks.rate_window import RateWindow
+from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.station.station import Station
 
 _AT_THE_PANEL = "Somebody changed it at its panel, or its controller was restarted."
 

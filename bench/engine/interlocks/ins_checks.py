@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent, too_fast
-from bench.engine.interlocks.rate_window import RateWindow
-from bench.engine.readings import Readings
-from bench.station.interlocks import TemperatureInterlock, TemperatureRateInterlock
-from bench.station.station import Station
-from drivers.ins.ins_status import InsStatus
-from drivers.ins.readout import InsMode
+from gyrobench.bench.engine.interlocks.expected import Expected
+from gyrobench.bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent, too_fast
+from gyrobench.bench.engine.interlocks.rate_window import RateWindow
+from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.station.interlocks import TemperatureInterlock, TemperatureRateInterlock
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.ins.readout import InsMode
 
 _CHECK_SENSOR = "Check the sensor and the signal map"
 _COOL_DOWN = f"{_CHECK_SENSOR}; let the unit come back to room temperature."

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent
-from bench.engine.readings import Readings
-from bench.station.station import Station
+from gyrobench.bench.engine.interlocks.expected import Expected
+from gyrobench.bench.engine.interlocks.findings import CHECK_LINE, Finding, outside, silent
+from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.station.station import Station
 
 #: Readings closer than this tell no acceleration: the moment of each is not known well enough.
 _LEAST_SPAN_S = 0.4

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from bench.clock import Clock
-from bench.engine.interlocks.chamber_checks import ChamberChecks
-from bench.engine.interlocks.expected import Expected
-from bench.engine.interlocks.findings import Finding, told
-from bench.engine.interlocks.ins_checks import InsChecks
-from bench.engine.interlocks.table_checks import TableChecks
-from bench.engine.readings import Readings
-from bench.station.interlocks import InterlockRule
-from bench.station.station import Station
+from gyrobench.bench.engine.interlocks.chamber_checks import ChamberChecks
+from gyrobench.bench.engine.interlocks.expected import Expected
+from gyrobench.bench.engine.interlocks.findings import Finding, told
+from gyrobench.bench.engine.interlocks.ins_checks import InsChecks
+from gyrobench.bench.engine.interlocks.table_checks import TableChecks
+from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.station.interlocks import InterlockRule
+from gyrobench.bench.station.station import Station
 
 
 @dataclass(frozen=True)

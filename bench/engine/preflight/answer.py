@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bench.errors import InstrumentError
-from bench.station.check import Check, Verdict
+from gyrobench.bench.foundations.errors import InstrumentError
+from gyrobench.bench.station.check import Check, Verdict
 
 _ANSWERS = "answers"
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from bench.engine.preflight.answer import answered, failed, unanswered
-from bench.errors import FaultError, InstrumentError, RefusedError
-from bench.station.check import Check
-from bench.station.station import Station
-from drivers.chamber import Chamber
+from gyrobench.bench.engine.preflight.answer import answered, failed, unanswered
+from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import Chamber
 
 _SUBJECT = "chamber"
 

@@ -6,11 +6,11 @@ import math
 import shutil
 from pathlib import Path
 
-from bench.procedure.plan import Plan
-from bench.procedure.timeline import hours_minutes
-from bench.run_store.telemetry import COLUMNS
-from bench.station.check import Check
-from bench.station.station import Station
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.runs.telemetry import COLUMNS
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.station import Station
 
 _SUBJECT = "disk"
 #: Of the raw log, compressed; of the journal, per tick at most.

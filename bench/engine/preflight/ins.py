@@ -11,18 +11,18 @@ from datetime import UTC, datetime
 import can
 import numpy as np
 
-from bench.clock import Clock, Deadline
-from bench.engine.preflight.answer import answered, failed, unanswered
-from bench.errors import InstrumentError, NoReplyError
-from bench.station.check import Check
-from bench.station.instruments import Outputs
-from bench.station.station import Station
-from drivers.ins.can_ins import CanIns
-from drivers.ins.frames import FrameBlock
-from drivers.ins.ins_status import InsStatus
-from drivers.ins.navigation_data import NavigationData, decode_navigation
-from drivers.ins.readout import Alignment, InsMode
-from drivers.ins.resolution import resolution_report
+from gyrobench.bench.engine.preflight.answer import answered, failed, unanswered
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.ins.navigation_data import NavigationData, decode_navigation
+from gyrobench.drivers.ins.readout import Alignment, InsMode
+from gyrobench.drivers.ins.resolution import resolution_report
 
 _SUBJECT = "INS"
 #: A unit that is on is heard within this; its status comes once a second or so.

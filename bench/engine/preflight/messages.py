@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from bench.errors import DocumentError
-from bench.messages.secret import read_secret
-from bench.phrases import listed, spoken
-from bench.station.check import Check
-from bench.station.messages import Receiver
-from bench.station.station import Station
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import listed, spoken
+from gyrobench.bench.messages.secret import read_secret
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.station import Station
 
 
 def message_checks(station: Station) -> list[Check]:

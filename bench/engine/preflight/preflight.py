@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.clock import Clock
-from bench.engine.preflight.chamber import chamber_checks
-from bench.engine.preflight.disk import disk_check
-from bench.engine.preflight.ins import Listened, ins_checks
-from bench.engine.preflight.table import table_checks
-from bench.procedure.plan import Plan
-from bench.station.check import Check
-from bench.station.instruments import Outputs
-from bench.station.station import Station
-from drivers.ins.can_ins import CanIns
+from gyrobench.bench.engine.preflight.chamber import chamber_checks
+from gyrobench.bench.engine.preflight.disk import disk_check
+from gyrobench.bench.engine.preflight.ins import Listened, ins_checks
+from gyrobench.bench.engine.preflight.table import table_checks
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_ins import CanIns
 
 
 def preflight(

@@ -5,19 +5,19 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from bench.clock import Clock
-from bench.documents import find_document
-from bench.engine.preflight.messages import message_checks
-from bench.engine.preflight.preflight import preflight
-from bench.errors import DocumentError
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan
-from bench.procedure.timeline import hours_minutes
-from bench.station.bench_lock import BenchLock
-from bench.station.check import Check
-from bench.station.instruments import Emulation, Outputs, open_ins
-from bench.station.station import Station
-from drivers.ins.can_ins import CanIns
+from gyrobench.bench.engine.preflight.messages import message_checks
+from gyrobench.bench.engine.preflight.preflight import preflight
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_ins import CanIns
 
 
 def check_bench(

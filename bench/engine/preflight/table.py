@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from bench.engine.preflight.answer import answered, failed, unanswered
-from bench.errors import InstrumentError, RefusedError
-from bench.station.check import Check
-from bench.station.station import Station
-from drivers.rate_table import AxisLimits, RateTable
+from gyrobench.bench.engine.preflight.answer import answered, failed, unanswered
+from gyrobench.bench.foundations.errors import InstrumentError, RefusedError
+from gyrobench.bench.station.check import Check
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.rate_table import AxisLimits, RateTable
 
 _SUBJECT, _LIMITS = "rate table", "its limits"
 _NARROW = "Narrow rate_table.limits in the station file, or widen the controller's absolute limits."

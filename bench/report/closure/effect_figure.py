@@ -7,13 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.closure.closure import Closure, FoundEffect
-from bench.navigation.positions import AXES
-from bench.phrases import spoken
-from bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
-from bench.report.closure.style import BAND_COLOUR, draw_dwells
-from bench.report.style import house_style, new_figure, say_empty
-from bench.report.wording import BiasScale, gyro_label
+from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
+from gyrobench.bench.report.closure.style import BAND_COLOUR, draw_dwells
+from gyrobench.bench.report.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.wording import BiasScale
 
 FloatArray = NDArray[np.float64]
 

@@ -7,12 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.closure.closure import Closure
-from bench.navigation.positions import AXES, POSITIONS
-from bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
-from bench.report.closure.style import BAND_COLOUR, draw_dwells
-from bench.report.style import house_style, new_figure
-from bench.report.wording import gyro_label, position_label
+from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
+from gyrobench.bench.report.closure.style import BAND_COLOUR, draw_dwells
+from gyrobench.bench.report.style import house_style, new_figure
 
 FloatArray = NDArray[np.float64]
 

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from bench.closure.candidate import tried
-from bench.closure.closure import LEFT_OVER_P, Closure
-from bench.closure.confirmation import measured_minus
-from bench.closure.problem import Solution
-from bench.closure.search import SIGNIFICANCE
-from bench.phrases import listed
-from bench.report.wording import BiasScale
+from gyrobench.bench.closure.candidate import tried
+from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure
+from gyrobench.bench.closure.confirmation import measured_minus
+from gyrobench.bench.closure.problem import Solution
+from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.report.wording import BiasScale
 
 FloatArray = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.closure.closure import Closure
-from bench.closure.files import write_closure
-from bench.report.closure.page import write_closure_page
-from bench.report.html import write_report
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.files import write_closure
+from gyrobench.bench.report.closure.page import write_closure_page
+from gyrobench.bench.report.html import write_report
+from gyrobench.bench.runs.folder import RunFolder
 
 
 @dataclass(frozen=True)

@@ -6,19 +6,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.closure.closure import Closure
-from bench.closure.wording import whereabouts
-from bench.navigation.positions import AXES
-from bench.phrases import spoken
-from bench.report.closure import wording
-from bench.report.closure.effect_figure import closure_effect_figure
-from bench.report.closure.error_figure import closure_error_figure
-from bench.report.closure.evidence_figure import closure_evidence_figure
-from bench.report.closure.residual_figure import closure_residual_figure
-from bench.report.closure.residuals import noise_dph, residuals_dph, rests_on_noise, rms, scale_of_errors
-from bench.report.closure.rows import effect_table, evidence_table, tried_caption
-from bench.report.page.sections import Section, SectionFigure, SectionTable
-from bench.report.wording import gyro_label, p_text
+from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.wording import whereabouts
+from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.closure import wording
+from gyrobench.bench.report.closure.effect_figure import closure_effect_figure
+from gyrobench.bench.report.closure.error_figure import closure_error_figure
+from gyrobench.bench.report.closure.evidence_figure import closure_evidence_figure
+from gyrobench.bench.report.closure.residual_figure import closure_residual_figure
+from gyrobench.bench.report.closure.residuals import (
+    noise_dph,
+    residuals_dph,
+    rests_on_noise,
+    rms,
+    scale_of_errors,
+)
+from gyrobench.bench.report.closure.rows import effect_table, evidence_table, tried_caption
+from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.report.wording import p_text
 
 _RESIDUALS = (
     "{}: measured minus predicted bias. Each point is a dwell, hollow ones the search did not see; the grey "

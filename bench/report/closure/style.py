@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from bench.report.style import GYRO_STYLES
+from gyrobench.bench.report.style import GYRO_STYLES
 
 FloatArray = NDArray[np.float64]
 

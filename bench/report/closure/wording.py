@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from bench.closure.closure import LEFT_OVER_P, Closure, Evidence, FoundEffect
-from bench.closure.wording import separating_measurement, statement, whereabouts
-from bench.phrases import listed, spoken
-from bench.report.closure.residuals import (
+from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
+from gyrobench.bench.foundations.text import counted, listed, spoken
+from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
     noise_dph,
     residuals_dph,
@@ -15,7 +15,7 @@ from bench.report.closure.residuals import (
     rms,
     smallest_visible_dph,
 )
-from bench.report.wording import counted, p_text
+from gyrobench.bench.report.wording import p_text
 
 _NOTICEABLE_SCALE = 1.005
 #: Odds of two to one.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.files import file_sha256
-from bench.measurement.comparison import Comparison
-from bench.phrases import listed
-from bench.report.closure.wording import verdict_sentence
-from bench.report.comparison.section import verify_sections
-from bench.report.comparison.wording import (
+from gyrobench.bench.dwells.comparison import Comparison
+from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.report.closure.wording import verdict_sentence
+from gyrobench.bench.report.comparison.section import verify_sections
+from gyrobench.bench.report.comparison.wording import (
     BETTER,
     CONFIRMED,
     LABELS,
@@ -18,9 +18,8 @@ from bench.report.comparison.wording import (
     outcome,
     outcome_sentence,
 )
-from bench.report.page.findings import Findings
-from bench.report.page.findings_page import write_findings
-from bench.report.wording import counted
+from gyrobench.bench.report.page.findings import Findings
+from gyrobench.bench.report.page.findings_page import write_findings
 
 #: Colours of the template's box, by judgement.
 _COLOURS = {CONFIRMED: "finished", BETTER: "stopped", NOT_CONFIRMED: "failed", NOTHING_TO_TELL: "stopped"}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bench.measurement.comparison import Comparison
-from bench.report.comparison import wording
-from bench.report.comparison.figures import day_figure, leftovers_figure
-from bench.report.comparison.rows import SIZES, UNITS, stop_rows, total_rows
-from bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.dwells.comparison import Comparison
+from gyrobench.bench.report.comparison import wording
+from gyrobench.bench.report.comparison.figures import day_figure, leftovers_figure
+from gyrobench.bench.report.comparison.rows import SIZES, UNITS, stop_rows, total_rows
+from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
 
 _LEFTOVERS = (
     "What each compensation leaves at each stop of the chamber. The black lines are what the noise alone "

@@ -8,14 +8,14 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from bench.closure.closure import Closure
-from bench.closure.compensation import LoadableModel
-from bench.measurement.comparison import Comparison
-from bench.phrases import listed
-from bench.procedure.timeline import hours_minutes
-from bench.report.closure.wording import verdict_sentence
-from bench.report.comparison.rows import SIZES, UNITS, stop_rows, total_rows
-from bench.report.comparison.wording import (
+from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.compensation import LoadableModel
+from gyrobench.bench.dwells.comparison import Comparison
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.closure.wording import verdict_sentence
+from gyrobench.bench.report.comparison.rows import SIZES, UNITS, stop_rows, total_rows
+from gyrobench.bench.report.comparison.wording import (
     LABELS,
     chain,
     model_sentences,
@@ -23,8 +23,7 @@ from bench.report.comparison.wording import (
     outcome_sentence,
     reading_sentences,
 )
-from bench.report.terminal.parts import plain_table, topics
-from bench.report.wording import counted
+from gyrobench.bench.report.terminal.parts import plain_table, topics
 
 
 def verify_plan(

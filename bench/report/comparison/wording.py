@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bench.closure.closure import LEFT_OVER_P, Closure
-from bench.closure.compensation import LoadableModel
-from bench.measurement.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
-from bench.phrases import listed, spoken
-from bench.report.closure.wording import found_names, p_phrase, size_text
+from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure
+from gyrobench.bench.closure.compensation import LoadableModel
+from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
+from gyrobench.bench.foundations.text import listed, spoken
+from gyrobench.bench.report.closure.wording import found_names, p_phrase, size_text
 
 #: The compensations as people read them.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}

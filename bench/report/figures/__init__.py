@@ -10,17 +10,17 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from bench.bias.bins import BiasBin
-from bench.bias.equality import compare_positions
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.verdicts import Acceptance
-from bench.files import make_folder
-from bench.navigation.positions import AXES
-from bench.report.figures.bias import bias_figure, bias_span_dph
-from bench.report.figures.differences import position_difference_figure
-from bench.report.figures.temperatures import Readings, plan_figure, temperature_figure
-from bench.report.style import png_bytes, save_figure
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.equality import compare_positions
+from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph
+from gyrobench.bench.report.figures.differences import position_difference_figure
+from gyrobench.bench.report.figures.temperatures import Readings, plan_figure, temperature_figure
+from gyrobench.bench.report.style import png_bytes, save_figure
+from gyrobench.bench.runs.folder import RunFolder
 
 __all__ = [
     "bias_figure",

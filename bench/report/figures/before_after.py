@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from bench.bias.bins import BiasBin
-from bench.navigation.positions import POSITIONS
-from bench.report.figures.bias import draw_bins
-from bench.report.style import house_style, mark_paper_limit, new_figure, say_empty
-from bench.report.wording import gyro_label, scale_of_bins
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.navigation.positions import POSITIONS, gyro_label
+from gyrobench.bench.report.figures.bias import draw_bins
+from gyrobench.bench.report.style import house_style, mark_paper_limit, new_figure, say_empty
+from gyrobench.bench.report.wording import scale_of_bins
 
 
 @house_style

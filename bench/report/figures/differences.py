@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.bias.equality import PositionComparison
-from bench.navigation.positions import AXES
-from bench.report.findings import SIGNIFICANCE, differing
-from bench.report.style import GYRO_STYLES, house_style, mark_paper_limit, new_figure, say_empty
-from bench.report.wording import BiasScale, gyro_label
+from gyrobench.bench.bias.equality import PositionComparison
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.findings import SIGNIFICANCE, differing
+from gyrobench.bench.report.style import GYRO_STYLES, house_style, mark_paper_limit, new_figure, say_empty
+from gyrobench.bench.report.wording import BiasScale
 
 _LIMIT_COLOUR = "#b3261e"
 
@@ -23,7 +23,7 @@ def position_difference_figure(
     """Draw the largest difference between positions in every bin of the three gyros.
 
     Filled markers are differences that chance does not explain; see
-    :func:`bench.report.findings.differing`. The limit of acceptance is a line, where there is one.
+    :func:`gyrobench.bench.report.findings.differing`. The limit of acceptance is a line, where there is one.
     """
     found = differing(comparisons)
     scale = BiasScale.of(

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.bias.tables.dwell_table import DwellRow, paper_rows
-from bench.navigation.positions import AXES, POSITIONS
-from bench.report.style import POSITION_STYLES, house_style, mark_paper_limit, new_figure, say_empty
-from bench.report.wording import PAPER, STATE_SPACE, BiasScale, gyro_label, position_label
+from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.style import POSITION_STYLES, house_style, mark_paper_limit, new_figure, say_empty
+from gyrobench.bench.report.wording import PAPER, STATE_SPACE, BiasScale
 
 _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 

@@ -10,12 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.uniformity import uniformity_band
-from bench.navigation.positions import POSITIONS
-from bench.report.findings import SIGNIFICANCE
-from bench.report.style import POSITION_STYLES, house_style, new_figure, say_empty
-from bench.report.wording import position_label
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.uniformity import uniformity_band
+from gyrobench.bench.navigation.positions import POSITIONS, position_label
+from gyrobench.bench.report.findings import SIGNIFICANCE
+from gyrobench.bench.report.style import POSITION_STYLES, house_style, new_figure, say_empty
 
 #: The band that leaves out as much as the test of the text rejects.
 _MANY = 1.0 - SIGNIFICANCE

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from bench.closure.separability import Separability
-from bench.report.style import house_style, new_figure, say_empty
+from gyrobench.bench.closure.separability import Separability
+from gyrobench.bench.report.style import house_style, new_figure, say_empty
 
 _BRIGHT_ABOVE = 0.6
 _INCH_A_ROW = 0.42

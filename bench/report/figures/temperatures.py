@@ -20,11 +20,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.navigation.positions import POSITIONS
-from bench.procedure.plan import Plan
-from bench.procedure.timeline import position_spans, temperature_profile
-from bench.report.style import (
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
+from gyrobench.bench.report.style import (
     GYRO_STYLES,
     POSITION_STYLES,
     house_style,
@@ -32,9 +32,8 @@ from bench.report.style import (
     new_figure,
     say_empty,
 )
-from bench.report.wording import gyro_label, position_label
 
-#: Column name to values, as :func:`bench.run_store.telemetry.read_telemetry` gives them.
+#: Column name to values, as :func:`gyrobench.bench.runs.telemetry.read_telemetry` gives them.
 Readings = Mapping[str, NDArray[np.float64]]
 
 _SHORT_RUN_S = 7200.0

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from bench.report.page.sections import Section, SectionFigure
-from bench.report.style import save_figure
+from gyrobench.bench.report.page.sections import Section, SectionFigure
+from gyrobench.bench.report.style import save_figure
 
 
 def with_figure_files(folder: Path, sections: Iterable[Section]) -> list[Section]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from bench.report.page.sections import Section
+from gyrobench.bench.report.page.sections import Section
 
 
 @dataclass(frozen=True, eq=False)

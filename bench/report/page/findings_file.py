@@ -6,13 +6,13 @@ from pathlib import Path
 
 from pydantic import Field
 
-from bench.bias.tables.csv_text import read_text
-from bench.documents import StrictModel
-from bench.errors import DocumentError
-from bench.files import write_whole
-from bench.reading import parse_json
-from bench.report.page.findings import Findings
-from bench.report.page.sections import Mark, Section, SectionFigure, SectionTable
+from gyrobench.bench.foundations.csv_tables import read_text
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.report.page.findings import Findings
+from gyrobench.bench.report.page.sections import Mark, Section, SectionFigure, SectionTable
 
 #: Name of the file.
 FINDINGS_FILE = "findings.json"

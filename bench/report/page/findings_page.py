@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from bench.files import make_folder, write_whole
-from bench.report.page.figure_files import with_figure_files
-from bench.report.page.findings import Findings
-from bench.report.page.findings_file import write_findings_file
-from bench.report.page.rendering import render_page
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.report.page.figure_files import with_figure_files
+from gyrobench.bench.report.page.findings import Findings
+from gyrobench.bench.report.page.findings_file import write_findings_file
+from gyrobench.bench.report.page.rendering import render_page
 
 _TEMPLATE = "findings.html.j2"
 

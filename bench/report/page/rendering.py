@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from bench.report.wording import position_label
+from gyrobench.bench.navigation.positions import position_label
 
 
 def render_page(template: str, **content: object) -> str:
@@ -21,7 +21,7 @@ def render_page(template: str, **content: object) -> str:
         What the template asks for.
     """
     environment = Environment(
-        loader=PackageLoader("bench.report"),
+        loader=PackageLoader("gyrobench.bench.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
-from bench.phrases import listed
-from bench.report.acceptance_wording import place_of
-from bench.report.page.sections import Mark, Section, SectionTable
-from bench.report.wording import BiasScale, bin_label, gyro_label, position_label
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
+from gyrobench.bench.foundations.text import bin_label, listed
+from gyrobench.bench.navigation.positions import gyro_label, position_label
+from gyrobench.bench.report.acceptance_wording import place_of
+from gyrobench.bench.report.page.sections import Mark, Section, SectionTable
+from gyrobench.bench.report.wording import BiasScale
 
 _HOW = (
     "Positions are compared within one stop of the chamber, in one power-on, at the mean temperature of the "

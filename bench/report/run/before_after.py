@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.bias.bins import BiasBin
-from bench.bias.equality import PositionComparison, compare_positions
-from bench.navigation.positions import AXES
-from bench.report.content import RunContent
-from bench.report.figures.before_after import before_after_figure
-from bench.report.page.sections import Section, SectionFigure, SectionTable
-from bench.report.wording import BiasScale, bin_label, gyro_label, position_label
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
+from gyrobench.bench.report.content import RunContent
+from gyrobench.bench.report.figures.before_after import before_after_figure
+from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.report.wording import BiasScale
 
 _TEXT = (
     "Before: run {0}{1}. After: this run. Both panels of a figure have the same scale; lines join the "

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.bias.tables.dwell_table import DwellRow, paper_rows
-from bench.procedure.timeline import hours_minutes
-from bench.report.wording import BiasScale, p_text, position_label
+from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.navigation.positions import position_label
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.wording import BiasScale, p_text
 
 
 @dataclass(frozen=True)

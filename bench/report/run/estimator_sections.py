@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from bench.bias.tables.dwell_table import DwellRow, paper_rows
-from bench.navigation.positions import AXES
-from bench.report.figures.estimators import differences_dph, estimators_figure, with_both
-from bench.report.figures.fit import fit_figure, has_distribution
-from bench.report.findings import SIGNIFICANCE, fit_sentence
-from bench.report.page.sections import Section, SectionFigure, SectionTable
-from bench.report.wording import NO_PAPER, BiasScale, counted, gyro_label, position_label
+from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
+from gyrobench.bench.report.figures.estimators import differences_dph, estimators_figure, with_both
+from gyrobench.bench.report.figures.fit import fit_figure, has_distribution
+from gyrobench.bench.report.findings import SIGNIFICANCE, fit_sentence
+from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.report.wording import NO_PAPER, BiasScale
 
 _STATE_SPACE = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "

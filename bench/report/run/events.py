@@ -10,9 +10,9 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from bench.phrases import listed
-from bench.report.durations import clock_time
-from bench.report.page.sections import Mark, Section, SectionTable
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.report.durations import clock_time
+from gyrobench.bench.report.page.sections import Mark, Section, SectionTable
 
 Entry = Mapping[str, Any]
 

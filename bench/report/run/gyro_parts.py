@@ -5,19 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bench.bias.bins import BiasBin, paper_bins
-from bench.bias.equality import PositionComparison, compare_positions
-from bench.navigation.positions import POSITIONS
-from bench.report.findings import agreement_sentence, differing, equality_sentence, scatter_sentence
-from bench.report.wording import (
-    BiasScale,
-    bin_label,
-    bins_by_temperature,
-    gyro_label,
-    p_text,
-    position_label,
-    scale_of_bins,
-)
+from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.findings import agreement_sentence, differing, equality_sentence, scatter_sentence
+from gyrobench.bench.report.wording import BiasScale, bins_by_temperature, p_text, scale_of_bins
 
 
 @dataclass(frozen=True)

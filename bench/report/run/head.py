@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
-from bench.clock import parsed_utc
-from bench.procedure.timeline import hours_minutes
-from bench.report.content import Entry, RunContent
-from bench.report.verification.section import dwells_text
-from bench.report.wording import counted
-from bench.run_store.run_facts import RunFacts
+from gyrobench.bench.foundations.clock import parsed_utc
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.content import Entry, RunContent
+from gyrobench.bench.report.verification.section import dwells_text
+from gyrobench.bench.runs.run_facts import RunFacts
 
 _PROGRAMS = ("gyrobench", "python", "platform")
 _CUT_OFF = "It was killed or cut off, or has not ended yet: the journal does not tell of its end."

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.bias.joint.vertical_pairs import Finding
-from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
-from bench.navigation.positions import AXES, POSITIONS
-from bench.report.page.sections import Section, SectionTable
-from bench.report.wording import p_text
+from gyrobench.bench.bias.joint.vertical_pairs import Finding
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.report.page.sections import Section, SectionTable
+from gyrobench.bench.report.wording import p_text
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
 
 _TOGETHER = (
     "At each stop of the chamber the dwells are also solved together: they share accelerometer biases, "

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from bench.bias.noise.estimate import NoiseEstimate, compare_noise
-from bench.bias.noise.model import NoiseModel
-from bench.report.figures.noise import noise_figure
-from bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.bias.noise.estimate import NoiseEstimate, compare_noise
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.report.figures.noise import noise_figure
+from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
 
 _TEXT = (
     "Allan deviation of the rates and accelerations at rest, from the output of the INS in all good dwells. "

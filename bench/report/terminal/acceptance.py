@@ -5,11 +5,12 @@ from __future__ import annotations
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from bench.bias.verdicts import Acceptance
-from bench.navigation.positions import AXES
-from bench.report.acceptance_wording import place_of, verdict_sentence
-from bench.report.terminal.parts import plain_table
-from bench.report.wording import BiasScale, bin_label, gyro_label
+from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.acceptance_wording import place_of, verdict_sentence
+from gyrobench.bench.report.terminal.parts import plain_table
+from gyrobench.bench.report.wording import BiasScale
 
 
 def acceptance_summary(acceptance: Acceptance) -> RenderableType:

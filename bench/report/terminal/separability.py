@@ -11,11 +11,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from bench.closure.planned_campaign import PlannedUnit
-from bench.closure.separability import POWER, Detection, Separability
-from bench.closure.separability_advice import Advice
-from bench.phrases import listed
-from bench.report.wording import counted
+from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.separability import POWER, Detection, Separability
+from gyrobench.bench.closure.separability_advice import Advice
+from gyrobench.bench.foundations.text import counted, listed
 
 _MOST_INFLATION = 1000.0
 _COLUMNS = (
@@ -42,7 +41,7 @@ def separability_summary(
     target_dph : float
         Size that matters, deg/h rms.
     advice : sequence of Advice
-        What :func:`bench.closure.separability_advice.advise` says for the target.
+        What :func:`gyrobench.bench.closure.separability_advice.advise` says for the target.
     """
     seen = [each for each in separability.detections if each.lacks is None]
     parts: list[RenderableType] = [

@@ -9,28 +9,20 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from bench.bias.bins import BiasBin, paper_bins
-from bench.bias.equality import PositionComparison, compare_positions
-from bench.navigation.positions import AXES, POSITIONS
-from bench.procedure.timeline import TimelineRow, hours_minutes
-from bench.report.durations import Took, clock_time, durations_by_kind
-from bench.report.findings import (
+from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.procedure.timeline import TimelineRow, hours_minutes
+from gyrobench.bench.report.durations import Took, clock_time, durations_by_kind
+from gyrobench.bench.report.findings import (
     NOTHING_TO_COMPARE,
     agreement_sentence,
     differing,
     equality_sentence,
     scatter_sentence,
 )
-from bench.report.wording import (
-    NO_PAPER,
-    BiasScale,
-    bin_label,
-    bins_by_temperature,
-    gyro_label,
-    p_text,
-    position_label,
-    scale_of_bins,
-)
+from gyrobench.bench.report.wording import NO_PAPER, BiasScale, bins_by_temperature, p_text, scale_of_bins
 
 _COLUMNS = 80
 _P_VALUE = (
@@ -53,7 +45,7 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
     bins : sequence of BiasBin
         Of one unit.
     comparisons : sequence of PositionComparison
-        What :func:`bench.bias.equality.compare_positions` makes of them.
+        What :func:`gyrobench.bench.bias.equality.compare_positions` makes of them.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))

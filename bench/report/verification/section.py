@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
-from bench.bias.tables.verification_table import VerificationRow
-from bench.report.findings import SIGNIFICANCE
-from bench.report.page.sections import Section, SectionTable
-from bench.report.wording import BiasScale, counted, dph_with_sigma, gyro_label, position_label
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.positions import gyro_label, position_label
+from gyrobench.bench.report.findings import SIGNIFICANCE
+from gyrobench.bench.report.page.sections import Section, SectionTable
+from gyrobench.bench.report.wording import BiasScale, dph_with_sigma
+from gyrobench.bench.runs.tables.verification_table import VerificationRow
 
 _METHODS = (
     "Without a turn, the INS aligned itself and navigated. The heading after two alignments half a turn "

@@ -10,14 +10,14 @@ from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from bench.bias.tables.verification_table import VerificationRow
-from bench.report.verification.section import (
+from gyrobench.bench.report.verification.section import (
     accelerometer_sentence,
     flag_lines,
     verification_lines,
     verification_scale,
     verification_sentence,
 )
+from gyrobench.bench.runs.tables.verification_table import VerificationRow
 
 _HEADERS = ("position", "gyro", "seen in", "°C", "bias", "slope", "calibrated", "diff")
 _WORDS = 3

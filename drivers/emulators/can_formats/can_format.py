@@ -6,7 +6,7 @@ from typing import Protocol
 
 import can
 
-from drivers.emulators.world.inertial_unit import Epochs, InertialUnit
+from gyrobench.drivers.emulators.world.inertial_unit import Epochs, InertialUnit
 
 #: Time that a frame takes on the bus.
 FRAME_S = 0.00025

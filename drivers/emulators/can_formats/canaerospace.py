@@ -16,10 +16,10 @@ import struct
 import can
 import numpy as np
 
-from drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
-from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs
-from drivers.emulators.world.strapdown import euler_output
-from drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs
+from gyrobench.drivers.emulators.world.strapdown import euler_output
+from gyrobench.drivers.emulators.world.world import World
 
 BENCH_COMMAND = 200
 PITCH, ROLL = 311, 312
@@ -33,7 +33,7 @@ _ZERO_C_IN_K = 273.15
 
 
 class CanaerospaceFormat:
-    """Packs and understands them; a :class:`drivers.emulators.can_formats.can_format.CanFormat`."""
+    """Packs and understands them; a :class:`gyrobench.drivers.emulators.can_formats.can_format.CanFormat`."""
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:
         self._world = world

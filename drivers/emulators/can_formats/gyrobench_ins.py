@@ -12,11 +12,11 @@ import struct
 import can
 import numpy as np
 
-from drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
-from drivers.emulators.world.compensation import NUMBERS, checksum
-from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
-from drivers.emulators.world.strapdown import euler_output
-from drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
+from gyrobench.drivers.emulators.world.compensation import NUMBERS, checksum
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from gyrobench.drivers.emulators.world.strapdown import euler_output
+from gyrobench.drivers.emulators.world.world import World
 
 SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
 INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021

@@ -17,9 +17,9 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
-from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
-from drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from gyrobench.drivers.emulators.world.world import World
 
 STATUS_02, IMU_INFO = 0x102, 0x120
 EKF_INFO, EKF_QUAT, EKF_VEL_NED = 0x130, 0x131, 0x137
@@ -37,7 +37,7 @@ _IMU_IS_WELL = 0x3FF
 
 
 class SbgFormat:
-    """Packs and understands them; a :class:`drivers.emulators.can_formats.can_format.CanFormat`."""
+    """Packs and understands them; a :class:`gyrobench.drivers.emulators.can_formats.can_format.CanFormat`."""
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:
         self._world = world

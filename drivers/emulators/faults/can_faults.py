@@ -15,10 +15,10 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from drivers.emulators.faults.faulty_can import FaultyCan, FrameFilter
-from drivers.emulators.faults.timing import Count, Lasting
+from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from gyrobench.drivers.emulators.faults.faulty_can import FaultyCan, FrameFilter
+from gyrobench.drivers.emulators.faults.timing import Count, Lasting
 
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
 #: Bits of a data frame with eight bytes, stuff bits and the gap after it among them.

@@ -9,11 +9,11 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.dialect import WithAlarms, WithSensor
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from drivers.emulators.faults.timing import Lasting
-from drivers.emulators.world.chamber_air import ChamberAir
-from drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.dialect import WithAlarms, WithSensor
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from gyrobench.drivers.emulators.faults.timing import Lasting
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.quantities import Positive
 
 
 class ControlFault(Fault):

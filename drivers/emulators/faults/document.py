@@ -7,13 +7,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bench.documents import Problem, StrictModel, read_document, validate
-from drivers.emulators.faults.can_faults import CanFault
-from drivers.emulators.faults.chamber_faults import ChamberFault
-from drivers.emulators.faults.fault import BenchParts, UnfitError
-from drivers.emulators.faults.ins_faults import InsFault
-from drivers.emulators.faults.serial_faults import SerialFault
-from drivers.emulators.faults.table_faults import TableFault
+from gyrobench.bench.foundations.documents import Problem, StrictModel, read_document, validate
+from gyrobench.drivers.emulators.faults.can_faults import CanFault
+from gyrobench.drivers.emulators.faults.chamber_faults import ChamberFault
+from gyrobench.drivers.emulators.faults.fault import BenchParts, UnfitError
+from gyrobench.drivers.emulators.faults.ins_faults import InsFault
+from gyrobench.drivers.emulators.faults.serial_faults import SerialFault
+from gyrobench.drivers.emulators.faults.table_faults import TableFault
 
 #: One entry; the key ``fault`` tells its kind.
 AnyFault = Annotated[

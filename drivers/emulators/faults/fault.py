@@ -8,12 +8,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.faults.faulty_can import FaultyCan
-from drivers.emulators.faults.faulty_serial import FaultySerial
-from drivers.emulators.faults.timing import Timing
-from drivers.emulators.serial_instrument import SerialInstrument
-from drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.faults.faulty_can import FaultyCan
+from gyrobench.drivers.emulators.faults.faulty_serial import FaultySerial
+from gyrobench.drivers.emulators.faults.timing import Timing
+from gyrobench.drivers.emulators.serial_instrument import SerialInstrument
+from gyrobench.drivers.emulators.world.world import World
 
 #: Ends a fault; nothing to do where None stands for it.
 End = Callable[[], None] | None

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import can
 
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.serial_instrument import Connection
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.serial_instrument import Connection
 
 #: Makes the frames that arrive from those that were sent.
 FrameFilter = Callable[[list[can.Message]], list[can.Message]]
@@ -19,7 +19,7 @@ class FaultyCan:
     Attributes
     ----------
     listeners : list of callable
-        As those of :class:`drivers.emulators.can_ins.CanInsEmulator`.
+        As those of :class:`gyrobench.drivers.emulators.can_ins.CanInsEmulator`.
     connection : Connection
         Broken while the controller is bus-off.
     filters : list of callable

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
 
-from drivers.emulators.serial_instrument import Connection, SerialInstrument
+from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
 
 
 class Reply(NamedTuple):
@@ -66,7 +66,7 @@ class FaultySerial:
         self._earlier_reply = b""
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes; see :class:`drivers.emulators.serial_instrument.SerialInstrument`."""
+        """Take bytes; see :class:`gyrobench.drivers.emulators.serial_instrument.SerialInstrument`."""
         self.latency_s = self._instrument.latency_s
         if not self.powered:
             return b""

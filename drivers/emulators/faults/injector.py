@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from drivers.emulators.faults.phases import phases_now
-from drivers.emulators.faults.record import InjectionRecord
-from drivers.emulators.faults.schedule import Schedule
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from gyrobench.drivers.emulators.faults.phases import phases_now
+from gyrobench.drivers.emulators.faults.record import InjectionRecord
+from gyrobench.drivers.emulators.faults.schedule import Schedule
 
 
 class Injector:

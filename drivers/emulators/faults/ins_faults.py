@@ -13,11 +13,11 @@ import can
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.can_formats.gyrobench_ins import HEADING, ROLL_PITCH, VELOCITY_NE
-from drivers.emulators.faults.can_faults import filter_while
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from drivers.emulators.faults.timing import Lasting
-from drivers.emulators.world.inertial_unit import Mode
+from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, ROLL_PITCH, VELOCITY_NE
+from gyrobench.drivers.emulators.faults.can_faults import filter_while
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from gyrobench.drivers.emulators.faults.timing import Lasting
+from gyrobench.drivers.emulators.world.inertial_unit import Mode
 
 Signal = Literal["velocity_north", "velocity_east", "roll", "pitch", "heading"]
 Sensor = Literal[

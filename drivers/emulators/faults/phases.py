@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from drivers.emulators.faults.timing import Phase
-from drivers.emulators.world.inertial_unit import Mode
-from drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.faults.timing import Phase
+from gyrobench.drivers.emulators.world.inertial_unit import Mode
+from gyrobench.drivers.emulators.world.world import World
 
 #: The air is ramping while it is further than this from the set point.
 _RAMP_C = 1.0

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError
 
 
 class Injected(NamedTuple):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from drivers.emulators.faults.timing import Timing
+from gyrobench.drivers.emulators.faults.timing import Timing
 
 
 class Schedule:

@@ -12,13 +12,13 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.acl_syntax import ErrorCode
-from drivers.emulators.acutrol3000 import Acutrol3000Emulator
-from drivers.emulators.dialect import Restartable, SpeaksModbus
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from drivers.emulators.faults.faulty_serial import Exchange, FaultySerial, Reply
-from drivers.emulators.faults.timing import Count, Lasting
-from drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.acl_syntax import ErrorCode
+from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from gyrobench.drivers.emulators.dialect import Restartable, SpeaksModbus
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
+from gyrobench.drivers.emulators.faults.faulty_serial import Exchange, FaultySerial, Reply
+from gyrobench.drivers.emulators.faults.timing import Count, Lasting
+from gyrobench.drivers.emulators.world.quantities import Positive
 
 LineName = Literal["table", "chamber"]
 _CRC_BYTES = 2

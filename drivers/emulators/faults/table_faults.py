@@ -7,14 +7,14 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.acl_axis import SoftwareFault
-from drivers.emulators.acutrol3000 import Acutrol3000Emulator
-from drivers.emulators.dialect import Servoed
-from drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, UnfitError
-from drivers.emulators.faults.timing import Lasting
-from drivers.emulators.world.quantities import Positive
-from drivers.emulators.world.table_axis import TableAxis
-from drivers.emulators.world.world import INNER, OUTER
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from gyrobench.drivers.emulators.dialect import Servoed
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, UnfitError
+from gyrobench.drivers.emulators.faults.timing import Lasting
+from gyrobench.drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]
 

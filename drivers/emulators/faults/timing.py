@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from bench.documents import StrictModel
-from drivers.emulators.world.quantities import NotNegative, Positive
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.drivers.emulators.world.quantities import NotNegative, Positive
 
 Count = Annotated[int, Field(ge=1)]
 #: Mean spacing in s: many faults a second would take the bench for ever to bring about.

@@ -9,10 +9,10 @@ from collections import deque
 
 from serial.serialutil import PortNotOpenError, SerialException
 
-from bench.errors import GyrobenchError
-from drivers.clocked_port import ClockedPort
-from drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
-from drivers.emulators.serial_instrument import Connection, SerialInstrument
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.drivers.clocked_port import ClockedPort
+from gyrobench.drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
+from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
 
 
 class Serial(ClockedPort):  # the name that pyserial looks for

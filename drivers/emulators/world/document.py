@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from bench.documents import StrictModel, read_document, validate
-from drivers.emulators.world.effects.undeclared_bias import UndeclaredEffect
-from drivers.emulators.world.quantities import NotNegative, Positive, Vector
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.drivers.emulators.world.effects.undeclared_bias import UndeclaredEffect
+from gyrobench.drivers.emulators.world.quantities import NotNegative, Positive, Vector
 
 # These bounds keep the thermal network's steps of one second stable.
 HeatCapacity = Annotated[float, Field(ge=20.0)]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.world.strapdown import (
+from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     gyrocompass,
     matrix_of,

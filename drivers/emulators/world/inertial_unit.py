@@ -14,9 +14,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.world.compensation import Compensation, ThermalSense, unloaded_numbers
-from drivers.emulators.world.document import InsBehaviour
-from drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, matrix_of, navigate
+from gyrobench.drivers.emulators.world.compensation import Compensation, ThermalSense, unloaded_numbers
+from gyrobench.drivers.emulators.world.document import InsBehaviour
+from gyrobench.drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, matrix_of, navigate
 
 Array = NDArray[np.float64]
 

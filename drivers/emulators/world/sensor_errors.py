@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.world.document import (
+from gyrobench.drivers.emulators.world.document import (
     AccelerometerErrors,
     GyroErrors,
     OverTemperature,

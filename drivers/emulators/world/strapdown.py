@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.world.earth import EARTH_RATE, normal_gravity, principal_radii
+from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity, principal_radii
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.world.motion_profile import (
+from gyrobench.drivers.emulators.world.motion_profile import (
     AxisLimits,
     AxisState,
     Motion,

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.emulators.world.document import GyroThermal, Thermal
+from gyrobench.drivers.emulators.world.document import GyroThermal, Thermal
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
-from drivers.emulators.world.document import TableGeometry, WorldFile
-from drivers.emulators.world.effects.effect import Conditions
-from drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
-from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
-from drivers.emulators.world.sensor_errors import ARCSEC, DPH, TriadErrors, accelerometer_errors, gyro_errors
-from drivers.emulators.world.strapdown import sense, table_attitude, true_increments
-from drivers.emulators.world.table_axis import AxisParameters, TableAxis
-from drivers.emulators.world.thermal import ThermalNetwork
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
+from gyrobench.drivers.emulators.world.document import TableGeometry, WorldFile
+from gyrobench.drivers.emulators.world.effects.effect import Conditions
+from gyrobench.drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
+from gyrobench.drivers.emulators.world.sensor_errors import (
+    ARCSEC,
+    DPH,
+    TriadErrors,
+    accelerometer_errors,
+    gyro_errors,
+)
+from gyrobench.drivers.emulators.world.strapdown import sense, table_attitude, true_increments
+from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 
 Array = NDArray[np.float64]
 

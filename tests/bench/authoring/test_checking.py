@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.authoring.checking import check_file
-from bench.authoring.kinds import KINDS, PROCEDURE
-from bench.documents import find_document
-from bench.shipped import shipped_names
-from bench.station.station import Station
+from gyrobench.bench.authoring.checking import check_file
+from gyrobench.bench.authoring.kinds import KINDS, PROCEDURE
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import shipped_names
+from gyrobench.bench.station.station import Station
 
 #: The emulators' files are checked by a process of their own; one of each shows that.
 SHIPPED = [

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from bench.authoring.checking import check_file
-from bench.authoring.kinds import PROCEDURE, STATION
-from bench.authoring.new_files import new_procedure, new_station
-from bench.authoring.schemas import schema_of
-from bench.documents import read_document
-from bench.errors import DocumentError
-from bench.shipped import TEMPLATES, shipped_names
-from bench.station.document import StationFile
-from drivers.dialects import CHAMBERS, RATE_TABLES, installed
+from gyrobench.bench.authoring.checking import check_file
+from gyrobench.bench.authoring.kinds import PROCEDURE, STATION
+from gyrobench.bench.authoring.new_files import new_procedure, new_station
+from gyrobench.bench.authoring.schemas import schema_of
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
+from gyrobench.bench.station.document import StationFile
+from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, installed
 
 LIKE = [*TEMPLATES, *shipped_names("procedures")]
 #: A line that is commented out, not one that explains.

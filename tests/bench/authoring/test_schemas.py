@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from bench.authoring.kinds import KINDS, PROCEDURE, STATION, kind_of
-from bench.authoring.schemas import editor_line
-from bench.documents import read_document
-from bench.shipped import shipped_folders
+from gyrobench.bench.authoring.kinds import KINDS, PROCEDURE, STATION, kind_of
+from gyrobench.bench.authoring.schemas import editor_line
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import shipped_folders
 from tests.bench.command_line import gyrobench
 
 ROOT = Path(__file__).parents[3]

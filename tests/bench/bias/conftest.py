@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import pytest
 
-from bench.bias.dwell import Dwell
+from gyrobench.bench.bias.dwell import Dwell
 from tests.bench.bias.pyins_dwells import RestingIns, simulate
 
 

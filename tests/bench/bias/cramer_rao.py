@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from bench.bias.noise.model import NoiseModel
-from drivers.emulators.world.strapdown import (
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     gyrocompass,
     navigate,

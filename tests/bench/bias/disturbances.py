@@ -1,7 +1,7 @@
 """What may happen to the gyros in a dwell besides a constant bias, as a change of the bias over time.
 
-Each function gives a ``gyro_bias_change`` of :class:`drivers.emulators.world.dwell.Sensors`: time since the
-end of the alignment (n,) to rad/s in body axes (n, 3).
+Each function gives a ``gyro_bias_change`` of :class:`gyrobench.drivers.emulators.world.dwell.Sensors`: time
+since the end of the alignment (n,) to rad/s in body axes (n, 3).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.navigation.positions import POSITIONS
-from drivers.emulators.world.earth import EARTH_RATE
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.drivers.emulators.world.earth import EARTH_RATE
 from tests.bench.bias.emulated_dwells import DPH, LATITUDE_DEG
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Dwell rows with nothing but what a test of their grouping and comparison needs."""
 
-from bench.bias.tables.dwell_table import DwellRow
+from gyrobench.bench.bias.dwell_table import DwellRow
 
 
 def dwell_row(number, position, gyro_c, bias_dph=0.0, *, set_c=20.0, cycle=1, run="1", sigma_dph=0.001):

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import Dwell, NavigationWindow, TurnPath
-from bench.bias.noise.model import NoiseModel
-from bench.bias.prior import PriorKnowledge
-from bench.navigation.attitude import euler_pry231, euler_rpy321
-from bench.navigation.error_model import Site
-from bench.navigation.positions import POSITIONS
-from bench.navigation.table_axes import TwoAxisTable
-from drivers.emulators.world.dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.drivers.emulators.world.dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
 
 Array = NDArray[np.float64]
 

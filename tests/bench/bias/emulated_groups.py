@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias.joint.solution import JointDwell
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import estimate_state_space
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.joint.solution import JointDwell
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
 
 Array = NDArray[np.float64]

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from pyins._numba_integrate import integrate  # the public Integrator warns with pandas 3
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import Dwell, NavigationWindow, TurnPath
-from bench.navigation.attitude import UP, rotation_matrix
-from bench.navigation.earth import DPH_TO_RADPS, earth_rate_enu, gravity
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.navigation.attitude import UP, rotation_matrix
+from gyrobench.bench.navigation.earth import DPH_TO_RADPS, earth_rate_enu, gravity
+from gyrobench.bench.navigation.positions import POSITIONS
 
 LATITUDE = np.deg2rad(36.4)
 GRAVITY = gravity(LATITUDE)

@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.acceptance import judge
-from bench.bias.stops import PlannedDwell
-from bench.bias.tables.acceptance_file import read_acceptance, write_acceptance
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.verdicts import Acceptance, AcceptanceLimits
-from bench.errors import DocumentError
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.stops import PlannedDwell
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.runs.tables.acceptance_file import read_acceptance, write_acceptance
 
 LIMITS = AcceptanceLimits(position_difference_dph=0.006)
 SIGMA_DPH = 0.001

@@ -6,11 +6,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bench.bias.acceptance import judge
-from bench.bias.stops import PlannedDwell
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.verdicts import AcceptanceLimits
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.stops import PlannedDwell
+from gyrobench.bench.bias.verdicts import AcceptanceLimits
+from gyrobench.bench.navigation.positions import POSITIONS
 
 LIMIT_DPH = 0.006
 LIMITS = AcceptanceLimits(position_difference_dph=LIMIT_DPH)

@@ -5,9 +5,9 @@ from itertools import count
 import numpy as np
 import pytest
 
-from bench.bias.bins import bin_biases, paper_bins, read_bins, write_bins
-from bench.bias.tables.dwell_table import DwellRow
-from bench.errors import DocumentError, MeasurementError
+from gyrobench.bench.bias.bins import bin_biases, paper_bins, read_bins, write_bins
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 numbers = count()
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
-from bench.errors import MeasurementError
-from bench.navigation.attitude import UP, rotation_matrix
-from bench.navigation.earth import DPH_TO_RADPS
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import UP, rotation_matrix
+from gyrobench.bench.navigation.earth import DPH_TO_RADPS
+from gyrobench.bench.navigation.positions import POSITIONS
 
 TIME = np.arange(0.0, 61.0)
 

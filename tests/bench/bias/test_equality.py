@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.bias.bins import BiasBin, paper_bins
-from bench.bias.equality import compare_positions
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.equality import compare_positions
+from gyrobench.bench.navigation.positions import POSITIONS
 
 
 def position_bin(position, bias_dph, sigma_dph=0.001, low_c=20.0, temperature_c=22.0, gyro="x", count=3):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.bias.many_comparisons import holm
+from gyrobench.bench.bias.many_comparisons import holm
 
 
 def test_the_smallest_p_value_counts_all_comparisons_the_next_one_less():

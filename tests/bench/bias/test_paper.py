@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.noise.model import NoiseModel
-from bench.bias.paper import estimate_paper
-from bench.errors import MeasurementError
-from bench.navigation.attitude import euler_pry231, euler_rpy321
-from bench.navigation.earth import DPH_TO_RADPS, RADPS_TO_DPH, gravity
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
+from gyrobench.bench.navigation.earth import DPH_TO_RADPS, RADPS_TO_DPH, gravity
+from gyrobench.bench.navigation.positions import POSITIONS
 
 GRAVITY = gravity(np.deg2rad(36.4))
 NOISE = NoiseModel.from_datasheet(arw_deg_per_sqrt_h=0.001)

@@ -3,8 +3,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from bench.bias.prior import PriorKnowledge
-from bench.errors import DocumentError
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.foundations.errors import DocumentError
 
 
 def test_units_of_data_sheets():

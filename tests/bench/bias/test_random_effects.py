@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from bench.bias.random_effects import excess_information, excess_sigma, excess_variance, weighted_fit
+from gyrobench.bench.bias.random_effects import (
+    excess_information,
+    excess_sigma,
+    excess_variance,
+    weighted_fit,
+)
 
 ONE = np.ones((12, 1))
 

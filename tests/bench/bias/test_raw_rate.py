@@ -3,13 +3,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.bias.raw_rate import RateRecording, estimate_attitudes, estimate_rate, up_down_pair
-from bench.errors import MeasurementError
-from bench.navigation.attitude import rotation_matrix
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, EARTH_RATE, RADPS_TO_DPH
-from bench.navigation.positions import POSITIONS
-from drivers.emulators.world.sensor_errors import ARCSEC, DPH
-from drivers.emulators.world.strapdown import sense, true_increments
+from gyrobench.bench.bias.raw_rate import RateRecording, estimate_attitudes, estimate_rate, up_down_pair
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrix
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, DPH
+from gyrobench.drivers.emulators.world.strapdown import sense, true_increments
 
 EAST, NORTH, UP = np.eye(3)
 LATITUDE = np.radians(51.0784)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.bias.stop_differences import SLOPE_SIGMA_DPH_PER_C, stop_differences, temperature_curve
+from gyrobench.bench.bias.stop_differences import SLOPE_SIGMA_DPH_PER_C, stop_differences, temperature_curve
 from tests.bench.bias.dwell_rows import dwell_row
 
 STOPS_C = (70.0, 30.0, 0.0, -25.0, 50.0)

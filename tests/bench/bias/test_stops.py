@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bench.bias.stops import group_stops, mean_c, passes_of_stops
+from gyrobench.bench.bias.stops import group_stops, mean_c, passes_of_stops
 from tests.bench.bias.dwell_rows import dwell_row
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from bench.bias.uniformity import uniformity_band, uniformity_p_value
+from gyrobench.bench.bias.uniformity import uniformity_band, uniformity_p_value
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 60])

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.bias.weighted_mean import weighted_mean
 
 
 def test_two_values_by_hand():

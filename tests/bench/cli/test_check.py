@@ -3,9 +3,9 @@
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
-from bench.documents import find_document
+from gyrobench.bench.cli import app
+from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
+from gyrobench.bench.foundations.documents import find_document
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@
 
 import typer
 
-from bench.cli import app
-from bench.cli.command_groups import GROUPS
+from gyrobench.bench.cli import app
+from gyrobench.bench.cli.command_groups import GROUPS
 from tests.bench.command_line import gyrobench
 
 

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from bench.bias.tables.dwell_table import write_dwells
-from bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 from tests.bench.report.made_up_closure import made_up_rows
 
@@ -224,7 +224,7 @@ def test_help_names_every_command_with_an_example(tmp_path):
 def test_help_does_not_load_the_heavy_libraries():
     code = (
         "import sys; sys.argv = ['gyrobench', '--help']\n"
-        "from bench.cli import app\n"
+        "from gyrobench.bench.cli import app\n"
         "try: app()\nexcept SystemExit: pass\n"
         "heavy = {'numpy', 'scipy', 'matplotlib', 'numba', 'can', 'cantools', 'pyarrow', 'pydantic'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"

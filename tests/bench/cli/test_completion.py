@@ -6,7 +6,11 @@ import sys
 
 import pytest
 
-PROGRAM = (sys.executable, "-c", "import sys; sys.argv[0] = 'gyrobench'; from bench.cli import main; main()")
+PROGRAM = (
+    sys.executable,
+    "-c",
+    "import sys; sys.argv[0] = 'gyrobench'; from gyrobench.bench.cli import main; main()",
+)
 
 
 def asked(environment, cwd):
@@ -95,7 +99,8 @@ def test_the_script_for_each_shell_calls_the_command(shell, tmp_path):
 
 def test_completion_loads_nothing_heavy():
     code = (
-        "import sys, bench.cli; print([m for m in ('numpy', 'pydantic', 'rich', 'can') if m in sys.modules])"
+        "import sys, gyrobench.bench.cli; "
+        "print([m for m in ('numpy', 'pydantic', 'rich', 'can') if m in sys.modules])"
     )
     answer = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, timeout=100)
     assert answer.stdout.strip() == "[]"

@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from bench.clock import WallClock
-from bench.station.instruments import Emulation, Outputs, open_ins
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
+from gyrobench.bench.station.station import Station
 from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 
 

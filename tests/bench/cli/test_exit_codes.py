@@ -4,10 +4,10 @@ import os
 
 import pytest
 
-from bench.clock import WallClock
-from bench.documents import find_document
-from bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock
+from gyrobench.bench.station.station import Station
 from tests.bench.command_line import gyrobench
 
 COMMANDS = {

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.bias.bins import read_bins
-from bench.cli.json_output import plain
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.cli.json_output import plain
+from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
 
 DWELLS = Path(__file__).parents[1] / "closure"

@@ -1,6 +1,6 @@
 import pytest
 
-from bench.documents import find_document
+from gyrobench.bench.foundations.documents import find_document
 from tests.bench.command_line import gyrobench
 from tests.bench.messages.servers import Server, free_port
 

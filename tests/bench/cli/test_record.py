@@ -3,8 +3,8 @@
 import can
 import pytest
 
-from bench.documents import find_document
-from drivers.recording.document import read_recording
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.drivers.recording.document import read_recording
 from tests.bench.command_line import gyrobench
 
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from bench.bias.tables.acceptance_file import write_acceptance
-from bench.bias.verdicts import Acceptance
-from bench.clock import VirtualClock
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import Journal
+from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.tables.acceptance_file import write_acceptance
 from tests.bench.command_line import gyrobench
 
 

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
-from tests.bench.run_index.sample_runs import copy_run, emulated_run
+from tests.bench.runs.index.sample_runs import copy_run, emulated_run
 
 
 @pytest.fixture(scope="module")

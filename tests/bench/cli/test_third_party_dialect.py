@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from bench.documents import find_document
-from drivers import dialects
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.drivers import dialects
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
 
 DIALECT = '''
@@ -15,12 +15,12 @@ DIALECT = '''
 
 from pydantic import Field
 
-from bench.documents import StrictModel
-from bench.errors import RefusedError, ReplyError
-from drivers.chamber import ChamberReading
-from drivers.chamber.dialect import ChamberDialect
-from drivers.dialects import LineDefaults
-from drivers.text_line import TextLine
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import RefusedError, ReplyError
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.text_line import TextLine
 
 
 class Frost:
@@ -75,7 +75,7 @@ DIALECT = ChamberDialect(
 '''
 
 EMULATOR = """
-from drivers.emulators.dialect import ChamberEmulation
+from gyrobench.drivers.emulators.dialect import ChamberEmulation
 
 
 class FrostEmulator:

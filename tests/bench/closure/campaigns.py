@@ -7,14 +7,14 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from bench.documents import find_document, read_document
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.live.lines_view import LinesView
-from bench.run_store.folder import RunFolder
-from bench.station.instruments import Emulation
-from drivers.emulators.bench import BenchAddress, emulated_bench
-from drivers.emulators.world.sensor_errors import DPH
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document, read_document
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
 
 PROCEDURE, STATION, WORLD = "quick_campaign", "quick", "quick"
 

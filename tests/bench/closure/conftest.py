@@ -2,9 +2,9 @@
 
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.closure.problem import declared_problem
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.problem import declared_problem
 from tests.bench.closure.thermal_bench import measure
 
 

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from bench.documents import Document, find_document, parse_document
-from bench.measurement.planned_unit import plan_on
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan
-from bench.station.station import Station
+from gyrobench.bench.dwells.planned_unit import plan_on
+from gyrobench.bench.foundations.documents import Document, find_document, parse_document
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.station.station import Station
 
 
 def station(name: str = "emulated") -> Station:

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.temperature_record import TemperatureRecord
-from bench.errors import MeasurementError
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import UP, measure
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.closure.planned_campaign import planned_campaign
-from bench.documents import find_document, read_document
-from bench.engine.session import prepare_job
-from bench.measurement.planned_unit import planned_unit
-from bench.navigation.positions import POSITIONS
-from drivers.emulators.world.document import load_world
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.closure.planned_campaign import planned_campaign
+from gyrobench.bench.dwells.planned_unit import planned_unit
+from gyrobench.bench.engine.session import prepare_job
+from gyrobench.bench.foundations.documents import find_document, read_document
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.drivers.emulators.world.document import load_world
 from tests.bench.closure.campaigns import (
     EFFECTS,
     PROCEDURE,

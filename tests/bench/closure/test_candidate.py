@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from bench.closure.candidate import Candidate, best_start, refine, stack, starts
-from bench.closure.effects import (
+from gyrobench.bench.closure.candidate import Candidate, best_start, refine, stack, starts
+from gyrobench.bench.closure.effects import (
     attitude_thermal,
     bias_jump,
     thermal_hysteresis,
@@ -10,7 +10,7 @@ from bench.closure.effects import (
     time_drift,
     warm_up,
 )
-from bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, WARM_UP_H
 
 

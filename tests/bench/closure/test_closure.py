@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import LEFT_OVER_P, PROVEN_SHARE, close_loop
-from bench.closure.effects import (
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import LEFT_OVER_P, PROVEN_SHARE, close_loop
+from gyrobench.bench.closure.effects import (
     all_effects,
     bias_jump,
     chamber_state,
@@ -15,9 +15,9 @@ from bench.closure.effects import (
     time_drift,
     warm_up,
 )
-from bench.closure.problem import declared_columns, declared_problem
-from bench.closure.search import Search
-from bench.errors import MeasurementError
+from gyrobench.bench.closure.problem import declared_columns, declared_problem
+from gyrobench.bench.closure.search import Search
+from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
 
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.effect_set import evaluate, price
-from bench.closure.effects import g_sensitivity, time_drift
+from gyrobench.bench.closure.effect_set import evaluate, price
+from gyrobench.bench.closure.effects import g_sensitivity, time_drift
 from tests.bench.closure.test_candidate import whole
 
 

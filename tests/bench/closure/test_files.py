@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.closure.effects import all_effects, bias_jump, g_sensitivity, time_drift
-from bench.closure.files import (
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.effects import all_effects, bias_jump, g_sensitivity, time_drift
+from gyrobench.bench.closure.files import (
     closure_document,
     format_predictions,
     is_written,
@@ -19,7 +19,7 @@ from bench.closure.files import (
     read_held_out_cycles,
     write_closure,
 )
-from bench.errors import RunFolderError
+from gyrobench.bench.foundations.errors import RunFolderError
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
 FORMATS = Path(__file__).parents[4] / "shared" / "formats.md"

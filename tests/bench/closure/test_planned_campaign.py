@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.closure.campaign import campaign_of
-from bench.closure.planned_campaign import PlannedUnit, planned_campaign
-from bench.errors import MeasurementError
-from bench.measurement.planned_unit import planned_unit
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.dwells.planned_unit import planned_unit
+from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
 

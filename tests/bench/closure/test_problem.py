@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.problem import DEGREE, declared_columns, declared_problem, solve
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.problem import DEGREE, declared_columns, declared_problem, solve
 from tests.bench.closure.thermal_bench import CUBIC_DPH, SIGMA_DPH, measure
 
 ALL = np.ones((3, 2), dtype=bool)

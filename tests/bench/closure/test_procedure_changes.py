@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from bench.closure.planned_campaign import PlannedUnit, planned_campaign
-from bench.closure.procedure_changes import CHANGES
-from bench.measurement.planned_unit import plan_on
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.procedure_changes import CHANGES
+from gyrobench.bench.dwells.planned_unit import plan_on
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
 BY_NAME = {change.what: change for change in CHANGES}

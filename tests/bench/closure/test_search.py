@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.effect_set import evaluate
-from bench.closure.effects import all_effects, bias_jump, time_drift
-from bench.closure.effects.effect import Effect, Form
-from bench.closure.problem import declared_problem
-from bench.closure.search import SIGNIFICANCE, TIE_MARGIN, Search
+from gyrobench.bench.closure.effect_set import evaluate
+from gyrobench.bench.closure.effects import all_effects, bias_jump, time_drift
+from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.closure.problem import declared_problem
+from gyrobench.bench.closure.search import SIGNIFICANCE, TIE_MARGIN, Search
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
 CLEAN_SEEDS = range(20)

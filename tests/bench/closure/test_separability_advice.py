@@ -5,12 +5,12 @@ from functools import partial
 
 import pytest
 
-from bench.closure.effects import all_effects
-from bench.closure.planned_campaign import planned_campaign
-from bench.closure.separability import searched_dwells, separability
-from bench.closure.separability_advice import advise
-from bench.documents import Problem
-from bench.measurement.planned_unit import plan_on, planned_unit
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.planned_campaign import planned_campaign
+from gyrobench.bench.closure.separability import searched_dwells, separability
+from gyrobench.bench.closure.separability_advice import advise
+from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
+from gyrobench.bench.foundations.documents import Problem
 from tests.bench.closure.plans import shipped, station
 
 TARGET_DPH = 0.001

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.campaign import campaign_of
 from tests.bench.closure.thermal_bench import measure
 
 ALL = ("set", "air", "case", "board")

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from bench.bias.tables.dwell_table import DwellRow
+from gyrobench.bench.bias.dwell_table import DwellRow
 
 STEP_S = 60.0
 SIGMA_DPH = 0.002

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import find_document
-from bench.emulation.guide import guide
-from bench.station.station import Station
+from gyrobench.bench.emulation.guide import guide
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.station.station import Station
 
 TCP = {
     "table": "socket://127.0.0.1:39878",

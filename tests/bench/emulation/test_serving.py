@@ -1,11 +1,11 @@
 import pytest
 
-from bench.documents import find_document
-from bench.emulation.serving import Life, emulated_frames, serve_options
-from bench.emulation.station_file import write_station_file
-from bench.errors import DocumentError
-from bench.station.document import load_station_file
-from bench.station.station import Station
+from gyrobench.bench.emulation.serving import Life, emulated_frames, serve_options
+from gyrobench.bench.emulation.station_file import write_station_file
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.station.document import load_station_file
+from gyrobench.bench.station.station import Station
 
 NOWHERE = {"table": "", "chamber": "", "ins": ""}
 PTS = {"table": "/dev/pts/1", "chamber": "/dev/pts/2", "ins": "/dev/pts/3"}

@@ -1,11 +1,11 @@
 """Somebody who watches a run and does something to the emulated bench."""
 
-from bench.documents import find_document
-from bench.engine.operator import ConsentingOperator
-from bench.engine.people import Progress
-from bench.engine.session import prepare_job, run_job
-from bench.station.instruments import Emulation
-from drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 class Meddler(Progress):

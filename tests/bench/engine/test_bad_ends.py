@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.errors import DocumentError
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
-from drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from tests.bench.engine.meddler import Meddler, RefusingOperator, run_with
 
 

@@ -5,14 +5,14 @@ import re
 import numpy as np
 import pytest
 
-from bench.documents import find_document
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.errors import DocumentError
-from bench.run_store.compensation_file import read_compensation
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
-from drivers.ins import Compensation
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.ins import Compensation
 from tests.bench.engine.meddler import Meddler
 
 #: Of the world "ideal".

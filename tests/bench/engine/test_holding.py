@@ -2,11 +2,11 @@
 
 import pytest
 
-from bench.engine.operator import ConsentingOperator
-from bench.engine.orders import Order
-from bench.engine.session import prepare_job, run_job
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
 from tests.bench.engine.test_resumption import Watcher
 
 PROCEDURE = """procedure: one_dwell

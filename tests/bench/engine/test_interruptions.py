@@ -6,14 +6,14 @@ import signal
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.engine.operator import ConsentingOperator
-from bench.engine.orders import Order
-from bench.engine.session import prepare_job, run_job
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
-from drivers.emulators.acl_axis import SoftwareFault
-from drivers.modbus_rtu import framed
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.modbus_rtu import framed
 from tests.bench.engine.meddler import Meddler, run_with
 
 FLAG = """procedure: flag_only

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.documents import find_document
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.live.lines_view import LinesView
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.station.instruments import Emulation
 
 PROCEDURE = """procedure: two_temperatures
 steps:

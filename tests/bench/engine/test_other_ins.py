@@ -3,9 +3,9 @@
 import pytest
 import yaml
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.documents import find_document
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
 
 #: True bias of each gyro, deg/h, of the world without noise.

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from bench.engine.progress import progress_of
-from bench.engine.session import prepare_job
-from bench.errors import RunFolderError
+from gyrobench.bench.engine.progress import progress_of
+from gyrobench.bench.engine.session import prepare_job
+from gyrobench.bench.foundations.errors import RunFolderError
 
 
 @pytest.fixture(scope="module")

@@ -7,23 +7,23 @@ import time
 
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.clock import VirtualClock
-from bench.engine.operator import ConsentingOperator
-from bench.engine.orders import Order
-from bench.engine.people import Progress
-from bench.engine.resumption import (
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.resumption import (
     MOST_RESUMED_IN_VAIN,
     describe_resumption,
     prepare_resumption,
     resume_run,
 )
-from bench.engine.session import prepare_job, run_job
-from bench.errors import BenchInUseError, RunFolderError
-from bench.run_store.folder import open_run_folder
-from bench.run_store.journal import read_journal
-from bench.station.bench_lock import RunLock
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
+from gyrobench.bench.runs.folder import open_run_folder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.bench_lock import RunLock
+from gyrobench.bench.station.instruments import Emulation
 from tests.bench.engine.meddler import RefusingOperator
 
 PROCEDURE = """procedure: two_temperatures
@@ -124,7 +124,7 @@ def wait_for(path, event, process):
 
 def test_a_killed_process_is_gone_on_with_by_another(procedure, undisturbed, tmp_path):
     path = tmp_path / "run"
-    program = "from bench.cli import main; main()"
+    program = "from gyrobench.bench.cli import main; main()"
     command = [sys.executable, "-c", program, "run", str(procedure), "--station", "quick"]
     with subprocess.Popen(
         [*command, "--world", "quick", "--out", str(path)], stdout=subprocess.DEVNULL

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.bias.tables.verification_table import read_verification
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import measure_again, prepare_job, run_job
-from bench.errors import DocumentError
-from bench.live.lines_view import LinesView
-from bench.navigation.positions import AXES
-from bench.report.html import write_report
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.report.html import write_report
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.tables.verification_table import read_verification
+from gyrobench.bench.station.instruments import Emulation
 
 #: Of the world "ideal".
 BIAS_DPH = (0.003, -0.002, 0.004)

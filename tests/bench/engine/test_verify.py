@@ -10,17 +10,17 @@ import pytest
 import yaml
 from rich.console import Console
 
-from bench.closure.closure import close_loop
-from bench.closure.files import write_closure
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.engine.verify import Verification, new_emulation
-from bench.errors import DocumentError, RunFolderError
-from bench.live.lines_view import LinesView
-from bench.measurement.campaign import read_campaign
-from bench.run_store.compensation_file import read_compensation
-from bench.run_store.journal import read_journal
-from bench.station.instruments import Emulation
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.files import write_closure
+from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.verify import Verification, new_emulation
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
 from tests.bench.closure.campaigns import EFFECTS, STATION, write_world
 from tests.bench.command_line import gyrobench
 

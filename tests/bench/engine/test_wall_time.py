@@ -6,10 +6,13 @@ import sys
 
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.documents import find_document
-from bench.run_store.journal import read_journal
-from bench.run_store.telemetry import read_telemetry
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.telemetry import read_telemetry
+
+SERVE = "gyrobench.drivers.emulators.serve"
+
 
 PROCEDURE = """procedure: two_minutes
 steps:
@@ -42,7 +45,15 @@ def station_of(urls):
 
 @pytest.fixture
 def served_station(tmp_path):
-    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", "ideal", "--for-s", "600"]
+    command = [
+        sys.executable,
+        "-m",
+        "gyrobench.drivers.emulators.serve",
+        "--world",
+        "ideal",
+        "--for-s",
+        "600",
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"
         path.write_text(station_of(json.loads(server.stdout.readline())))

@@ -7,14 +7,14 @@ import cantools
 import numpy as np
 import pytest
 
-from bench.bias.bins import read_bins
-from bench.bias.equality import compare_positions
-from bench.bias.tables.dwell_table import read_dwells
-from bench.measurement.setup import measurement_setup
-from bench.run_store.can_log import read_can_log
-from bench.run_store.journal import read_journal
-from bench.run_store.telemetry import read_telemetry
-from bench.station.station import Station
+from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.equality import compare_positions
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.bench.station.station import Station
 
 pytestmark = pytest.mark.long
 

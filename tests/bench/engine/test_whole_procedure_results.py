@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.bias.noise.estimate import compare_noise
-from bench.bias.tables.dwell_table import read_dwells
-from bench.bias.tables.joint_table import read_joint_biases, read_joint_stops
-from bench.bias.tables.noise_file import read_noise
-from bench.bias.uniformity import uniformity_p_value
-from bench.measurement.setup import measurement_setup
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH
-from bench.station.station import Station
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.noise.estimate import compare_noise
+from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH
+from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops
+from gyrobench.bench.runs.tables.noise_file import read_noise
+from gyrobench.bench.station.station import Station
 
 pytestmark = pytest.mark.long
 

@@ -1,12 +1,12 @@
 import pytest
 
-from bench.engine.operator import ConsentingOperator
-from bench.engine.people import Progress
-from bench.engine.session import prepare_job, run_job
-from bench.export.placed_parts import PlacedLog
-from bench.run_store.folder import RunFolder
-from bench.station.instruments import Emulation
-from bench.station.station import Station
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.export.placed_parts import PlacedLog
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
 
 #: Two dwells, short, with a unit that has effects.
 PROCEDURE = """

@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from bench.export.placed_parts import PlacedPart
+from gyrobench.bench.export.placed_parts import PlacedPart
 
 BEGIN_S = 1_700_000_000.0
 

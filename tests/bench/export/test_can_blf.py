@@ -2,8 +2,8 @@
 
 import can
 
-from bench.export.can_blf import write_blf
-from bench.export.placed_parts import PlacedLog
+from gyrobench.bench.export.can_blf import write_blf
+from gyrobench.bench.export.placed_parts import PlacedLog
 from tests.bench.export.frames import assert_same, frames_of, strange_parts
 
 

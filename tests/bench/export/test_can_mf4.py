@@ -6,16 +6,16 @@ import can
 import numpy as np
 import pytest
 
-from bench.export.placed_parts import PlacedLog
-from drivers.ins.dbc_codec import DbcCodec, load_dbc
-from drivers.ins.frames import FrameBlock
+from gyrobench.bench.export.placed_parts import PlacedLog
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.frames import FrameBlock
 from tests.bench.export.frames import assert_same, frames_of, strange_parts
 
 asammdf = pytest.importorskip("asammdf", reason="MDF4 needs: pip install 'gyrobench[mf4]'")
 
 from asammdf import MDF  # noqa: E402
 
-from bench.export.can_mf4 import write_mf4  # noqa: E402
+from gyrobench.bench.export.can_mf4 import write_mf4  # noqa: E402
 
 
 @pytest.fixture(scope="module")

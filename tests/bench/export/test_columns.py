@@ -1,7 +1,7 @@
 import pyarrow as pa
 import pytest
 
-from bench.export.columns import type_of, unit_of
+from gyrobench.bench.export.columns import type_of, unit_of
 
 
 @pytest.mark.parametrize(

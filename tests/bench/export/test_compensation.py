@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bench.closure.compensation import declared_model, model_with_effects
-from bench.export.compensation import compensation_files, export_compensation
-from bench.export.destination import Destination
-from bench.run_store.compensation_file import read_compensation
+from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.export.compensation import compensation_files, export_compensation
+from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.report import made_up_closure
 
 

@@ -3,15 +3,15 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bench.errors import RunFolderError
-from bench.export.run_export import export_run
-from bench.export.wanted import Format, Wanted, What
-from bench.measurement.marks import DwellMarks
-from bench.measurement.setup import measurement_setup
-from bench.run_store.can_log import read_can_log
-from bench.run_store.journal import read_journal
-from bench.station.station import Station
-from drivers.ins.frames import FrameBlock
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.export.run_export import export_run
+from gyrobench.bench.export.wanted import Format, Wanted, What
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.frames import FrameBlock
 
 
 @pytest.fixture(scope="module")

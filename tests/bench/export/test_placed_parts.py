@@ -3,10 +3,10 @@ import shutil
 import can
 import pytest
 
-from bench.export.placed_parts import PlacedLog
-from bench.run_store.can_log import read_can_log
-from bench.run_store.folder import RunFolder
-from bench.run_store.provenance import started_utc
+from gyrobench.bench.export.placed_parts import PlacedLog
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import started_utc
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.errors import DocumentError, RunFolderError
-from bench.export.run_export import export_run
-from bench.export.wanted import Format, Wanted, What
-from bench.run_store.folder import RunFolder
-from bench.run_store.telemetry import read_telemetry
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.export.run_export import export_run
+from gyrobench.bench.export.wanted import Format, Wanted, What
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.telemetry import read_telemetry
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.bench.run_index.sample_runs import emulated_run
+from tests.bench.runs.index.sample_runs import emulated_run
 
 
 @pytest.fixture(scope="session")

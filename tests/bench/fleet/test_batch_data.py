@@ -1,11 +1,11 @@
 """What runs tell of the units of a batch: biases, and effects that searches could see."""
 
-from bench.fleet.batch_data import read_batch
-from bench.fleet.batch_model import EffectSize
-from bench.run_index.index import RunIndex
-from bench.run_index.run_files import open_store
-from bench.run_index.selection import Selection, find_runs
-from tests.bench.run_index.sample_runs import copy_run, write_verdict
+from gyrobench.bench.fleet.batch_data import read_batch
+from gyrobench.bench.fleet.batch_model import EffectSize
+from gyrobench.bench.runs.index import RunIndex
+from gyrobench.bench.runs.index_run_files import open_store
+from gyrobench.bench.runs.index_selection import Selection, find_runs
+from tests.bench.runs.index.sample_runs import copy_run, write_verdict
 
 
 def test_effects_count_as_absent_only_where_a_search_could_tell(sample, tmp_path):

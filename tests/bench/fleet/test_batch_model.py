@@ -5,9 +5,9 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from bench.errors import MeasurementError
-from bench.fleet.batch_model import EffectSize, fit_batch, standing_out
-from bench.run_index.run_biases import LEVEL, Quantity, RunBias
+from gyrobench.bench.fleet.batch_model import EffectSize, fit_batch, standing_out
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
 
 SPREAD_DPH, BETWEEN_RUNS_DPH = 0.003, 0.001
 POSITIONS = ("z_up", "y_up", "x_up")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.fleet.batch_model import fit_batch
-from bench.fleet.batch_report import batch_summary, write_batch
-from bench.run_index.run_biases import LEVEL
+from gyrobench.bench.fleet.batch_model import fit_batch
+from gyrobench.bench.fleet.batch_report import batch_summary, write_batch
+from gyrobench.bench.runs.index_run_biases import LEVEL
 from tests.bench.fleet.test_batch_model import POSITIONS, batch
 
 

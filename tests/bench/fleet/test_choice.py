@@ -2,12 +2,12 @@
 
 import pytest
 
-from bench.errors import RunFolderError
-from bench.fleet.choice import runs_in_index, runs_named
-from bench.run_index.index import RunIndex
-from bench.run_index.run_files import open_store
-from bench.run_index.selection import Selection
-from tests.bench.run_index.sample_runs import copy_run
+from gyrobench.bench.fleet.choice import runs_in_index, runs_named
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.runs.index import RunIndex
+from gyrobench.bench.runs.index_run_files import open_store
+from gyrobench.bench.runs.index_selection import Selection
+from tests.bench.runs.index.sample_runs import copy_run
 
 
 @pytest.fixture

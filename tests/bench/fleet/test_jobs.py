@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from bench.clock import WallClock
-from bench.fleet.jobs import JobKind, JobState, do_job, inputs_of
-from bench.run_store.folder import RunFolder
-from bench.station.bench_lock import RunLock
-from tests.bench.run_index.sample_runs import copy_run
+from gyrobench.bench.fleet.jobs import JobKind, JobState, do_job, inputs_of
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.bench_lock import RunLock
+from tests.bench.runs.index.sample_runs import copy_run
 
 
 @pytest.fixture

@@ -2,9 +2,9 @@
 
 import pytest
 
-from bench.errors import RunFolderError
-from bench.fleet.jobs import JobKind, JobResult, JobState
-from bench.fleet.record import FleetRecord, read_record
+from gyrobench.bench.fleet.jobs import JobKind, JobResult, JobState
+from gyrobench.bench.fleet.record import FleetRecord, read_record
+from gyrobench.bench.foundations.errors import RunFolderError
 
 
 @pytest.fixture

@@ -8,13 +8,13 @@ import cloudpickle
 import pytest
 from distributed import LocalCluster, WorkerPlugin
 
-import bench.fleet.jobs
-from bench.errors import GyrobenchError
-from bench.fleet.cluster import Workers, connected
-from bench.fleet.jobs import JobKind, JobState
-from bench.fleet.record import FleetRecord, read_record
-from bench.fleet.work import work_through
-from tests.bench.run_index.sample_runs import copy_run
+import gyrobench.bench.fleet.jobs
+from gyrobench.bench.fleet.cluster import Workers, connected
+from gyrobench.bench.fleet.jobs import JobKind, JobState
+from gyrobench.bench.fleet.record import FleetRecord, read_record
+from gyrobench.bench.fleet.work import work_through
+from gyrobench.bench.foundations.errors import GyrobenchError
+from tests.bench.runs.index.sample_runs import copy_run
 
 pytestmark = pytest.mark.long
 
@@ -23,14 +23,14 @@ class DiesOfDeadlyRuns(WorkerPlugin):
     """Makes a worker end as the kernel ends one that takes all memory, when it opens a run of that name."""
 
     def setup(self, worker):
-        opened = bench.fleet.jobs.open_run_folder
+        opened = gyrobench.bench.fleet.jobs.open_run_folder
 
         def open_or_die(path):
             if path.name == "deadly":
                 os.kill(os.getpid(), signal.SIGKILL)
             return opened(path)
 
-        bench.fleet.jobs.open_run_folder = open_or_die
+        gyrobench.bench.fleet.jobs.open_run_folder = open_or_die
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_threads_do_the_same_and_a_bug_is_a_failure_of_its_run(runs, tmp_path, m
             raise ZeroDivisionError("a bug")
         return "done"
 
-    monkeypatch.setattr(bench.fleet.jobs, "_DOERS", {JobKind.REPORT: broken})
+    monkeypatch.setattr(gyrobench.bench.fleet.jobs, "_DOERS", {JobKind.REPORT: broken})
     record = FleetRecord(JobKind.REPORT, tmp_path / "record")
     with connected(Workers(count=2, are_threads=True)) as client:
         results = {result.path: result for result in work_through(client, record, runs)}
@@ -86,7 +86,7 @@ def test_a_scheduler_of_somebody_else_is_used_and_stays(runs, tmp_path):
 
 
 def test_an_address_without_scheduler_is_told(monkeypatch):
-    monkeypatch.setattr("bench.fleet.cluster._PATIENCE_S", 0.5)
+    monkeypatch.setattr("gyrobench.bench.fleet.cluster._PATIENCE_S", 0.5)
     with (
         pytest.raises(GyrobenchError, match="no Dask scheduler answers"),
         connected(Workers(scheduler="tcp://127.0.0.1:9")),

@@ -10,24 +10,27 @@ from pathlib import Path
 
 import serial
 
-from bench.clock import WallClock
-from bench.documents import find_document
-from bench.station.instruments import Outputs
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.station import Station
 from tests.drivers.emulators.quick_world import QUICK_WORLD
 
 #: Opens the bench, sets the table turning and the chamber heating, and beats until it is ended.
+SERVE = "gyrobench.drivers.emulators.serve"
+
+
 ENGINE = """
 import sys
 from pathlib import Path
 
 import serial
 
-from bench.clock import WallClock
-from bench.guard.link import guard_for
-from bench.station.bench_lock import BenchLock
-from bench.station.instruments import Outputs
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.station import Station
 
 station, folder, clock = Station(Path(sys.argv[1])), Path(sys.argv[2]), WallClock()
 with BenchLock(station, folder, clock), guard_for(station, folder, clock) as guard:
@@ -65,7 +68,15 @@ class ServedBench:
     def __init__(self, folder):
         world = folder / "world.yaml"
         world.write_text(QUICK_WORLD)
-        command = [sys.executable, "-m", "drivers.emulators.serve", "--world", str(world), "--for-s", "200"]
+        command = [
+            sys.executable,
+            "-m",
+            "gyrobench.drivers.emulators.serve",
+            "--world",
+            str(world),
+            "--for-s",
+            "200",
+        ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.urls = json.loads(self.process.stdout.readline())
         path = station_file(

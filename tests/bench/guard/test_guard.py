@@ -9,11 +9,11 @@ from contextlib import contextmanager
 import pytest
 import serial
 
-from bench.clock import WallClock
-from bench.guard.link import GuardLink
-from bench.guard.orders import Orders
-from bench.run_store.journal import read_journal
-from bench.station.bench_lock import BenchLock
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.guard.link import GuardLink
+from gyrobench.bench.guard.orders import Orders
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.bench_lock import BenchLock
 from tests.bench.guard.served_bench import is_running, wait_for
 
 pytestmark = pytest.mark.wall_time
@@ -27,7 +27,7 @@ def orphaned_guard(bench, folder):
     orders = Orders(
         str(bench.station.path), str(folder), 5.0, engine.pid, "2026-01-01T00:00:00+00:00", 7.0
     )  # fmt: skip
-    command = [sys.executable, "-m", "bench.guard"]
+    command = [sys.executable, "-m", "gyrobench.bench.guard"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as guard:
         guard.stdin.write(orders.line())
         guard.stdin.close()

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.clock import VirtualClock, WallClock
-from bench.documents import find_document
-from bench.errors import GyrobenchError
-from bench.guard.link import GuardLink, NoGuard, guard_for
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.guard.link import GuardLink, NoGuard, guard_for
+from gyrobench.bench.station.station import Station
 from tests.bench.guard.served_bench import station_file
 
 
@@ -79,7 +79,7 @@ def test_a_guard_that_hangs_is_replaced(station, tmp_path):
 
 def test_starting_loads_nothing_heavy():
     code = (
-        "import sys, bench.guard.__main__\n"
+        "import sys, gyrobench.bench.guard.__main__\n"
         "print(sorted({'numpy', 'scipy', 'numba', 'can', 'pydantic', 'serial', 'yaml'} & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

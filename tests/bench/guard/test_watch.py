@@ -2,9 +2,9 @@ import os
 
 import pytest
 
-from bench.clock import WallClock
-from bench.guard.orders import Orders
-from bench.guard.watch import Ending, watch
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.guard.orders import Orders
+from gyrobench.bench.guard.watch import Ending, watch
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ import signal
 
 import pytest
 
-from bench.jog.interruptions import Interruptions
-from bench.jog.refused import LeaveError, StoppedByHandError
+from gyrobench.bench.jog.interruptions import Interruptions
+from gyrobench.bench.jog.refused import LeaveError, StoppedByHandError
 
 
 def test_ctrl_c_is_told_once():

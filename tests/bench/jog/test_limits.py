@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from bench.clock import VirtualClock
-from bench.documents import find_document
-from bench.jog.limits import AxisRange, HandLimits, hand_limits
-from bench.jog.refused import CommandError
-from bench.station.instruments import Emulation, Outputs
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.jog.limits import AxisRange, HandLimits, hand_limits
+from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.station.instruments import Emulation, Outputs
+from gyrobench.bench.station.station import Station
 
 LIMITS = HandLimits(
     {"outer": AxisRange(-200.0, 200.0, 30.0), "inner": AxisRange(-380.0, 380.0, 30.0)}, 30.0, -50.0, 75.0, 4.0

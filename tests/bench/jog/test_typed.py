@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from bench.jog.refused import CommandError
-from bench.jog.typed import TypedLines
+from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.jog.typed import TypedLines
 
 
 @pytest.fixture

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import pytest
 
-from bench.engine.audience import Audience
-from bench.engine.operator import ConsentingOperator
-from bench.engine.people import Progress
-from bench.engine.session import prepare_job, run_job
-from bench.live.console import PatientConsole
-from bench.live.lines_view import LinesView
-from bench.live.picture import Picture
-from bench.live.recorder import PictureRecorder
-from bench.run_store.folder import RunFolder
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.live.console import PatientConsole
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.live.picture import Picture
+from gyrobench.bench.live.recorder import PictureRecorder
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.instruments import Emulation
 
 
 class Album(Progress):

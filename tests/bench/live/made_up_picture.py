@@ -3,8 +3,8 @@
 import math
 from dataclasses import replace
 
-from bench.live.picture import Picture, RunState
-from bench.live.picture_parts import (
+from gyrobench.bench.live.picture import Picture, RunState
+from gyrobench.bench.live.picture_parts import (
     Alarm,
     Attitude,
     BenchNow,

@@ -3,9 +3,9 @@ import sys
 
 import pytest
 
-from bench.live.c_locale import is_c_locale
+from gyrobench.bench.live.c_locale import is_c_locale
 
-ASK = "import os; from bench.live.c_locale import is_c_locale; print(is_c_locale(os.environ))"
+ASK = "import os; from gyrobench.bench.live.c_locale import is_c_locale; print(is_c_locale(os.environ))"
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@ import io
 
 import pytest
 
-from bench.live.console import PatientConsole
-from bench.live.patient_stream import PatientStream
+from gyrobench.bench.live.console import PatientConsole
+from gyrobench.bench.live.patient_stream import PatientStream
 
 TEXT = "+2.61 ±1.10"
 

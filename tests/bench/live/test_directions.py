@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bench.live.directions import directions
-from bench.live.picture_parts import Attitude
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.live.directions import directions
+from gyrobench.bench.live.picture_parts import Attitude
+from gyrobench.bench.navigation.positions import POSITIONS
 
 WORDS = {"E": "East", "W": "West", "N": "North", "S": "South", "U": "Up", "D": "Down"}
 

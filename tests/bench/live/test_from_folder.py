@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.clock import WallClock
-from bench.engine.progress import WITHOUT_A_WORD
-from bench.errors import RunFolderError
-from bench.live.from_folder import picture_from_records, picture_of
-from bench.live.picture import Picture, RunState
-from bench.live.picture_parts import Question
-from bench.run_store.folder import RunFolder
-from bench.station.bench_lock import RunLock
+from gyrobench.bench.engine.progress import WITHOUT_A_WORD
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.live.from_folder import picture_from_records, picture_of
+from gyrobench.bench.live.picture import Picture, RunState
+from gyrobench.bench.live.picture_parts import Question
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.bench_lock import RunLock
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import termios
 
 import pytest
 
-from bench.live.keyboard import Keyboard
+from gyrobench.bench.live.keyboard import Keyboard
 
 
 @pytest.fixture

@@ -5,11 +5,11 @@ import re
 import pytest
 from rich.console import Console
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.engine.operator import ConsentingOperator
-from bench.engine.session import prepare_job, run_job
-from bench.live.lines_view import LinesView
-from bench.station.instruments import Emulation
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.station.instruments import Emulation
 
 ROW = DwellRow(
     unit="1000", run="1", dwell=1, cycle=1, position="z_down",

@@ -1,7 +1,7 @@
 import io
 import threading
 
-from bench.live.patient_stream import PatientStream
+from gyrobench.bench.live.patient_stream import PatientStream
 
 
 class Halted(io.StringIO):

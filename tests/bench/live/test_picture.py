@@ -4,8 +4,8 @@ from dataclasses import fields, replace
 
 import pytest
 
-from bench.errors import RunFolderError
-from bench.live.picture import Picture, RunState, read_picture
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.live.picture import Picture, RunState, read_picture
 from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
 
 

@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from bench.live.canvas import Canvas
-from bench.live.plot import Curve, plot
+from gyrobench.bench.live.canvas import Canvas
+from gyrobench.bench.live.plot import Curve, plot
 
 
 def drawn(canvas):

@@ -5,16 +5,16 @@ import signal
 
 import pytest
 
-from bench.documents import find_document
-from bench.engine.audience import Audience
-from bench.engine.operator import ConsentingOperator
-from bench.engine.people import Progress
-from bench.engine.session import prepare_job, run_job
-from bench.live.picture import RunState, read_picture
-from bench.live.recorder import PictureRecorder
-from bench.station.instruments import Emulation
-from drivers.emulators.acl_axis import SoftwareFault
-from drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.live.picture import RunState, read_picture
+from gyrobench.bench.live.recorder import PictureRecorder
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 PROCEDURE = """procedure: two_positions
 steps:

@@ -4,9 +4,9 @@ import shutil
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.live.picture import Picture, RunState, read_picture
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.live.picture import Picture, RunState, read_picture
+from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.live.conftest import recorded_run
 
 

@@ -3,9 +3,9 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.picture import Picture, RunState
-from bench.live.picture_parts import Alarm, MeasuredProfile, PlannedProfile, Question, WindowTrace
-from bench.live.screen import screen
+from gyrobench.bench.live.picture import Picture, RunState
+from gyrobench.bench.live.picture_parts import Alarm, MeasuredProfile, PlannedProfile, Question, WindowTrace
+from gyrobench.bench.live.screen import screen
 from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
 
 NEW = Picture(

@@ -2,7 +2,7 @@ from itertools import pairwise
 
 import pytest
 
-from bench.live.thinned import Thinned
+from gyrobench.bench.live.thinned import Thinned
 
 
 def thinned(count, most=10):

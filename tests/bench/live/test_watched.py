@@ -12,11 +12,11 @@ import termios
 
 import pytest
 
-from bench.engine.session import prepare_job, run_job
-from bench.live.console import PatientConsole
-from bench.live.picture import RunState, read_picture
-from bench.live.watched import watched
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.live.console import PatientConsole
+from gyrobench.bench.live.picture import RunState, read_picture
+from gyrobench.bench.live.watched import watched
+from gyrobench.bench.station.instruments import Emulation
 
 PROCEDURE = """procedure: short
 steps:
@@ -32,10 +32,10 @@ PROGRAM = """
 import sys
 from pathlib import Path
 
-from bench.engine.session import prepare_job, run_job
-from bench.live.console import PatientConsole
-from bench.live.watched import watched
-from bench.station.instruments import Emulation
+from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.live.console import PatientConsole
+from gyrobench.bench.live.watched import watched
+from gyrobench.bench.station.instruments import Emulation
 
 console = PatientConsole(markup=False)
 job = prepare_job("short.yaml", "emulated", Emulation("ideal"))

@@ -4,7 +4,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench.messages.message import Left, Message
+from gyrobench.bench.messages.message import Left, Message
 
 NEEDS_PERSON = Message(
     event="needs_person",

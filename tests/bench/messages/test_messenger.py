@@ -5,7 +5,7 @@ import threading
 import time
 from dataclasses import replace
 
-from bench.messages.messenger import Messenger
+from gyrobench.bench.messages.messenger import Messenger
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
 from tests.bench.messages.servers import free_port, wait_for
 

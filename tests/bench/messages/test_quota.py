@@ -1,4 +1,4 @@
-from bench.messages.quota import Quota
+from gyrobench.bench.messages.quota import Quota
 
 
 def test_the_hour_slides():

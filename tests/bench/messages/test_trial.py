@@ -1,8 +1,8 @@
 import pytest
 
-from bench.documents import find_document
-from bench.errors import DocumentError
-from bench.messages.trial import send_test
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.messages.trial import send_test
 from tests.bench.messages.servers import free_port
 
 

@@ -6,10 +6,10 @@ import threading
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
-from bench.clock import VirtualClock
-from bench.monitor.server import MonitorServer
-from bench.monitor.site import Site
-from bench.station.bench_lock import RunLock
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.monitor.server import MonitorServer
+from gyrobench.bench.monitor.site import Site
+from gyrobench.bench.station.bench_lock import RunLock
 from tests.bench.live.made_up_picture import made_up_picture
 
 NOW = datetime(2026, 3, 2, 16, 42, 1, tzinfo=UTC)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bench.live.picture_parts import Attitude
-from bench.monitor.axes_drawing import SIZE, axes_drawing
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.live.picture_parts import Attitude
+from gyrobench.bench.monitor.axes_drawing import SIZE, axes_drawing
+from gyrobench.bench.navigation.positions import POSITIONS
 
 
 def drawing_of(C_nb):

@@ -11,9 +11,9 @@ from http import HTTPStatus
 import matplotlib.image
 import pytest
 
-from bench.live.picture import RunState
-from bench.monitor.answer import refusal
-from bench.monitor.site import Site
+from gyrobench.bench.live.picture import RunState
+from gyrobench.bench.monitor.answer import refusal
+from gyrobench.bench.monitor.site import Site
 from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
 from tests.bench.monitor.served_run import now, run_under_way, served, write_picture
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from bench.monitor.chart import HOUR_S, MINUTE_S, band, line, time_axis, value_axis
+from gyrobench.bench.monitor.chart import HOUR_S, MINUTE_S, band, line, time_axis, value_axis
 
 NAN = math.nan
 

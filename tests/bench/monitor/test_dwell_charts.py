@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.picture_parts import DwellNow, LiveBias
-from bench.monitor.dwell_charts import bias_charts, window_charts
+from gyrobench.bench.live.picture_parts import DwellNow, LiveBias
+from gyrobench.bench.monitor.dwell_charts import bias_charts, window_charts
 from tests.bench.live.made_up_picture import made_up_picture
 from tests.bench.monitor.test_chart import places
 

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.picture import RunState
-from bench.monitor.headline import SIGNS, headline
+from gyrobench.bench.live.picture import RunState
+from gyrobench.bench.monitor.headline import SIGNS, headline
 from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
 
 

@@ -1,9 +1,9 @@
 from dataclasses import replace
 
-from bench.live.picture import RunState
-from bench.monitor.list_rows import list_row, unreadable_row
-from bench.monitor.news import News
-from bench.monitor.runs import RunSummary
+from gyrobench.bench.live.picture import RunState
+from gyrobench.bench.monitor.list_rows import list_row, unreadable_row
+from gyrobench.bench.monitor.news import News
+from gyrobench.bench.monitor.runs import RunSummary
 
 RUN = RunSummary(
     "six position #1", "six_position", "1001", RunState.HOLDING, "the door is open",

@@ -1,6 +1,6 @@
 import pytest
 
-from bench.monitor.memory import FolderMemory
+from gyrobench.bench.monitor.memory import FolderMemory
 
 
 def test_a_value_is_made_again_only_when_its_folder_has_changed(tmp_path):

@@ -1,7 +1,7 @@
 import pytest
 
-from bench.live.picture import RunState
-from bench.monitor.news import age_text, news_of
+from gyrobench.bench.live.picture import RunState
+from gyrobench.bench.monitor.news import age_text, news_of
 from tests.bench.monitor.served_run import NOW
 
 

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from bench.live.picture_parts import MeasuredProfile, PlannedProfile
-from bench.monitor.profile_chart import profile_chart
+from gyrobench.bench.live.picture_parts import MeasuredProfile, PlannedProfile
+from gyrobench.bench.monitor.profile_chart import profile_chart
 from tests.bench.live.made_up_picture import HOUR_S, made_up_picture
 from tests.bench.monitor.test_chart import places
 

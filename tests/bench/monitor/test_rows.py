@@ -1,7 +1,7 @@
 import math
 from dataclasses import replace
 
-from bench.monitor.rows import bin_tables, reading_rows, shown_dwells
+from gyrobench.bench.monitor.rows import bin_tables, reading_rows, shown_dwells
 from tests.bench.live.made_up_picture import bins_of, dwells_done, made_up_picture
 
 

@@ -2,9 +2,9 @@ import json
 
 import pytest
 
-from bench.errors import RunFolderError
-from bench.live.picture import RunState
-from bench.monitor.runs import is_run, runs_in, signature_of, summarise
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.live.picture import RunState
+from gyrobench.bench.monitor.runs import is_run, runs_in, signature_of, summarise
 from tests.bench.monitor.served_run import run_under_way, write_picture
 
 JOURNAL = [

@@ -6,9 +6,9 @@ from http import HTTPStatus
 
 import pytest
 
-from bench.errors import GyrobenchError
-from bench.monitor.answer import Answer
-from bench.monitor.server import MonitorServer
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.monitor.answer import Answer
+from gyrobench.bench.monitor.server import MonitorServer
 from tests.bench.monitor.served_run import ask, served
 
 LONG = "a long text " * 500
@@ -149,7 +149,7 @@ def test_a_page_that_can_not_be_made_is_told_and_the_others_are_still_there():
 
 
 def test_a_client_that_drips_is_cut_off(monkeypatch):
-    monkeypatch.setattr("bench.monitor.server._LONGEST_REQUEST_S", 0.5)
+    monkeypatch.setattr("gyrobench.bench.monitor.server._LONGEST_REQUEST_S", 0.5)
     with (
         served(lambda target: Answer(HTTPStatus.OK, target.encode())) as server,
         socket.create_connection(("127.0.0.1", server.server_port), timeout=30) as connection,

@@ -3,9 +3,9 @@ import threading
 
 import pytest
 
-from bench.live.picture import RunState
-from bench.live.picture_parts import Note
-from bench.monitor.site import Site
+from gyrobench.bench.live.picture import RunState
+from gyrobench.bench.live.picture_parts import Note
+from gyrobench.bench.monitor.site import Site
 from tests.bench.live.made_up_picture import made_up_picture
 from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_picture
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from bench.navigation.attitude import (
+from gyrobench.bench.navigation.attitude import (
     UP,
     angle_between,
     euler_pry231,
@@ -12,7 +12,7 @@ from bench.navigation.attitude import (
     rotation_matrix,
     rotation_vector_enu,
 )
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.positions import POSITIONS
 
 X, Y, Z = np.eye(3)
 angles = st.floats(-3.1, 3.1)

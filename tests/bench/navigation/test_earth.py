@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pyins import earth as reference
 
-from bench.navigation import earth
+from gyrobench.bench.navigation import earth
 
 
 def test_earth_rate_lies_between_north_and_up():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.positions import POSITIONS
 
 EAST, NORTH, UP = np.eye(3)
 

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.errors import MeasurementError
-from bench.navigation.earth import DPH_TO_RADPS, EARTH_RATE, curvature_radii
-from bench.navigation.error_model import Site
-from bench.navigation.positions import POSITIONS
-from bench.navigation.rotational_ins import (
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import DPH_TO_RADPS, EARTH_RATE, curvature_radii
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.rotational_ins import (
     DAY_S,
     HALF_TURNS,
     NAUTICAL_MILE_M,
@@ -17,9 +17,9 @@ from bench.navigation.rotational_ins import (
     navigate_with_drift,
     rotate_for,
 )
-from bench.navigation.table_axes import TwoAxisTable
-from drivers.emulators.world.earth import normal_gravity
-from drivers.emulators.world.strapdown import navigate
+from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.drivers.emulators.world.earth import normal_gravity
+from gyrobench.drivers.emulators.world.strapdown import navigate
 
 SITE = Site(np.deg2rad(36.4), 60.0)
 SCHEMES = [HALF_TURNS, SIX_POSITIONS]

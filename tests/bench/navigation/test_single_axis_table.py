@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from bench.documents import find_document
-from bench.errors import DocumentError
-from bench.navigation.positions import POSITIONS
-from bench.navigation.single_axis_table import SingleAxisTable
-from bench.station.station import Station
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.single_axis_table import SingleAxisTable
+from gyrobench.bench.station.station import Station
 
 UP, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 LIMITS = (-380.0, 380.0)

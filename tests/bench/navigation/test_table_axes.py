@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.errors import DocumentError
-from bench.navigation.attitude import UP, rotation_matrix
-from bench.navigation.positions import POSITIONS
-from bench.navigation.table_axes import TwoAxisTable
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.attitude import UP, rotation_matrix
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import TwoAxisTable
 
 EAST, NORTH, _ = np.eye(3)
 CARDAN = TwoAxisTable(EAST, UP, np.eye(3))

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import Document, parse_document
-from bench.limits import StationLimits
-from bench.procedure.document import checked_procedure
-from bench.procedure.plan import Plan, expand
+from gyrobench.bench.foundations.documents import Document, parse_document
+from gyrobench.bench.procedure.document import checked_procedure
+from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.plan import Plan, expand
 
 HEADER = "procedure: test\nsteps:\n"
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from bench.documents import parse_document
-from bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
-from bench.procedure.document import checked_procedure
-from bench.procedure.plan import expand
-from bench.procedure.steps import Align, Chamber, GoTo, PowerOn, Soak, Wait
+from gyrobench.bench.foundations.documents import parse_document
+from gyrobench.bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.document import checked_procedure
+from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.steps import Align, Chamber, GoTo, PowerOn, Soak, Wait
 
 PROCEDURE = """
 procedure: there_and_back

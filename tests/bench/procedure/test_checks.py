@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import Document
-from bench.errors import DocumentError
-from bench.limits import StationLimits
-from bench.procedure.checks import check, find_problems
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan, expand
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.checks import check, find_problems
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.plan import Plan, expand
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

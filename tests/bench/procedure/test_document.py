@@ -9,13 +9,13 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.documents import Document, parse_document
-from bench.errors import DocumentError
-from bench.limits import StationLimits
-from bench.procedure.checks import check
-from bench.procedure.document import Repeat, checked_procedure, load_procedure
-from bench.procedure.plan import Plan, expand
-from bench.procedure.timeline import position_spans, timeline_rows
+from gyrobench.bench.foundations.documents import Document, parse_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.document import Repeat, checked_procedure, load_procedure
+from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.timeline import position_spans, timeline_rows
 
 PROCEDURES = Path(__file__).parents[3] / "procedures"
 

@@ -2,10 +2,10 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.documents import Document
-from bench.errors import DocumentError
-from bench.procedure.checks import check
-from bench.procedure.plan import Plan
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.plan import Plan
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.procedure.estimate import BenchEstimate, ThermalEstimate, lagged
+from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate, lagged
 
 THERMAL = ThermalEstimate(time_constant_s=2000.0, self_heating_c=10.0, air_lag_s=100.0, room_c=20.0)
 

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import Document
-from bench.procedure.document import load_procedure
-from bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from bench.procedure.plan import Phase, Plan, expand, turn_steps_after, turns_after
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from gyrobench.bench.procedure.plan import Phase, Plan, expand, turn_steps_after, turns_after
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import Document
-from bench.errors import DocumentError
-from bench.limits import StationLimits
-from bench.navigation.positions import POSITIONS
-from bench.procedure.checks import check
-from bench.procedure.plan import Plan
-from bench.station.station import Station
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.station.station import Station
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

@@ -2,11 +2,11 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.documents import Document
-from bench.errors import DocumentError
-from bench.procedure.plan import Plan
-from bench.procedure.resolve import MAX_STEPS
-from bench.procedure.steps import GoTo, Wait
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.resolve import MAX_STEPS
+from gyrobench.bench.procedure.steps import GoTo, Wait
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

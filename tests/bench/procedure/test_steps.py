@@ -3,11 +3,11 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from bench.navigation.positions import POSITIONS
-from bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from bench.procedure.navigation_steps import Until
-from bench.procedure.step import Step, span
-from bench.procedure.steps import (
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from gyrobench.bench.procedure.navigation_steps import Until
+from gyrobench.bench.procedure.step import Step, span
+from gyrobench.bench.procedure.steps import (
     STEP_KINDS,
     Align,
     AskOperator,

@@ -4,12 +4,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.documents import Document
-from bench.navigation.positions import POSITIONS
-from bench.procedure.document import load_procedure
-from bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from bench.procedure.plan import Plan, expand
-from bench.procedure.timeline import hours_minutes, position_spans, temperature_profile, timeline_rows
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.timeline import (
+    hours_minutes,
+    position_spans,
+    temperature_profile,
+    timeline_rows,
+)
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

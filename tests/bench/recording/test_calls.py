@@ -2,10 +2,10 @@
 
 import pytest
 
-from bench.errors import DocumentError
-from bench.recording.calls import calls_of
-from bench.recording.replay import replay
-from drivers.recording.document import read_recording
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.recording.calls import calls_of
+from gyrobench.bench.recording.replay import replay
+from gyrobench.drivers.recording.document import read_recording
 
 SET = "instrument: chamber\ncalls:\n- {ask: set_temperature, arguments: "
 

@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from bench.bias.bins import BiasBin, bin_biases, write_bins
-from bench.bias.tables.dwell_table import DwellRow, Triple, write_dwells
-from bench.bias.tables.joint_table import JointBiasRow, JointStopRow, write_joint
-from bench.bias.tables.noise_file import write_noise
-from bench.clock import VirtualClock
-from bench.navigation.positions import POSITIONS
-from bench.run_store.folder import RunFolder
-from bench.run_store.journal import Journal
-from bench.run_store.telemetry import COLUMNS, Telemetry
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.dwell_table import DwellRow, Triple, write_dwells
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow, write_joint
+from gyrobench.bench.runs.tables.noise_file import write_noise
+from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry
 from tests.bench.report.made_up_noise import made_up_noise
 
 CHAMBER_C = (62.0, 47.0, 22.0, 5.0, -8.0, -36.0)

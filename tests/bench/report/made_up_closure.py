@@ -5,11 +5,17 @@ from functools import cache
 
 import numpy as np
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.closure.effects import bias_jump, g_sensitivity, temperature_rate, thermal_gradient, time_drift
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.effects import (
+    bias_jump,
+    g_sensitivity,
+    temperature_rate,
+    thermal_gradient,
+    time_drift,
+)
+from gyrobench.bench.navigation.positions import POSITIONS
 
 SIGMA_DPH = 0.002
 DWELLS_A_CYCLE = 48

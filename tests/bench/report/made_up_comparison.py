@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.closure.compensation import declared_model, model_with_effects
-from bench.measurement.comparison import Comparison, leftover
-from bench.navigation.error_model import Site
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.dwells.comparison import Comparison, leftover
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.report.made_up_closure import clean, explained
 
 SITE = Site(np.radians(36.4), 60.0)

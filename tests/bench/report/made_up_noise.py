@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import NavigationWindow
-from bench.bias.noise.estimate import NoiseEstimate, estimate_noise
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 
 EPOCHS, INTERVAL_S = 1200, 0.25
 

@@ -6,10 +6,10 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.bias.bins import BiasBin
-from bench.bias.tables.dwell_table import DwellRow, write_dwells
-from bench.report.content import read_run
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.report.content import read_run
+from gyrobench.bench.runs.folder import RunFolder
 
 
 def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: list[BiasBin]) -> None:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.bins import BiasBin, paper_bins
-from bench.bias.equality import PositionComparison, compare_positions
-from bench.bias.tables.dwell_table import DwellRow
-from bench.report.findings import (
+from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.report.findings import (
     agreement_sentence,
     differing,
     equality_sentence,

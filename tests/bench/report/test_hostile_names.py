@@ -6,10 +6,10 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import bench.report
-from bench.bias.tables.dwell_table import read_dwells, write_dwells
-from bench.report.html import write_report
-from bench.run_store.folder import RunFolder
+import gyrobench.bench.report
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
+from gyrobench.bench.report.html import write_report
+from gyrobench.bench.runs.folder import RunFolder
 
 SCRIPT = "<script>alert(1)</script>"
 IMAGE = "\"'><img src=x onerror=alert(1)>"
@@ -44,7 +44,7 @@ def test_what_comes_from_files_is_text_in_the_report(run_folder, tmp_path):
 
 
 def test_templates_mark_nothing_but_their_own_words_as_safe():
-    for path in (Path(bench.report.__file__).parent / "templates").glob("*.j2"):
+    for path in (Path(gyrobench.bench.report.__file__).parent / "templates").glob("*.j2"):
         for expression in re.findall(r"{{(.*?)}}", path.read_text()):
             if "safe" in re.findall(r"\|\s*(\w+)", expression):
                 assert re.match(r" '[^']*' \| safe ", expression), (path, expression)

@@ -2,10 +2,10 @@ import sys
 
 import pytest
 
-from bench.errors import GyrobenchError
-from bench.report.html import write_report
-from bench.report.pdf import write_pdf
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.report.html import write_report
+from gyrobench.bench.report.pdf import write_pdf
+from gyrobench.bench.runs.folder import RunFolder
 
 
 def test_a_report_becomes_a_pdf(empty_folder: RunFolder, journal_writer):

@@ -8,15 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.bias.bins import BiasBin
-from bench.report.wording import (
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.positions import gyro_label, position_label
+from gyrobench.bench.report.wording import (
     BiasScale,
     bins_by_temperature,
-    counted,
     dph_with_sigma,
-    gyro_label,
     p_text,
-    position_label,
     temperature_ranges,
 )
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bench.navigation.positions import POSITIONS
-from bench.sensor_log.attitude import earth_rate_dph, nearest_position
-from bench.sensor_log.document import EarthRate
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.sensor_log.attitude import earth_rate_dph, nearest_position
+from gyrobench.bench.sensor_log.document import EarthRate
 
 
 @pytest.mark.parametrize("name", POSITIONS)

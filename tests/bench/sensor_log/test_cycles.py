@@ -1,6 +1,6 @@
 import pytest
 
-from bench.sensor_log.cycles import legs
+from gyrobench.bench.sensor_log.cycles import legs
 
 
 @pytest.mark.parametrize(

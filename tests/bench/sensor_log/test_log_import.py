@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import read_dwells
-from bench.errors import DocumentError, MeasurementError
-from bench.sensor_log.log_import import import_logs, write_import
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.sensor_log.log_import import import_logs, write_import
 from tests.bench.sensor_log.made_up_log import NOISE_DPH, RATE_HZ, bias_dph
 
 

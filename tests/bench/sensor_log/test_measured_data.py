@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
-from bench.sensor_log.log_import import import_logs
+from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.sensor_log.log_import import import_logs
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 IMU = DATA / "imu_thermal" / "imu_raw_data.csv"

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bench.errors import MeasurementError
-from bench.sensor_log.noise import noise_of_means
-from bench.sensor_log.windows import cut_windows
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.sensor_log.noise import noise_of_means
+from gyrobench.bench.sensor_log.windows import cut_windows
 
 RATE_HZ, WINDOW_S, COUNT = 5.0, 60.0, 30_000
 SAMPLES = RATE_HZ * WINDOW_S

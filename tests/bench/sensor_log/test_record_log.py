@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from bench.errors import DocumentError
-from bench.sensor_log import record_log
-from bench.sensor_log.document import RecordFormat
-from bench.sensor_log.record_log import RecordLog
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.sensor_log import record_log
+from gyrobench.bench.sensor_log.document import RecordFormat
+from gyrobench.bench.sensor_log.record_log import RecordLog
 
 LAYOUT = RecordFormat(fields=["time", "rate"], type=">i4", header_bytes=3)
 

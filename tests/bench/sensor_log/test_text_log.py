@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from bench.errors import DocumentError
-from bench.sensor_log import text_log
-from bench.sensor_log.document import TextFormat
-from bench.sensor_log.text_log import TextLog
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.sensor_log import text_log
+from gyrobench.bench.sensor_log.document import TextFormat
+from gyrobench.bench.sensor_log.text_log import TextLog
 
 
 def read(path, content, numbers=("a", "b"), texts=(), **layout):

@@ -1,6 +1,6 @@
 import numpy as np
 
-from bench.sensor_log.windows import cut_windows, longest_run
+from gyrobench.bench.sensor_log.windows import cut_windows, longest_run
 
 
 def batches(count, size):

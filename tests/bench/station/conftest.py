@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.documents import find_document
+from gyrobench.bench.foundations.documents import find_document
 
 
 @pytest.fixture

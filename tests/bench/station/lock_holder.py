@@ -6,9 +6,9 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 
-from bench.clock import WallClock
-from bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock, RunLock
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock, RunLock
+from gyrobench.bench.station.station import Station
 
 _CONTEXT = get_context("forkserver")
 _CONTEXT.set_forkserver_preload([__name__])

@@ -5,11 +5,11 @@ import os
 
 import pytest
 
-from bench.clock import VirtualClock, WallClock
-from bench.documents import find_document
-from bench.errors import BenchInUseError, GyrobenchError
-from bench.station.bench_lock import BenchLock, Holder, RunLock, bench_holders, holder_of
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.station.bench_lock import BenchLock, Holder, RunLock, bench_holders, holder_of
+from gyrobench.bench.station.station import Station
 from tests.bench.station.lock_holder import held_elsewhere
 
 

@@ -1,15 +1,15 @@
 import pytest
 from pydantic import Field
 
-from bench.clock import VirtualClock
-from bench.documents import StrictModel, find_document
-from bench.errors import ConnectionFailedError, DocumentError
-from bench.station import dialect_section, instruments
-from bench.station.chamber_section import ChamberSection
-from bench.station.document import StationFile
-from bench.station.instruments import Emulation, open_chamber, open_table
-from bench.station.station import Station
-from drivers.chamber.dialect import ChamberDialect
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import StrictModel, find_document
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
+from gyrobench.bench.station import dialect_section, instruments
+from gyrobench.bench.station.chamber_section import ChamberSection
+from gyrobench.bench.station.document import StationFile
+from gyrobench.bench.station.instruments import Emulation, open_chamber, open_table
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber.dialect import ChamberDialect
 
 ADDRESS = "  address: 1\n"
 

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import DocumentError
-from bench.station.station import Station
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.station.station import Station
 
 NOISE = """  noise:
     angle_random_walk_deg_per_sqrt_h: 0.0006

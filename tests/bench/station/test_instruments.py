@@ -8,11 +8,19 @@ from contextlib import closing
 
 import pytest
 
-from bench.clock import VirtualClock, WallClock
-from bench.documents import find_document
-from bench.errors import ConnectionFailedError
-from bench.station.instruments import CHAMBER, INS, RATE_TABLE, Emulation, Instruments, Outputs, open_ins
-from bench.station.station import Station
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.station.instruments import (
+    CHAMBER,
+    INS,
+    RATE_TABLE,
+    Emulation,
+    Instruments,
+    Outputs,
+    open_ins,
+)
+from gyrobench.bench.station.station import Station
 
 
 @pytest.fixture
@@ -109,7 +117,7 @@ def test_a_socketcand_server_that_is_not_there_is_told_at_once(changed):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # python-can leaves it open
 def test_a_socketcand_server_that_says_nothing_is_given_up(changed, monkeypatch):
-    monkeypatch.setattr("bench.station.instruments._OPENING_TIME_S", 3.0)
+    monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 3.0)
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
         station = socketcand_station(changed, listener.getsockname()[1])
         with pytest.raises(ConnectionFailedError, match="INS: its port hangs"):

@@ -1,8 +1,8 @@
 import pytest
 
-from bench.documents import find_document, parse_document, validate
-from bench.errors import DocumentError
-from bench.station.document import StationFile
+from gyrobench.bench.foundations.documents import find_document, parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.station.document import StationFile
 
 TEXT = find_document("stations", "emulated").read_text()
 

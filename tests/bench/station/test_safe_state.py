@@ -2,14 +2,14 @@ import threading
 
 import pytest
 
-from bench.clock import VirtualClock, WallClock
-from bench.documents import find_document
-from bench.errors import NoReplyError
-from bench.station.instruments import Emulation, Instruments, Outputs
-from bench.station.safe_state import SafeAction, make_safe
-from bench.station.station import Station
-from drivers.emulators.bench import BenchAddress, emulated_bench
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import NoReplyError
+from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
+from gyrobench.bench.station.safe_state import SafeAction, make_safe
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.serial_line import SerialLine
 
 
 @pytest.fixture
@@ -110,10 +110,10 @@ def test_what_failed_can_be_tried_alone(opened):
 
 def test_a_table_that_hangs_does_not_keep_the_chamber_waiting_for_ever(changed, monkeypatch):
     station = Station(changed(("clock: virtual", "clock: wall")))
-    monkeypatch.setattr("bench.station.safe_state._EXCHANGE_TIME_S", 3.0)
-    monkeypatch.setattr("bench.station.safe_state._RELEASE_TIME_S", 0.5)
+    monkeypatch.setattr("gyrobench.bench.station.safe_state._EXCHANGE_TIME_S", 3.0)
+    monkeypatch.setattr("gyrobench.bench.station.safe_state._RELEASE_TIME_S", 0.5)
     hangs, beats = threading.Event(), []
-    monkeypatch.setattr("bench.station.instruments.open_table", lambda *_: hangs.wait(60))
+    monkeypatch.setattr("gyrobench.bench.station.instruments.open_table", lambda *_: hangs.wait(60))
     with Outputs(station, WallClock()) as outputs:
         found = problems(make_safe(station, outputs, meanwhile=lambda: beats.append(1)))
         assert "its port hangs" in found["rate table stopped"]

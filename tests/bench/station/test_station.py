@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from bench.bias.prior import PriorKnowledge
-from bench.clock import VirtualClock, WallClock
-from bench.documents import find_document
-from bench.errors import ConnectionFailedError, DocumentError
-from bench.station.instruments import Emulation, Instruments
-from bench.station.station import Station
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
+from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.station import Station
 
 SHIPPED = find_document("stations", "emulated")
 NOISE = """  noise:

@@ -2,9 +2,9 @@ import threading
 
 import pytest
 
-from bench.clock import VirtualClock, WallClock
-from bench.errors import ConnectionFailedError, NoReplyError
-from bench.station.time_limit import within
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
+from gyrobench.bench.station.time_limit import within
 
 
 def refuses():

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from bench.clock import Clock, VirtualClock, WallClock
-from drivers.chamber.watlow_f4 import WatlowF4
-from drivers.emulators.watlow_f4 import WatlowF4Emulator
-from drivers.emulators.world.chamber_air import ChamberAir
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.emulators.watlow_f4 import WatlowF4Emulator
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.serial_line import SerialLine
 
 
 class FarEnd(threading.Thread):

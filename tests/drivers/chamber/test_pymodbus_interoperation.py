@@ -9,11 +9,11 @@ from pymodbus.client import ModbusSerialClient
 from pymodbus.server import ModbusSerialServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from bench.clock import WallClock
-from bench.errors import RefusedError
-from drivers.chamber import ChamberReading
-from drivers.chamber.watlow_f4 import WatlowF4
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import RefusedError
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.serial_line import SerialLine
 
 REGISTERS = {
     0: [5270],

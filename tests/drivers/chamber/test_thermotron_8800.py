@@ -5,10 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.chamber import ChamberReading
-from drivers.chamber.thermotron_8800 import Thermotron8800
-from drivers.emulators.thermotron_8800 import Stop, Thermotron8800Emulator
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    InstrumentError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.chamber.thermotron_8800 import Thermotron8800
+from gyrobench.drivers.emulators.thermotron_8800 import Stop, Thermotron8800Emulator
 from tests.drivers.conftest import ChamberBench, Scripted, any_rig
 
 

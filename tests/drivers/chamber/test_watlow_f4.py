@@ -5,11 +5,17 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from bench.clock import VirtualClock, WallClock
-from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.chamber import Chamber, ChamberReading
-from drivers.chamber.watlow_f4 import from_register, to_register
-from drivers.modbus_rtu import framed
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    InstrumentError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from gyrobench.drivers.chamber import Chamber, ChamberReading
+from gyrobench.drivers.chamber.watlow_f4 import from_register, to_register
+from gyrobench.drivers.modbus_rtu import framed
 
 MANUAL_FRAMES = {
     "read PV and error": "01 03 00 64 00 02 85 D4",

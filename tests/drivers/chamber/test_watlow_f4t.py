@@ -5,10 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.chamber import ChamberReading
-from drivers.chamber.watlow_f4t import WatlowF4T
-from drivers.emulators.watlow_f4t import WatlowF4TEmulator
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    InstrumentError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.chamber.watlow_f4t import WatlowF4T
+from gyrobench.drivers.emulators.watlow_f4t import WatlowF4TEmulator
 from tests.drivers.conftest import ChamberBench, Scripted, any_rig
 
 LOOP = b":SOURCE:CLOOP1:"

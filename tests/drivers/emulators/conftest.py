@@ -3,9 +3,9 @@ from typing import Any
 
 import pytest
 
-from bench.documents import find_document, read_document
-from drivers.emulators.world.document import WorldFile
-from drivers.emulators.world.world import World
+from gyrobench.bench.foundations.documents import find_document, read_document
+from gyrobench.drivers.emulators.world.document import WorldFile
+from gyrobench.drivers.emulators.world.world import World
 
 
 def changed_world_file(name: str = "ideal", **sections: Any) -> WorldFile:

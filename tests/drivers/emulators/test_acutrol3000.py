@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.acl_axis import SoftwareFault
-from drivers.emulators.acl_syntax import ErrorCode
-from drivers.emulators.acutrol3000 import Acutrol3000Emulator
-from drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.emulators.acl_syntax import ErrorCode
+from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 
 PARAMETERS = AxisParameters(settling_amplitude_arcsec=0.0)
 

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-import drivers.ins
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.world.compensation import NUMBERS, unloaded_numbers
-from drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+import gyrobench.drivers.ins
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.world.compensation import NUMBERS, unloaded_numbers
+from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
 
-DBC = cantools.database.load_file(Path(drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
+DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 QUICK = {"boot_s": 1.0, "levelling_s": 1.0, "coarse_alignment_s": 2.0, "fine_alignment_s": 4.0}
 SLOW = ["SYSTEM_TIME", "HEIGHT_VELOCITY_D", "INS_STATUS", "INS_IDENTITY",
         "COMPENSATION_STATUS", "GYRO_OPTICS_TEMPERATURE", "GYRO_ELECTRONICS_TEMPERATURE"]  # fmt: skip

@@ -3,9 +3,9 @@ import time
 import can
 import pytest
 
-from bench.clock import VirtualClock, WallClock
-from drivers.emulators.bench import BenchAddress, emulated_bench
-from drivers.emulators.can_interface import EmulatorBus
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.can_interface import EmulatorBus
 
 STANDBY_DATA, ALIGN_DATA = b"\1\0", b"\2\0"
 HEADING, STATUS, COMMAND = 0x007, 0x010, 0x200

@@ -17,8 +17,11 @@ from cantools.database import load_file
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
-from drivers import ins
+from gyrobench.drivers import ins
 from tests.drivers.emulators.quick_world import QUICK_WORLD
+
+SERVE = "gyrobench.drivers.emulators.serve"
+
 
 SPEED = 5.0
 UNIT_POWER_REGISTER = 2010
@@ -30,7 +33,15 @@ def urls(request, tmp_path_factory):
     world = tmp_path_factory.mktemp("world") / "quick.yaml"
     world.write_text(QUICK_WORLD)
     options = ["--tcp", "--can", "socketcand"] if "tcp" in request.param else []
-    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", str(world), "--speed", str(SPEED)]
+    command = [
+        sys.executable,
+        "-m",
+        "gyrobench.drivers.emulators.serve",
+        "--world",
+        str(world),
+        "--speed",
+        str(SPEED),
+    ]
     with subprocess.Popen([*command, "--for-s", "60", *options], stdout=subprocess.PIPE, text=True) as server:
         served = json.loads(server.stdout.readline())
         with modbus_client(served["chamber"]) as client:

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from bench.clock import VirtualClock
-from bench.documents import find_document
-from bench.station.instruments import Emulation, Instruments
-from bench.station.station import Station
-from drivers.emulators.bench import BenchAddress, emulated_bench
-from drivers.emulators.world.sensor_errors import DPH
-from drivers.ins import Compensation
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.ins import Compensation
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 _STEP_S = 10.0

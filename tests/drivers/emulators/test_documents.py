@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from bench.documents import find_document
-from drivers.emulators.documents import main
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.drivers.emulators.documents import main
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.ideal_aerosmith import IdealAerosmithEmulator
-from drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from gyrobench.drivers.emulators.ideal_aerosmith import IdealAerosmithEmulator
+from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 
 
 class Panel:

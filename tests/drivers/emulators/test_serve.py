@@ -11,15 +11,15 @@ import can
 import pytest
 import serial
 
-from bench.clock import WallClock
-from bench.errors import ConnectionFailedError, InstrumentError
-from drivers.chamber.watlow_f4 import WatlowF4
-from drivers.emulators.serve import main
-from drivers.rate_table.acutrol3000 import Acutrol3000
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.emulators.serve import main
+from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
+from gyrobench.drivers.serial_line import SerialLine
 from tests.drivers.emulators.quick_world import QUICK_WORLD
 
-COMMAND = [sys.executable, "-m", "drivers.emulators.serve"]
+COMMAND = [sys.executable, "-m", "gyrobench.drivers.emulators.serve"]
 READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
 VELOCITY_NE, ROLL_PITCH, HEADING, STATUS = 0x004, 0x006, 0x007, 0x010
 

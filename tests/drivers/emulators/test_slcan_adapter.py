@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import drivers.ins
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.serial_instrument import Connection
-from drivers.emulators.slcan_adapter import SlcanAdapter
-from drivers.emulators.world.inertial_unit import Mode
+import gyrobench.drivers.ins
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.serial_instrument import Connection
+from gyrobench.drivers.emulators.slcan_adapter import SlcanAdapter
+from gyrobench.drivers.emulators.world.inertial_unit import Mode
 
-DBC = cantools.database.load_file(Path(drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
+DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 OK, BELL = b"\r", b"\a"
 
 

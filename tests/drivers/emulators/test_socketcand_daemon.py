@@ -1,8 +1,8 @@
 import pytest
 
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.serial_instrument import Connection
-from drivers.emulators.socketcand_daemon import SocketcandDaemon
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.serial_instrument import Connection
+from gyrobench.drivers.emulators.socketcand_daemon import SocketcandDaemon
 
 
 class Client:

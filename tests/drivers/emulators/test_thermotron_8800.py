@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.thermotron_8800 import Thermotron8800Emulator
-from drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.thermotron_8800 import Thermotron8800Emulator
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 
 class Panel:

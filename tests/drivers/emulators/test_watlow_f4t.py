@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.watlow_f4t import WatlowF4TEmulator
-from drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.watlow_f4t import WatlowF4TEmulator
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 
 class Panel:

@@ -1,4 +1,4 @@
-"""What an INS subtracts by a compensation, straight from the equation of drivers.ins.compensation."""
+"""What an INS subtracts by a compensation, from the equation of gyrobench.drivers.ins.compensation."""
 
 import itertools
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.compensation import Compensation
 
 Float64 = NDArray[np.float64]
 

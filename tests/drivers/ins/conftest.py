@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-import drivers.ins
-from bench.documents import parse_document, validate
-from drivers.ins import CommandMap, DbcCodec, FrameBlock, SignalMap, concatenate, load_dbc
+import gyrobench.drivers.ins
+from gyrobench.bench.foundations.documents import parse_document, validate
+from gyrobench.drivers.ins import CommandMap, DbcCodec, FrameBlock, SignalMap, concatenate, load_dbc
 
-DBC = Path(drivers.ins.__file__).with_name("gyrobench_ins.dbc")
+DBC = Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc")
 
 SIGNALS = """
 time_s: SYSTEM_TIME.TIME_S

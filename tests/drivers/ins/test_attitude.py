@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.ins.attitude import (
+from gyrobench.drivers.ins.attitude import (
     EulerSequence,
     QuaternionFrames,
     attitude_matrices,

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bench.errors import DocumentError
-from drivers.ins import DbcCodec, load_dbc
-from drivers.ins.bound_signals import BlockReader, bind_signals, check_signals
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.ins import DbcCodec, load_dbc
+from gyrobench.drivers.ins.bound_signals import BlockReader, bind_signals, check_signals
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ from pathlib import Path
 import can
 import pytest
 
-from bench.clock import VirtualClock
-from bench.errors import ConnectionFailedError, ReplyError
-from drivers.ins.can_bus import close_bus, open_bus
-from drivers.ins.can_ins import CanIns
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, ReplyError
+from gyrobench.drivers.ins.can_bus import close_bus, open_bus
+from gyrobench.drivers.ins.can_ins import CanIns
 
 FRAME = b"t00480102030405060708\r"
 

@@ -4,8 +4,8 @@ import can
 import numpy as np
 import pytest
 
-from bench.clock import VirtualClock
-from bench.errors import (
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
     FaultError,
@@ -13,7 +13,7 @@ from bench.errors import (
     RefusedError,
     ReplyError,
 )
-from drivers.ins import (
+from gyrobench.drivers.ins import (
     CanIns,
     CommandMap,
     Compensation,
@@ -23,9 +23,9 @@ from drivers.ins import (
     decode_navigation,
     open_bus,
 )
-from drivers.ins.command_map import TermIndices
-from drivers.ins.compensation import TERMS
-from drivers.ins.ins_status import STALE_S
+from gyrobench.drivers.ins.command_map import TermIndices
+from gyrobench.drivers.ins.compensation import TERMS
+from gyrobench.drivers.ins.ins_status import STALE_S
 
 POLYNOMIAL = Compensation(
     np.array([[0.0, 0.0], [0.5, -0.25], [0.0, 0.0]]), np.full(3, -20.0), np.full(3, 70.0)

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import parse_document, validate
-from bench.errors import DocumentError
-from drivers.ins.command_map import CommandMap, check_commands
+from gyrobench.bench.foundations.documents import parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.ins.command_map import CommandMap, check_commands
 
 
 def command_map_of(text):

@@ -4,9 +4,9 @@ import zlib
 import numpy as np
 import pytest
 
-from bench.errors import MeasurementError
-from drivers.ins import Compensation
-from drivers.ins.compensation import TERMS, checksum
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.drivers.ins import Compensation
+from gyrobench.drivers.ins.compensation import TERMS, checksum
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph, play
 
 BASE = {

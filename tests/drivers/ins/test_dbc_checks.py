@@ -1,7 +1,7 @@
 import pytest
 
-from bench.errors import DocumentError
-from drivers.ins.dbc_codec import load_dbc
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.ins.dbc_codec import load_dbc
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import drivers.ins
-from bench.errors import DocumentError, MeasurementError
-from drivers.ins.dbc_codec import MAX_DBC_BYTES, DbcCodec, load_dbc
-from drivers.ins.frames import EXTENDED_ID, FrameBlock
+import gyrobench.drivers.ins
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.drivers.ins.dbc_codec import MAX_DBC_BYTES, DbcCodec, load_dbc
+from gyrobench.drivers.ins.frames import EXTENDED_ID, FrameBlock
 
 
 def block_of(codec, message_name, payloads):
@@ -41,7 +41,7 @@ def assert_equals_cantools(codec, message, payloads):
         )
 
 
-PROJECT_DBC = Path(drivers.ins.__file__).with_name("gyrobench_ins.dbc")
+PROJECT_DBC = Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc")
 
 
 @pytest.mark.parametrize("message_name", [message.name for message in load_dbc(PROJECT_DBC).messages])

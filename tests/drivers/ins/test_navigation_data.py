@@ -5,9 +5,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.ins import Alignment, FrameBlock, InsMode, concatenate, decode_navigation
-from drivers.ins.attitude import EulerSequence, attitude_matrices
-from drivers.ins.epochs import EpochCounts
+from gyrobench.drivers.ins import Alignment, FrameBlock, InsMode, concatenate, decode_navigation
+from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
+from gyrobench.drivers.ins.epochs import EpochCounts
 
 HEADING_ID, VELOCITY_ID, TIME_ID, STATUS_ID = 0x007, 0x004, 0x001, 0x010
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import cantools
 import pytest
 
-import drivers.ins
+import gyrobench.drivers.ins
 
 PUBLISHED = [
     ("sbg", "EKF_VEL_NED", {"VELOCITY_N": 0.01, "VELOCITY_E": -0.02, "VELOCITY_D": 1.0}, "01 00 FE FF 64 00"),
@@ -27,6 +27,6 @@ PUBLISHED = [
 
 @pytest.mark.parametrize(("dbc", "message", "values", "data"), PUBLISHED)
 def test_the_published_bytes_stand_for_the_published_values(dbc, message, values, data):
-    database = cantools.database.load_file(Path(drivers.ins.__file__).with_name(f"{dbc}.dbc"))
+    database = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name(f"{dbc}.dbc"))
     assert database.encode_message(message, values) == bytes.fromhex(data)
     assert database.decode_message(message, bytes.fromhex(data)) == pytest.approx(values)

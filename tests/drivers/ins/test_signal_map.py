@@ -1,7 +1,7 @@
 import pytest
 
-from bench.errors import DocumentError
-from drivers.ins.signal_map import Dimension
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.ins.signal_map import Dimension
 
 
 def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):

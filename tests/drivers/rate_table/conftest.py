@@ -8,8 +8,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from bench.clock import WallClock
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.drivers.serial_line import SerialLine
 
 
 @contextmanager

@@ -6,12 +6,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.emulators.acl_axis import SoftwareFault
-from drivers.emulators.acutrol3000 import Acutrol3000Emulator
-from drivers.emulators.world.table_axis import AxisParameters, TableAxis
-from drivers.rate_table import RateTable, TableReading
-from drivers.rate_table.acutrol3000 import Acutrol3000
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    InstrumentError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from gyrobench.drivers.emulators.acl_axis import SoftwareFault
+from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from gyrobench.drivers.rate_table import RateTable, TableReading
+from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 
 FAST = AxisParameters(
     rate_limit_dps=2000.0,

@@ -5,10 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.errors import FaultError, InstrumentError, NoReplyError, RefusedError, ReplyError
-from drivers.emulators.ideal_aerosmith import IdealAerosmithEmulator
-from drivers.rate_table import RateTable, TableReading
-from drivers.rate_table.ideal_aerosmith import IdealAerosmith
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    InstrumentError,
+    NoReplyError,
+    RefusedError,
+    ReplyError,
+)
+from gyrobench.drivers.emulators.ideal_aerosmith import IdealAerosmithEmulator
+from gyrobench.drivers.rate_table import RateTable, TableReading
+from gyrobench.drivers.rate_table.ideal_aerosmith import IdealAerosmith
 from tests.drivers.conftest import Scripted, any_rig
 
 

@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.errors import DocumentError
-from drivers.recording.document import (
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.recording.document import (
     Call,
     RecordingHeader,
     Transfer,

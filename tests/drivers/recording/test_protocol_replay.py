@@ -2,10 +2,10 @@
 
 import pytest
 
-from bench.clock import Deadline, VirtualClock, WallClock
-from bench.errors import ConnectionFailedError, NoReplyError
-from drivers.recording.document import RecordingHeader, Transfer, recording_text
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import Deadline, VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
+from gyrobench.drivers.recording.document import RecordingHeader, Transfer, recording_text
+from gyrobench.drivers.serial_line import SerialLine
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import pytest
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
-from bench.clock import WallClock
-from drivers.recording.document import RecordingHeader, read_recording
-from drivers.recording.proxy import Proxy
-from drivers.recording.tap import RecordingFile
-from drivers.serial_line import open_port
-from drivers.served_ports import PseudoTerminal, TcpPort
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.drivers.recording.document import RecordingHeader, read_recording
+from gyrobench.drivers.recording.proxy import Proxy
+from gyrobench.drivers.recording.tap import RecordingFile
+from gyrobench.drivers.serial_line import open_port
+from gyrobench.drivers.served_ports import PseudoTerminal, TcpPort
 
 
 @pytest.mark.parametrize("kind", ["terminal", "tcp"])

@@ -3,14 +3,14 @@
 import can
 import pytest
 
-from bench.clock import VirtualClock
-from bench.documents import find_document
-from bench.errors import ConnectionFailedError
-from bench.station.station import Station
-from drivers.ins.can_bus import open_bus
-from drivers.ins.can_ins import CanIns
-from drivers.ins.dbc_codec import load_dbc
-from drivers.ins.readout import InsMode
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import open_bus
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.ins.dbc_codec import load_dbc
+from gyrobench.drivers.ins.readout import InsMode
 
 
 @pytest.fixture(params=[".log", ".asc", ".blf"])

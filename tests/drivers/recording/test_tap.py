@@ -5,11 +5,11 @@ import tty
 
 import pytest
 
-from bench.clock import Deadline, WallClock
-from bench.errors import NoReplyError, RunFolderError
-from drivers.recording.document import RecordingHeader, read_recording
-from drivers.recording.tap import recording_lines
-from drivers.serial_line import SerialLine
+from gyrobench.bench.foundations.clock import Deadline, WallClock
+from gyrobench.bench.foundations.errors import NoReplyError, RunFolderError
+from gyrobench.drivers.recording.document import RecordingHeader, read_recording
+from gyrobench.drivers.recording.tap import recording_lines
+from gyrobench.drivers.serial_line import SerialLine
 
 HEADERS = {"chamber": RecordingHeader(instrument="chamber", dialect="watlow_f4")}
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.documents import StrictModel
+from gyrobench.bench.foundations.documents import StrictModel
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.world.effects.effect import Array, Conditions, Effect
-from drivers.emulators.world.quantities import NotNegative, Positive, Vector
+from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.drivers.emulators.world.quantities import NotNegative, Positive, Vector
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from drivers.emulators.world.effects.effect import Array, Conditions, Effect
-from drivers.emulators.world.quantities import Positive, Vector
+from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.drivers.emulators.world.quantities import Positive, Vector
 
 
 class TemperatureRate(Effect):

@@ -8,12 +8,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from drivers.emulators.world.effects.effect import Array, Conditions, Effect
-from drivers.emulators.world.effects.elapsed_time import BiasJump, SupplyRipple, TimeDrift, WarmUp
-from drivers.emulators.world.effects.hysteresis import ThermalHysteresis
-from drivers.emulators.world.effects.ring import DitherCrossing, ModeHop
-from drivers.emulators.world.effects.surroundings import ChamberState, GSensitivity
-from drivers.emulators.world.effects.temperature import AttitudeThermal, TemperatureRate, ThermalGradient
+from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.drivers.emulators.world.effects.elapsed_time import BiasJump, SupplyRipple, TimeDrift, WarmUp
+from gyrobench.drivers.emulators.world.effects.hysteresis import ThermalHysteresis
+from gyrobench.drivers.emulators.world.effects.ring import DitherCrossing, ModeHop
+from gyrobench.drivers.emulators.world.effects.surroundings import ChamberState, GSensitivity
+from gyrobench.drivers.emulators.world.effects.temperature import (
+    AttitudeThermal,
+    TemperatureRate,
+    ThermalGradient,
+)
 
 #: One entry of a world file's ``undeclared_effects``.
 UndeclaredEffect = Annotated[

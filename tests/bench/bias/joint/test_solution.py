@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.bias.joint.solution import JointDwell, group_stops, pooled_up_rate, solve_jointly
-from bench.bias.joint.vertical_pairs import Finding
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import estimate_state_space
-from bench.errors import MeasurementError
-from bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.bias.joint.solution import JointDwell, group_stops, pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.joint.vertical_pairs import Finding
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
 from tests.bench.bias.emulated_dwells import DPH, LATITUDE_DEG, UG, emulate, sensors, site
 from tests.bench.bias.emulated_groups import (
     ALL,

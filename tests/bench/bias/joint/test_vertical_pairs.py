@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from bench.bias.joint.vertical_pairs import Finding, VerticalPairs, up_rate
-from bench.bias.weighted_mean import weighted_mean
-from bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.bias.joint.vertical_pairs import Finding, VerticalPairs, up_rate
+from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.navigation.earth import earth_rate_enu
 
 EARTH_RATE = earth_rate_enu(np.radians(36.4))
 EQUATOR = earth_rate_enu(0.0)

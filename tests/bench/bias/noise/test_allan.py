@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bench.bias.noise.allan import (
+from gyrobench.bench.bias.noise.allan import (
     RANDOM_WALK,
     RATE_WALK,
     WHITE_ANGLE,
@@ -9,7 +9,7 @@ from bench.bias.noise.allan import (
     fit_rate_noise,
     on_grid,
 )
-from bench.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError
 
 STEP = 0.1
 

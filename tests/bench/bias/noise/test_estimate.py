@@ -3,16 +3,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from bench.bias.dwell import NavigationWindow
-from bench.bias.noise.estimate import compare_noise, estimate_noise
-from bench.bias.noise.model import NoiseModel
-from bench.bias.state_space.bias_filter import estimate_state_space
-from bench.errors import MeasurementError
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
-from bench.navigation.positions import POSITIONS
-from drivers.emulators.world.earth import normal_gravity
-from drivers.emulators.world.sensor_errors import DPH, MICRO_G
-from drivers.emulators.world.strapdown import (
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise.estimate import compare_noise, estimate_noise
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.drivers.emulators.world.earth import normal_gravity
+from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
+from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     euler_output,
     gyrocompass,
@@ -20,7 +20,7 @@ from drivers.emulators.world.strapdown import (
     sense,
     true_increments,
 )
-from drivers.ins.attitude import EulerSequence, attitude_matrices
+from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
 from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensors, site
 
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])

@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from bench.bias.noise.model import NoiseModel
-from bench.bias.paper import PolynomialTrend
-from bench.errors import DocumentError
-from bench.navigation.earth import MEAN_RADIUS, RADPS_TO_DPH, earth_rate_enu, gravity
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.paper import PolynomialTrend
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.earth import MEAN_RADIUS, RADPS_TO_DPH, earth_rate_enu, gravity
 
 LATITUDE = np.deg2rad(36.4)
 GRAVITY = gravity(LATITUDE)

@@ -4,12 +4,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bench.bias.noise.model import NoiseModel
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import BiasFilter, estimate_state_space
-from bench.errors import MeasurementError
-from bench.navigation.attitude import UP, angle_between, rotation_matrix
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import BiasFilter, estimate_state_space
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import CLEAN, LATITUDE_DEG, UG, emulate, noise_model, sensors, site
 

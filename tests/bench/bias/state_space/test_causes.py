@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space import causes
-from bench.navigation.earth import DPH_TO_RADPS, STANDARD_GRAVITY, earth_rate_enu
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space import causes
+from gyrobench.bench.navigation.earth import DPH_TO_RADPS, STANDARD_GRAVITY, earth_rate_enu
+from gyrobench.bench.navigation.positions import POSITIONS
 
 LATITUDE = np.radians(36.4)
 EARTH = earth_rate_enu(LATITUDE)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensors, site
 from tests.bench.bias.pyins_dwells import RestingIns, simulate

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.bias.noise.model import NoiseModel
-from bench.bias.prior import PriorKnowledge
-from bench.bias.state_space.bias_filter import estimate_state_space
-from bench.bias.state_space.fit_test import FitTest, fit_test
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.bias.state_space.fit_test import FitTest, fit_test
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site, turned_about_up
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from bench.bias.noise.model import NoiseModel
-from bench.bias.paper import estimate_paper
-from bench.bias.state_space.bias_filter import estimate_state_space
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.cramer_rao import CramerRao
 from tests.bench.bias.emulated_dwells import CLEAN, DPH, emulate, noise_model, sensors, site
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bench.bias.state_space.whitening import COLUMNS, DATA, HEADING, INPUT, SLOPE, STATE, whiten
-from bench.navigation.error_model import Site, integrate
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.state_space.whitening import COLUMNS, DATA, HEADING, INPUT, SLOPE, STATE, whiten
+from gyrobench.bench.navigation.error_model import Site, integrate
+from gyrobench.bench.navigation.positions import POSITIONS
 
 C_NB = np.ascontiguousarray(POSITIONS["y_down"].C_nb(0.3))
 VARIANCES = np.array([1e-3, 1e-3, 2e-6]) ** 2

@@ -4,10 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.bias.prior import PriorKnowledge
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.verification.calibration import Calibration
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.verification.calibration import Calibration
+from gyrobench.bench.navigation.positions import POSITIONS
 
 UG = 9.80665e-6
 PRIOR = PriorKnowledge.from_datasheet(accelerometer_bias_ug=1000.0, accelerometer_misalignment_arcsec=5.0)

@@ -1,12 +1,18 @@
 import numpy as np
 import pytest
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.verification.day_of_navigation import day_of_navigation
-from bench.errors import MeasurementError
-from bench.navigation.error_model import Site
-from bench.navigation.positions import POSITIONS
-from bench.navigation.rotational_ins import DAY_S, HALF_TURNS, SIX_POSITIONS, bias_by_position, rotate_for
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.verification.day_of_navigation import day_of_navigation
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.rotational_ins import (
+    DAY_S,
+    HALF_TURNS,
+    SIX_POSITIONS,
+    bias_by_position,
+    rotate_for,
+)
 
 SITE = Site(np.deg2rad(36.4), 60.0)
 EQUAL = dict.fromkeys(POSITIONS, (0.003, -0.002, 0.004))

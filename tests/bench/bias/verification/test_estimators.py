@@ -4,18 +4,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bench.bias.dwell import NavigationWindow
-from bench.bias.prior import PriorKnowledge
-from bench.bias.uniformity import uniformity_p_value
-from bench.bias.verification.estimators import (
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.bias.verification.estimators import (
     KnownAccelerometers,
     bias_from_alignments,
     bias_from_velocity,
     bias_from_velocity_slope,
     navigation_fit,
 )
-from bench.errors import MeasurementError
-from bench.navigation.positions import POSITIONS
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.emulated_dwells import DPH, UG, emulate, noise_model, sensors, site
 
 NOISE = noise_model(0.0006)

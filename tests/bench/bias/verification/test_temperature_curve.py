@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.bias.verification.temperature_curve import REACH_K, TemperatureCurve
+from gyrobench.bench.bias.verification.temperature_curve import REACH_K, TemperatureCurve
 
 SLOPE_SIGMA = 0.001
 STRAIGHT = [(-20.0, 0.001, 0.0004), (10.0, 0.004, 0.0003), (30.0, 0.006, 0.0002)]

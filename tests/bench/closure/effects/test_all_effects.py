@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure import effects as package
-from bench.closure.candidate import starts
-from bench.closure.effects import all_effects
+from gyrobench.bench.closure import effects as package
+from gyrobench.bench.closure.candidate import starts
+from gyrobench.bench.closure.effects import all_effects
 from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, ONSET_C, ONSET_WIDTH_C, WARM_UP_H
 
 ALL = [(effect, form) for effect in all_effects() for form in effect.forms]
@@ -41,7 +41,7 @@ def test_all_names_of_the_format_are_there_each_once():
 
 def test_a_new_module_with_an_effect_is_found(tmp_path, monkeypatch):
     (tmp_path / "moon_phase.py").write_text(
-        "from bench.closure.effects.effect import Effect\n"
+        "from gyrobench.bench.closure.effects.effect import Effect\n"
         'EFFECT = Effect("moon_phase", "the bias follows the moon", "wait two weeks", ())\n'
     )
     (tmp_path / "no_effect.py").write_text("EFFECT = 3\n")

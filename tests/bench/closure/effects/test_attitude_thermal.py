@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.effects.attitude_thermal import EFFECT
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.attitude_thermal import EFFECT
 from tests.bench.closure.thermal_bench import measure
 
 WITH_FLOW, WITHOUT_FLOW = EFFECT.forms[:2], EFFECT.forms[2:]

@@ -1,6 +1,6 @@
 import numpy as np
 
-from bench.closure.effects.bias_jump import EFFECT
+from gyrobench.bench.closure.effects.bias_jump import EFFECT
 
 [FORM] = EFFECT.forms
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.effects.chamber_state import EFFECT
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.chamber_state import EFFECT
 from tests.bench.closure.thermal_bench import measure
 
 [FORM] = EFFECT.forms

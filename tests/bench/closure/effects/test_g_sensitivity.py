@@ -1,6 +1,6 @@
 import numpy as np
 
-from bench.closure.effects.g_sensitivity import EFFECT
+from gyrobench.bench.closure.effects.g_sensitivity import EFFECT
 from tests.bench.closure.thermal_bench import UP
 
 [FORM] = EFFECT.forms

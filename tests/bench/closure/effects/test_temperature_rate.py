@@ -1,6 +1,6 @@
 import numpy as np
 
-from bench.closure.effects.temperature_rate import EFFECT
+from gyrobench.bench.closure.effects.temperature_rate import EFFECT
 
 [FORM] = EFFECT.forms
 

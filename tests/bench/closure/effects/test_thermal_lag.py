@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.effects.thermal_lag import EFFECT
-from bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.thermal_lag import EFFECT
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from tests.bench.closure.thermal_bench import measure
 
 [FORM] = EFFECT.forms

@@ -1,6 +1,6 @@
 import numpy as np
 
-from bench.closure.effects.time_drift import EFFECT
+from gyrobench.bench.closure.effects.time_drift import EFFECT
 
 [FORM] = EFFECT.forms
 

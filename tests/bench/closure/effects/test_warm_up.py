@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.effects.warm_up import EFFECT
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.warm_up import EFFECT
 from tests.bench.closure.thermal_bench import measure
 
 [FORM] = EFFECT.forms

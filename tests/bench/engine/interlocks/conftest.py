@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench.documents import find_document
-from bench.station.station import Station
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.station.station import Station
 from tests.bench.engine.interlocks.watched_bench import WatchedBench
 
 

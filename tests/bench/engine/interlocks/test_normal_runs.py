@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.engine.interlocks import Expected
-from bench.run_store.telemetry import read_telemetry
-from drivers.chamber import ChamberReading
-from drivers.ins.readout import InsMode
-from drivers.rate_table import TableReading
+from gyrobench.bench.engine.interlocks import Expected
+from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.rate_table import TableReading
 from tests.bench.engine.interlocks.watched_bench import Said
 
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.engine.interlocks import Expected, text_of
-from bench.station.station import Station
-from drivers.chamber import ChamberReading
-from drivers.ins.readout import InsMode
-from drivers.rate_table import TableReading
+from gyrobench.bench.engine.interlocks import Expected, text_of
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.rate_table import TableReading
 from tests.bench.engine.interlocks.watched_bench import ALL_WELL, WatchedBench
 
 

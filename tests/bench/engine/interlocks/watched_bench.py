@@ -4,17 +4,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bench.clock import VirtualClock
-from bench.engine.interlocks import Expected, InterlockWatch
-from bench.engine.readings import Readings
-from drivers.chamber import ChamberReading
-from drivers.ins.readout import InsMode
-from drivers.rate_table import TableReading
+from gyrobench.bench.engine.interlocks import Expected, InterlockWatch
+from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.drivers.chamber import ChamberReading
+from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.rate_table import TableReading
 
 
 @dataclass
 class Said:
-    """What an INS says of itself, as :class:`drivers.ins.ins_status.InsStatus` gives it."""
+    """What an INS says of itself, as :class:`gyrobench.drivers.ins.ins_status.InsStatus` gives it."""
 
     age_s: float = 0.5
     mode: InsMode = InsMode.NAVIGATE

@@ -4,18 +4,18 @@ from pathlib import Path
 
 import pytest
 
-from bench.clock import VirtualClock
-from bench.documents import find_document
-from bench.engine.preflight.answer import nobody_answers
-from bench.engine.preflight.disk import disk_check
-from bench.engine.preflight.session import check_bench
-from bench.errors import DocumentError
-from bench.procedure.document import load_procedure
-from bench.station.check import Verdict
-from bench.station.instruments import Emulation
-from bench.station.station import Station
-from drivers import ins
-from drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.bench.engine.preflight.answer import nobody_answers
+from gyrobench.bench.engine.preflight.disk import disk_check
+from gyrobench.bench.engine.preflight.session import check_bench
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.station.check import Verdict
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers import ins
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 @pytest.fixture

@@ -7,19 +7,29 @@ from pathlib import Path
 
 import pytest
 
-from bench.clock import WallClock
-from bench.engine.preflight.session import check_bench
-from bench.errors import BenchInUseError
-from bench.station.bench_lock import BenchLock
-from bench.station.check import Verdict
-from bench.station.instruments import Emulation
-from bench.station.station import Station
+from gyrobench.bench.engine.preflight.session import check_bench
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import BenchInUseError
+from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.check import Verdict
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
 from tests.bench.engine.test_wall_time import station_of
+
+SERVE = "gyrobench.drivers.emulators.serve"
 
 
 @pytest.mark.wall_time
 def test_a_bench_behind_real_ports_passes_and_one_that_a_run_holds_is_refused(tmp_path):
-    command = [sys.executable, "-m", "drivers.emulators.serve", "--world", "ideal", "--for-s", "120"]
+    command = [
+        sys.executable,
+        "-m",
+        "gyrobench.drivers.emulators.serve",
+        "--world",
+        "ideal",
+        "--for-s",
+        "120",
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"
         path.write_text(station_of(json.loads(server.stdout.readline())))

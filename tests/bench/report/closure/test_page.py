@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.errors import RunFolderError
-from bench.report.closure.page import write_closure_page
-from bench.report.closure.section import closure_sections
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.report.closure.page import write_closure_page
+from gyrobench.bench.report.closure.section import closure_sections
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,

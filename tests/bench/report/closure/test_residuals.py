@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.report.closure.residuals import (
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
     residuals_dph,
     rests_on_noise,

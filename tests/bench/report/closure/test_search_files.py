@@ -4,9 +4,9 @@ import shutil
 
 import pytest
 
-from bench.bias.tables.dwell_table import write_dwells
-from bench.report.closure.search_files import write_search
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.report.closure.search_files import write_search
+from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.report.made_up_closure import clean, made_up_rows
 
 FILES = {"closure.html", "closure.json", "findings.json", "predictions.csv", "model.yaml", "figures"}

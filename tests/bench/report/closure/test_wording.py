@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bench.closure.campaign import campaign_of
-from bench.closure.closure import close_loop
-from bench.report.closure import wording
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.report.closure import wording
 from tests.bench.report.made_up_closure import (
     EFFECTS,
     SENSITIVITY,

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from bench.report.comparison.terminal import verify_plan, verify_summary
+from gyrobench.bench.report.comparison.terminal import verify_plan, verify_summary
 from tests.bench.report.made_up_comparison import alone, better, confirmed, not_confirmed, nothing_to_tell
 
 

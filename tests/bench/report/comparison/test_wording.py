@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench.measurement.comparison import Comparison
-from bench.report.comparison.wording import (
+from gyrobench.bench.dwells.comparison import Comparison
+from gyrobench.bench.report.comparison.wording import (
     chain,
     model_sentences,
     newness_sentence,

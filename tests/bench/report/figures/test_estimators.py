@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.report.figures.estimators import differences_dph, estimators_figure, with_both
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.report.figures.estimators import differences_dph, estimators_figure, with_both
 
 
 def test_every_good_dwell_shows_the_paper_less_the_state_space_estimate(dwells: list[DwellRow]) -> None:

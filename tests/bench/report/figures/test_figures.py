@@ -15,16 +15,16 @@ from matplotlib.colors import to_rgba
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
-from bench.bias.bins import BiasBin, bin_biases
-from bench.bias.equality import compare_positions
-from bench.bias.tables.dwell_table import DwellRow
-from bench.documents import find_document
-from bench.errors import RunFolderError
-from bench.navigation.positions import POSITIONS
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import Plan, expand
-from bench.procedure.timeline import position_spans
-from bench.report.figures import (
+from gyrobench.bench.bias.bins import BiasBin, bin_biases
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.equality import compare_positions
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.timeline import position_spans
+from gyrobench.bench.report.figures import (
     bias_figure,
     plan_figure,
     png_bytes,
@@ -33,8 +33,8 @@ from bench.report.figures import (
     save_figures,
     temperature_figure,
 )
-from bench.report.style import GYRO_STYLES, POSITION_STYLES
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.report.style import GYRO_STYLES, POSITION_STYLES
+from gyrobench.bench.runs.folder import RunFolder
 
 Telemetry = dict[str, np.ndarray]
 
@@ -236,7 +236,7 @@ def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path: Path) -> 
 def test_global_state_of_matplotlib_is_left_alone() -> None:
     code = (
         "import sys, matplotlib\n"
-        "from bench.report.figures import bias_figure, png_bytes\n"
+        "from gyrobench.bench.report.figures import bias_figure, png_bytes\n"
         "matplotlib.rcParams['font.size'] = 13.0\n"
         "png_bytes(bias_figure('x', [], []))\n"
         "assert matplotlib.rcParams['font.size'] == 13.0\n"

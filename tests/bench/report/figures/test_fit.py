@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from bench.bias.tables.dwell_table import DwellRow
-from bench.bias.uniformity import uniformity_p_value
-from bench.report.figures.fit import fit_figure, has_distribution
-from bench.report.findings import SIGNIFICANCE
-from bench.report.style import png_bytes
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.report.figures.fit import fit_figure, has_distribution
+from gyrobench.bench.report.findings import SIGNIFICANCE
+from gyrobench.bench.report.style import png_bytes
 
 
 def ratios_by_label(axes: Axes) -> dict[str, dict[float, float]]:

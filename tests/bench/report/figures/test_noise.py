@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from bench.bias.dwell import NavigationWindow
-from bench.bias.noise.estimate import NoiseEstimate, estimate_noise
-from bench.bias.noise.model import NoiseModel
-from bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
-from bench.report.figures.noise import noise_figure
-from bench.report.style import png_bytes
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.report.figures.noise import noise_figure
+from gyrobench.bench.report.style import png_bytes
 
 ARW, VRW = 0.001 * DEG_PER_SQRT_H_TO_SI, 20.0 * UG_PER_SQRT_HZ_TO_SI
 DECLARED = NoiseModel.from_datasheet(0.0006, 5.0)

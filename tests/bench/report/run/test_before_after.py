@@ -1,8 +1,8 @@
 from dataclasses import replace
 
-from bench.bias.verdicts import Acceptance, AcceptanceLimits
-from bench.report.content import RunContent
-from bench.report.run.before_after import before_after_section
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
+from gyrobench.bench.report.content import RunContent
+from gyrobench.bench.report.run.before_after import before_after_section
 
 
 def content(name, dwells, bins):

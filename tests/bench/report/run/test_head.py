@@ -2,9 +2,9 @@ import json
 
 import pytest
 
-from bench.report.content import read_run
-from bench.report.run.head import ending_of, head_lines, serial_number_of
-from bench.run_store.folder import RunFolder
+from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.run.head import ending_of, head_lines, serial_number_of
+from gyrobench.bench.runs.folder import RunFolder
 
 
 @pytest.fixture

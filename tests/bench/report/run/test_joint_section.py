@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from bench.bias.tables.joint_table import JointBiasRow, JointStopRow
-from bench.report.page.sections import Section
-from bench.report.run.joint_section import joint_section
+from gyrobench.bench.report.page.sections import Section
+from gyrobench.bench.report.run.joint_section import joint_section
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
 
 
 def stop_row(stop: int = 1, finding: str = "different", **changed: float) -> JointStopRow:

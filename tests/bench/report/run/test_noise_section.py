@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from bench.bias.noise.estimate import NoiseEstimate
-from bench.report.page.sections import Section
-from bench.report.run.noise_section import noise_section
-from bench.report.style import png_bytes
+from gyrobench.bench.bias.noise.estimate import NoiseEstimate
+from gyrobench.bench.report.page.sections import Section
+from gyrobench.bench.report.run.noise_section import noise_section
+from gyrobench.bench.report.style import png_bytes
 from tests.bench.report.made_up_noise import made_up_noise
 
 

@@ -3,10 +3,10 @@ import io
 import pytest
 from rich.console import Console
 
-from bench.bias.acceptance import judge
-from bench.bias.stops import PlannedDwell
-from bench.bias.verdicts import Acceptance, AcceptanceLimits
-from bench.report.terminal.acceptance import acceptance_summary
+from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.stops import PlannedDwell
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
+from gyrobench.bench.report.terminal.acceptance import acceptance_summary
 
 
 def printed(acceptance):

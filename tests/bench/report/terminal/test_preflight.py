@@ -2,8 +2,8 @@ import io
 
 from rich.console import Console
 
-from bench.report.terminal.preflight import preflight_report
-from bench.station.check import Check
+from gyrobench.bench.report.terminal.preflight import preflight_report
+from gyrobench.bench.station.check import Check
 
 LONG = "can't open /dev/serial/by-id/usb-adapter-of-the-chamber: [Errno 2] No such file or directory"
 CHECKS = [

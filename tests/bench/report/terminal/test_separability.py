@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
-from bench.closure.effects import all_effects
-from bench.closure.planned_campaign import PlannedUnit, planned_campaign
-from bench.closure.separability import Separability, searched_dwells, separability
-from bench.closure.separability_advice import Advice
-from bench.report.terminal.separability import pairs_text, separability_summary
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
+from gyrobench.bench.closure.separability_advice import Advice
+from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
 
 UNIT = PlannedUnit(0.0006, is_noise_declared=True)

@@ -10,13 +10,13 @@ from itertools import pairwise
 import pytest
 from rich.console import Console, RenderableType
 
-from bench.bias.bins import BiasBin
-from bench.bias.equality import compare_positions
-from bench.documents import find_document
-from bench.procedure.document import load_procedure
-from bench.procedure.plan import expand
-from bench.procedure.timeline import timeline_rows
-from bench.report.terminal.tables import bins_table, durations_table, timeline_table
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.equality import compare_positions
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.timeline import timeline_rows
+from gyrobench.bench.report.terminal.tables import bins_table, durations_table, timeline_table
 
 
 def printed(renderable: RenderableType) -> list[str]:

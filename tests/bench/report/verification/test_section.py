@@ -3,13 +3,13 @@ from dataclasses import replace
 
 import pytest
 
-from bench.bias.tables.verification_table import VerificationRow
-from bench.report.verification.section import (
+from gyrobench.bench.report.verification.section import (
     dwells_text,
     verification_lines,
     verification_section,
     verification_sentence,
 )
+from gyrobench.bench.runs.tables.verification_table import VerificationRow
 
 NOTHING = math.nan
 ROW = VerificationRow(

@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from bench.report.verification.terminal import verification_table
+from gyrobench.bench.report.verification.terminal import verification_table
 from tests.bench.report.verification.test_section import ALIGNMENT, CHANGED, FLAGGED, ROW, UNCALIBRATED
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bench.documents import find_document
-from bench.errors import DocumentError
-from bench.station.station import Station
-from drivers.emulators.can_formats import CAN_FORMATS
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
-from drivers.ins.attitude import EulerSequence, euler_angles
-from drivers.ins.dbc_codec import DbcCodec, load_dbc
-from drivers.ins.frames import FrameBlock
-from drivers.ins.navigation_data import decode_navigation
-from drivers.ins.readout import InsMode
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.can_formats import CAN_FORMATS
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from gyrobench.drivers.ins.attitude import EulerSequence, euler_angles
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import decode_navigation
+from gyrobench.drivers.ins.readout import InsMode
 
 #: Largest errors by the resolution of each: velocity, m/s, and attitude, rad. A 32-bit float has steps of
 #: 2^-20 from 8 m/s on.

@@ -4,9 +4,9 @@ import can
 import pytest
 import serial
 
-import drivers.serial_line  # noqa: F401  tells pyserial of emulator://
-from bench.clock import VirtualClock
-from drivers.emulators.bench import BenchAddress, emulated_bench
+import gyrobench.drivers.serial_line  # noqa: F401  tells pyserial of emulator://
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 class Rig:

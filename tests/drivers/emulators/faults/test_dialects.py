@@ -1,9 +1,9 @@
 import pytest
 
-from bench.clock import VirtualClock
-from bench.documents import find_document
-from bench.errors import DocumentError
-from drivers.emulators.bench import EmulatedBench
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.bench import EmulatedBench
 
 AT = "at_s: 10"
 

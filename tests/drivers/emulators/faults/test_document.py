@@ -4,10 +4,10 @@ from typing import get_args
 
 import pytest
 
-from bench.documents import find_document
-from bench.errors import DocumentError
-from drivers.emulators.faults.document import AnyFault, load_faults
-from drivers.emulators.faults.timing import Lasting, Timing
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.faults.document import AnyFault, load_faults
+from gyrobench.drivers.emulators.faults.timing import Lasting, Timing
 
 KINDS = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in get_args(get_args(AnyFault)[0])}
 PAGE = (Path(__file__).parents[4] / "docs" / "faults.md").read_text()

@@ -4,10 +4,10 @@ import struct
 import numpy as np
 import pytest
 
-from bench.clock import VirtualClock
-from bench.documents import find_document
-from bench.errors import DocumentError
-from drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
 
 QUICK = find_document("worlds", "quick")
 RANDOM = (

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from drivers.emulators.world.inertial_unit import Alignment, Mode
+from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
 
 VELOCITY_NE, ROLL_PITCH, HEADING, STATUS, OPTICS, ELECTRONICS = 0x004, 0x006, 0x007, 0x010, 0x020, 0x021
 INVALID, LARGEST = -(2**31), 2**31 - 1

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from drivers.emulators.faults.schedule import Schedule
-from drivers.emulators.faults.timing import Lasting, Timing
+from gyrobench.drivers.emulators.faults.schedule import Schedule
+from gyrobench.drivers.emulators.faults.timing import Lasting, Timing
 
 
 class Moment(Timing):

@@ -3,7 +3,7 @@ import struct
 import pytest
 import serial
 
-from drivers.emulators.modbus_rtu import FramerRTU
+from gyrobench.drivers.emulators.modbus_rtu import FramerRTU
 
 IDENTITY = b"*IDN?\n"
 

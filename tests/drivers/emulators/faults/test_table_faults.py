@@ -1,6 +1,6 @@
 import pytest
 
-from drivers.emulators.acl_axis import Mode, SoftwareFault
+from gyrobench.drivers.emulators.acl_axis import Mode, SoftwareFault
 
 OUTER, INNER = 1, 2
 

@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from serial.serialutil import PortNotOpenError
 
-from bench.clock import VirtualClock
-from bench.errors import DocumentError
-from drivers import serial_line
-from drivers.chamber.watlow_f4 import WatlowF4
-from drivers.emulators.bench import BenchAddress, emulated_bench, parse_address
-from drivers.rate_table.acutrol3000 import Acutrol3000
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers import serial_line
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench, parse_address
+from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 
 READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
 PV_23_C = bytes.fromhex("01 03 02 00 E6 39 CE")
@@ -33,7 +33,7 @@ def open_port(clock):
         ports.append(serial.serial_for_url(url, **{"timeout": 1.0, **options}))
         return ports[-1]
 
-    assert "drivers.emulators.serial_urls" in serial.protocol_handler_packages
+    assert "gyrobench.drivers.emulators.serial_urls" in serial.protocol_handler_packages
     yield open_port
     for port in ports:
         port.close()

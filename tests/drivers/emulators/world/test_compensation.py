@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.emulators.world.compensation import (
+from gyrobench.drivers.emulators.world.compensation import (
     NUMBERS,
     Compensation,
     Number,

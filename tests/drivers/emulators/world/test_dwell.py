@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from drivers.emulators.world.document import InsBehaviour
-from drivers.emulators.world.dwell import DwellScenario, Sensors, Table, simulate_dwell
-from drivers.emulators.world.earth import EARTH_RATE, normal_gravity
-from drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, InertialUnit, Mode
-from drivers.emulators.world.sensor_errors import DPH, MICRO_G
-from drivers.emulators.world.strapdown import matrix_of, sense, true_increments
+from gyrobench.drivers.emulators.world.document import InsBehaviour
+from gyrobench.drivers.emulators.world.dwell import DwellScenario, Sensors, Table, simulate_dwell
+from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, InertialUnit, Mode
+from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
+from gyrobench.drivers.emulators.world.strapdown import matrix_of, sense, true_increments
 
 EAST, NORTH, UP = np.eye(3)
 LATITUDE, HEIGHT = np.radians(36.4), 3000.0

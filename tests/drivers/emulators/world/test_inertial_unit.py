@@ -4,12 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.emulators.world.compensation import Number, unloaded_numbers
-from drivers.emulators.world.document import InsBehaviour
-from drivers.emulators.world.earth import EARTH_RATE, normal_gravity
-from drivers.emulators.world.inertial_unit import Alignment, InertialUnit, Mode
-from drivers.emulators.world.sensor_errors import DPH, MICRO_G
-from drivers.emulators.world.strapdown import matrix_of
+from gyrobench.drivers.emulators.world.compensation import Number, unloaded_numbers
+from gyrobench.drivers.emulators.world.document import InsBehaviour
+from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity
+from gyrobench.drivers.emulators.world.inertial_unit import Alignment, InertialUnit, Mode
+from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
+from gyrobench.drivers.emulators.world.strapdown import matrix_of
 
 LATITUDE, HEIGHT = np.radians(36.4), 60.0
 EARTH = EARTH_RATE * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])

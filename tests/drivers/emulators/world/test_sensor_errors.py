@@ -4,8 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from drivers.emulators.world.document import AccelerometerErrors, GyroErrors
-from drivers.emulators.world.sensor_errors import (
+from gyrobench.drivers.emulators.world.document import AccelerometerErrors, GyroErrors
+from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
     DPH,
     MICRO_G,
@@ -13,7 +13,7 @@ from drivers.emulators.world.sensor_errors import (
     accelerometer_errors,
     gyro_errors,
 )
-from drivers.emulators.world.strapdown import sense
+from gyrobench.drivers.emulators.world.strapdown import sense
 
 AXES = "xyz"
 #: Each kind of sensor: its model, what turns it into SI, its key of the bias and that key's unit.

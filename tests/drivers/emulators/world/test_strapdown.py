@@ -4,9 +4,15 @@ import pytest
 from pyins.strapdown import Integrator
 from scipy.spatial.transform import Rotation
 
-from drivers.emulators.world.earth import EARTH_RATE, normal_gravity
-from drivers.emulators.world.sensor_errors import DPH, MICRO_G
-from drivers.emulators.world.strapdown import euler_angles, matrix_of, navigate, sense, true_increments
+from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity
+from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
+from gyrobench.drivers.emulators.world.strapdown import (
+    euler_angles,
+    matrix_of,
+    navigate,
+    sense,
+    true_increments,
+)
 
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 DT = 0.01

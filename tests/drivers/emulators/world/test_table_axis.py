@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 
 PARAMETERS = AxisParameters()
 IDEAL = AxisParameters(position_error_arcsec=0.0, settling_amplitude_arcsec=0.0)

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.documents import find_document
-from drivers.emulators.world.document import GyroThermal, Thermal, load_world
-from drivers.emulators.world.thermal import ThermalNetwork
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.drivers.emulators.world.document import GyroThermal, Thermal, load_world
+from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 
 HOUR = 3600
 UPS = {

@@ -4,12 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.emulators.can_ins import CanInsEmulator
-from drivers.emulators.world.compensation import Number
-from drivers.emulators.world.inertial_unit import Alignment, Mode
-from drivers.emulators.world.sensor_errors import DPH
-from drivers.emulators.world.strapdown import matrix_of
-from drivers.emulators.world.world import INNER, OUTER, World
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.world.compensation import Number
+from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.strapdown import matrix_of
+from gyrobench.drivers.emulators.world.world import INNER, OUTER, World
 
 QUICK = {"boot_s": 1.0, "levelling_s": 2.0, "coarse_alignment_s": 5.0, "fine_alignment_s": 10.0}
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from drivers.emulators.world.effects.effect import Conditions
+from gyrobench.drivers.emulators.world.effects.effect import Conditions
 
 TRIPLES = ("optics_c", "electronics_c", "optics_rate_c_per_h", "convected_w", "up_body")
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from drivers.emulators.world.effects.elapsed_time import BiasJump, SupplyRipple, TimeDrift, WarmUp
-from drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.effects.elapsed_time import BiasJump, SupplyRipple, TimeDrift, WarmUp
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
 
 SIZE = np.array([0.02, -0.01, 0.005])
 WARM_UP = WarmUp(kind="warm_up", bias_dph=SIZE.tolist(), time_constant_s=1800.0)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.world.effects.hysteresis import ThermalHysteresis
+from gyrobench.drivers.emulators.world.effects.hysteresis import ThermalHysteresis
 
 GAIN, HALF_WIDTH_C = np.array([0.002, -0.001, 0.0]), 5.0
 EFFECT = ThermalHysteresis(

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.documents import parse_document, validate
-from bench.errors import DocumentError
-from drivers.emulators.world.effects.ring import DitherCrossing, ModeHop
+from gyrobench.bench.foundations.documents import parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.world.effects.ring import DitherCrossing, ModeHop
 
 HOP = ModeHop(kind="mode_hop", bias_dph=[0.01, -0.02, 0.0], first_reset_c=-10.0, reset_every_c=8.0)
 CROSSING = DitherCrossing(

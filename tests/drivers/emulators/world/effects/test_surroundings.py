@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from drivers.emulators.world.effects.surroundings import ChamberState, GSensitivity
-from drivers.emulators.world.sensor_errors import DPH
-from drivers.emulators.world.world import INNER, OUTER
+from gyrobench.drivers.emulators.world.effects.surroundings import ChamberState, GSensitivity
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 CHAMBER = ChamberState(kind="chamber_state", bias_dph=[0.012, -0.010, 0.008])
 ROWS = [[0.001, 0.002, 0.003], [0.004, 0.005, 0.006], [0.007, 0.008, 0.009]]

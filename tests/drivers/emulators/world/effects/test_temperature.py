@@ -1,10 +1,14 @@
 import numpy as np
 import pytest
 
-from drivers.emulators.world.effects.temperature import AttitudeThermal, TemperatureRate, ThermalGradient
-from drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
-from drivers.emulators.world.sensor_errors import DPH
-from drivers.emulators.world.thermal import ThermalNetwork
+from gyrobench.drivers.emulators.world.effects.temperature import (
+    AttitudeThermal,
+    TemperatureRate,
+    ThermalGradient,
+)
+from gyrobench.drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 
 UPS = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 RATE = TemperatureRate(kind="temperature_rate", sensitivity_dph_per_c_per_h=[1e-4, -2e-4, 0.0])

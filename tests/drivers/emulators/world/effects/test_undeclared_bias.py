@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from drivers.emulators.world.effects.elapsed_time import TimeDrift
-from drivers.emulators.world.effects.hysteresis import ThermalHysteresis
-from drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
-from drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.effects.elapsed_time import TimeDrift
+from gyrobench.drivers.emulators.world.effects.hysteresis import ThermalHysteresis
+from gyrobench.drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
+from gyrobench.drivers.emulators.world.sensor_errors import DPH
 
 DRIFT = TimeDrift(kind="time_drift", drift_dph_per_day=[0.01, 0.02, -0.03])
 PLAY = ThermalHysteresis(

@@ -1,0 +1,235 @@
+"""The dwell table ``dwells.csv``: one row per dwell, read from and written to CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, format_number, read_text, write_text
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+
+#: Values of the x, y and z gyro.
+Triple = tuple[float, float, float]
+
+_SCALARS = ("azimuth_deg", "start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
+_TRIPLES = {
+    "gyro_c": "gyro_{}_c",
+    "gyro_rate_c_per_h": "gyro_{}_rate_c_per_h",
+    "board_c": "board_{}_c",
+    "bias_dph": "bias_{}_dph",
+    "sigma_dph": "sigma_{}_dph",
+    "paper_bias_dph": "paper_bias_{}_dph",
+    "paper_sigma_dph": "paper_sigma_{}_dph",
+    "accelerometer_ug": "accelerometer_{}_ug",
+    "accelerometer_sigma_ug": "accelerometer_sigma_{}_ug",
+}
+_FIT = ("fit_ratio", "fit_p_value")
+#: What a table may lack, or have empty.
+_OPTIONAL = {
+    *("azimuth_deg", "chamber_set_c", "chamber_c", "case_c", "board_c"),
+    *("paper_bias_dph", "paper_sigma_dph", "accelerometer_ug", "accelerometer_sigma_ug", *_FIT),
+}
+
+
+def _columns(names: Iterable[str]) -> tuple[str, ...]:
+    """Columns of fields: three of those with three values."""
+    return tuple(
+        column
+        for name in names
+        for column in ((_TRIPLES[name].format(axis) for axis in AXES) if name in _TRIPLES else (name,))
+    )
+
+
+_NAMES = ("unit", "run", "dwell", "cycle", "position", *_SCALARS, *_TRIPLES, *_FIT)
+_REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
+
+#: Columns that a table is written with.
+COLUMNS = (*_columns(_NAMES), "flags")
+#: Values of three gyros that nothing was measured of.
+NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class DwellRow:
+    """One position at one temperature; fields of three values are those of the x, y and z gyro.
+
+    Attributes
+    ----------
+    unit, run : str
+        Serial number of the INS, and one value per power-on.
+    dwell : int
+        Number unique in the table, in time order.
+    cycle : int
+        Which pass of the temperature profile.
+    position : str
+        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+    start_s, end_s : float
+        Time on one clock for the whole table.
+    since_power_on_s : float
+        At the start of the dwell.
+    gyro_c, gyro_rate_c_per_h : tuple of float
+        Mean temperature of each gyro's optics, and its slope.
+    bias_dph, sigma_dph : tuple of float
+        Measured bias in body axes, and its standard uncertainty; by the state-space estimator
+        where the bench measured it.
+    azimuth_deg : float
+        Azimuth at the start of the dwell; NaN where not known.
+    chamber_set_c, chamber_c, case_c : float
+        Mean temperatures; NaN where not measured.
+    board_c : tuple of float
+        Mean temperature of each gyro's electronics; NaN where there is no sensor.
+    paper_bias_dph, paper_sigma_dph : tuple of float
+        The same by the paper's method; NaN where that does not apply.
+    accelerometer_ug, accelerometer_sigma_ug : tuple of float
+        Biases of the accelerometers and their standard uncertainties, ug; NaN where not known. That
+        of the vertical one keeps the uncertainty of prior knowledge.
+    fit_ratio, fit_p_value : float
+        See :class:`gyrobench.bench.bias.state_space.fit_test.FitTest`; NaN where not known.
+    flags : str
+        What was wrong with the dwell; empty where nothing was. A dwell with flags may be without
+        result: NaN for its biases, their uncertainties and the gyros' temperatures.
+    """
+
+    unit: str
+    run: str
+    dwell: int
+    cycle: int
+    position: str
+    start_s: float
+    end_s: float
+    since_power_on_s: float
+    gyro_c: Triple
+    gyro_rate_c_per_h: Triple
+    bias_dph: Triple
+    sigma_dph: Triple
+    azimuth_deg: float = math.nan
+    chamber_set_c: float = math.nan
+    chamber_c: float = math.nan
+    case_c: float = math.nan
+    board_c: Triple = NOT_MEASURED
+    paper_bias_dph: Triple = NOT_MEASURED
+    paper_sigma_dph: Triple = NOT_MEASURED
+    accelerometer_ug: Triple = NOT_MEASURED
+    accelerometer_sigma_ug: Triple = NOT_MEASURED
+    fit_ratio: float = math.nan
+    fit_p_value: float = math.nan
+    flags: str = ""
+
+
+def paper_rows(rows: Iterable[DwellRow]) -> list[DwellRow]:
+    """Rows with the paper's biases in the place of the state-space ones; those without are left out."""
+    return [
+        replace(row, bias_dph=row.paper_bias_dph, sigma_dph=row.paper_sigma_dph)
+        for row in rows
+        if not all(map(math.isnan, row.paper_bias_dph))
+    ]
+
+
+def format_dwells(rows: Iterable[DwellRow]) -> str:
+    """CSV text with a header; equal rows give equal text."""
+    return format_csv(COLUMNS, (_cells(row) for row in rows))
+
+
+def write_dwells(path: Path, rows: Iterable[DwellRow]) -> None:
+    """Write a dwell table.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    write_text(path, format_dwells(rows))
+
+
+def parse_dwells(text: str, name: str) -> list[DwellRow]:
+    """Read CSV text.
+
+    Columns may come in any order and others may be among them; ``flags``, what the paper's
+    method gave, accelerometers, the test of fit and the temperatures that may be empty may also
+    be missing.
+    Values of the gyros may be empty in a row with flags, which say why.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    name : str
+        What to call the file in messages.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything that is wrong with the table, each with file, line and column.
+    """
+    table = CsvTable(text, name, required=_REQUIRED)
+    rows = [_row(table, index) for index in range(len(table))]
+    seen: dict[int, int] = {}
+    for index, row in enumerate(rows):
+        first = seen.setdefault(row.dwell, index)
+        if first != index:
+            table.problem(index, "dwell", f"dwell {row.dwell} is also in line {table.lines[first]}")
+    table.raise_problems()
+    return rows
+
+
+def read_dwells(path: Path) -> list[DwellRow]:
+    """Read a dwell table; see :func:`parse_dwells`.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or is no dwell table.
+    """
+    return parse_dwells(read_text(path), str(path))
+
+
+def _cells(row: DwellRow) -> list[str]:
+    triples = [value for name in _TRIPLES for value in getattr(row, name)]
+    numbers = [*(getattr(row, name) for name in _SCALARS), *triples, row.fit_ratio, row.fit_p_value]
+    names = [row.unit, row.run, str(row.dwell), str(row.cycle), row.position]
+    return [*names, *map(format_number, numbers), row.flags]
+
+
+def _row(table: CsvTable, index: int) -> DwellRow:
+    failed = bool(table.text(index, "flags"))
+
+    def triple(name: str, read: Callable[[int, str, bool], float] = table.number) -> Triple:
+        x, y, z = (read(index, _TRIPLES[name].format(axis), failed or name in _OPTIONAL) for axis in AXES)
+        return x, y, z
+
+    def scalar(name: str) -> float:
+        return table.number(index, name, may_be_empty=name in _OPTIONAL)
+
+    row = DwellRow(
+        unit=table.name(index, "unit"),
+        run=table.name(index, "run"),
+        dwell=table.integer(index, "dwell"),
+        cycle=table.integer(index, "cycle"),
+        position=table.choice(index, "position", POSITIONS),
+        azimuth_deg=scalar("azimuth_deg"),
+        start_s=scalar("start_s"),
+        end_s=scalar("end_s"),
+        since_power_on_s=scalar("since_power_on_s"),
+        chamber_set_c=scalar("chamber_set_c"),
+        chamber_c=scalar("chamber_c"),
+        case_c=scalar("case_c"),
+        gyro_c=triple("gyro_c", table.temperature),
+        gyro_rate_c_per_h=triple("gyro_rate_c_per_h"),
+        board_c=triple("board_c"),
+        bias_dph=triple("bias_dph"),
+        sigma_dph=triple("sigma_dph", table.uncertainty),
+        paper_bias_dph=triple("paper_bias_dph"),
+        paper_sigma_dph=triple("paper_sigma_dph", table.uncertainty),
+        accelerometer_ug=triple("accelerometer_ug"),
+        accelerometer_sigma_ug=triple("accelerometer_sigma_ug", table.uncertainty),
+        fit_ratio=scalar("fit_ratio"),
+        fit_p_value=scalar("fit_p_value"),
+        flags=table.text(index, "flags"),
+    )
+    if row.end_s < row.start_s:
+        table.problem(
+            index, "end_s", f"the dwell ends at {row.end_s:g} s, before it starts at {row.start_s:g} s"
+        )
+    return row

@@ -1,0 +1,330 @@
+"""One dwell: marks and frames in, a row of the dwell table out."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
+from gyrobench.bench.bias.noise.estimate import estimate_noise
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.state_space.fit_test import FitTest
+from gyrobench.bench.bias.state_space.window_filter import EPOCH_S
+from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
+from gyrobench.bench.dwells.output_checks import OutputFault, output_faults
+from gyrobench.bench.dwells.temperature_checks import believed_temperatures
+from gyrobench.bench.dwells.temperatures import (
+    DwellTemperatures,
+    dwell_temperatures,
+    gyro_temperatures_at,
+    triple,
+)
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import UG_TO_MPS2
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.drivers.ins.epochs import EpochCounts
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import NavigationData
+from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.ins.resolution import ResolutionLimit
+
+Array = NDArray[np.float64]
+
+#: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
+LEAST_FIT_P = 1e-5
+#: The same for biases that differ between the windows: one in ten thousand.
+_LEAST_STEADY_P = 1e-4
+
+
+@dataclass(frozen=True)
+class MeasurementSetup:
+    """What turns frames into biases, the same for all dwells of a run.
+
+    Attributes
+    ----------
+    decode : callable
+        Frames to navigation data, as the station maps them.
+    table : TwoAxisTable
+        Kinematics of the table with the unit on it.
+    site : Site
+        Where the bench stands.
+    noise : NoiseModel or None
+        Declared noise of the INS; None to estimate it in each dwell.
+    prior : PriorKnowledge
+        What is known of the INS beforehand.
+    velocity_lsb_mps, heading_lsb_rad : float
+        Resolution of the INS's output.
+    resolution : tuple of ResolutionLimit
+        Which estimates it limits, and by how much.
+    """
+
+    decode: Callable[[FrameBlock], NavigationData]
+    table: TwoAxisTable
+    site: Site
+    noise: NoiseModel | None
+    prior: PriorKnowledge
+    velocity_lsb_mps: float
+    heading_lsb_rad: float
+    resolution: tuple[ResolutionLimit, ...]
+
+    def turn(
+        self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
+    ) -> TurnPath:
+        """The way from one window to the next; ``navigation`` begins with frame ``first_frame``."""
+        angles = [(mark.outer_deg, mark.inner_deg) for mark in (before, after)]
+        begin = before.end_frame if after.turn_first_frame is None else after.turn_first_frame
+        end = after.first_frame if after.turn_end_frame is None else after.turn_end_frame
+        rows = np.searchsorted(navigation.row, [begin - first_frame, end - first_frame])
+        begin_s, end_s = navigation.ins_time_s[np.minimum(rows, len(navigation.row) - 1)]
+        return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
+
+    def output_faults(self, dwell: Dwell, noise: NoiseModel) -> list[OutputFault]:
+        """Say what the INS can't have put out at rest."""
+        return output_faults(
+            dwell.windows, noise, self.site.gravity, self.velocity_lsb_mps, self.heading_lsb_rad
+        )
+
+    def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
+        """Noise of the INS in these windows: declared, or estimated from them.
+
+        Raises
+        ------
+        MeasurementError
+            It is to be estimated, and these windows do not tell it.
+        """
+        if self.noise is not None:
+            return self.noise
+        noise = estimate_noise(windows, self.site.gravity).noise_model()
+        return replace(
+            noise,
+            velocity_white=max(noise.velocity_white, self.velocity_lsb_mps / math.sqrt(12.0)),
+            heading_white=max(noise.heading_white, self.heading_lsb_rad / math.sqrt(12.0)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredDwell:
+    """A row for the table, what is behind it where there is a result, and how the frames came.
+
+    Attributes
+    ----------
+    estimate, paper : StateSpaceEstimate, BiasEstimate or None
+        By the full error model and by the paper's method.
+    windows : tuple of NavigationWindow
+        Navigation at rest, an epoch a second, to tell the noise of the INS from; empty where it is
+        disturbed, and where :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
+    counts : EpochCounts
+        How the frames came.
+    doubts : tuple of str
+        Those flags that noise larger than declared would explain.
+    """
+
+    row: DwellRow
+    estimate: StateSpaceEstimate | None
+    paper: BiasEstimate | None
+    windows: tuple[NavigationWindow, ...]
+    counts: EpochCounts
+    doubts: tuple[str, ...]
+
+    @property
+    def flags(self) -> str:
+        """What was wrong; empty where nothing was."""
+        return self.row.flags
+
+    @property
+    def is_spoilt(self) -> bool:
+        """Whether a fault touched it, so that doing it again may do better; larger noise is none."""
+        return self.estimate is None or self.flags not in ("", "; ".join(self.doubts))
+
+
+def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> MeasuredDwell:
+    """Measure the gyro biases of one dwell.
+
+    A dwell that can't give a result gives a row without biases, flagged with the reason.
+    """
+    flags = list(marks.disturbances)
+    estimate, paper = None, None
+    doubts: tuple[str, ...] = ()
+    windows: tuple[NavigationWindow, ...] = ()
+    counts, temperatures = EpochCounts(), DwellTemperatures()
+    try:
+        navigation = checked_navigation(marks, frames, setup, flags)
+        counts = navigation.counts
+        temperatures = dwell_temperatures(
+            navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
+        )
+        dwell = dwell_at_rest(marks, navigation, setup)
+        noise = setup.noise_in(dwell.windows)
+        estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
+        paper = _paper(dwell, setup.site, noise)
+        faults = setup.output_faults(dwell, noise)
+        flags += [fault.text for fault in faults if not fault.may_be_noise]
+        if not flags:
+            windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+        doubts = (*(fault.text for fault in faults if fault.may_be_noise), *_doubts(estimate))
+        flags += doubts
+    except MeasurementError as error:
+        flags.append(str(error))
+    row = _row(marks, temperatures, estimate, paper, flags)
+    return MeasuredDwell(row, estimate, paper, windows, counts, doubts)
+
+
+def checked_navigation(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
+) -> NavigationData:
+    """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
+
+    Raises
+    ------
+    MeasurementError
+        The dwell never came to a window.
+    """
+    if not marks.windows:
+        raise MeasurementError("the INS never navigated at rest in this dwell")
+    navigation, faults = believed_temperatures(
+        setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
+    )
+    flags += faults
+    if navigation.counts.contradicted:
+        flags.append(
+            f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
+            "second node send with its identifiers? Look at the bus"
+        )
+    return navigation
+
+
+def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
+    """Navigation in the windows of a dwell, with what the table says of them.
+
+    Raises
+    ------
+    MeasurementError
+        The INS was not navigating all the time, restarted, or what it sent can't be used.
+    """
+    _check_navigating(
+        navigation,
+        (navigation.row >= marks.windows[0].first_frame) & (navigation.row < marks.windows[-1].end_frame),
+    )
+    return Dwell(
+        position_name=marks.position,
+        azimuth_rad=math.radians(marks.azimuth_deg),
+        windows=tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows),
+        C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
+        turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
+    )
+
+
+def _doubts(estimate: StateSpaceEstimate) -> list[str]:
+    """What the estimate says against itself; noise larger than declared explains it as well."""
+    doubts = []
+    if estimate.fit.p_value < LEAST_FIT_P:
+        doubts.append(misfit_text(estimate.fit))
+    if estimate.steady_p_value < _LEAST_STEADY_P:
+        doubts.append(
+            f"the biases of the windows differ (p = {estimate.steady_p_value:.1g}): the table was turned "
+            "slowly, or a bias jumped. Look at the table and what it stands on"
+        )
+    return doubts
+
+
+def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
+    """Estimate by the paper's method, which does not apply to every dwell."""
+    try:
+        return estimate_paper(dwell, site.gravity, noise)
+    except MeasurementError:
+        return None
+
+
+def misfit_text(fit: FitTest) -> str:
+    """Say that error model and noise do not explain the data."""
+    return (
+        f"the error model leaves {fit.ratio:.2f} times the residual that the noise leads to expect "
+        f"(p = {fit.p_value:.1g}): the noise is larger than declared, or the unit was disturbed"
+    )
+
+
+def rest_output(navigation: NavigationData, mark: WindowMark) -> tuple[Array, Array, Array, Array | None]:
+    """Times (n,), velocities (n, 3), attitudes (n, 3, 3) and gyro temperatures (n, 3) of one window.
+
+    Raises
+    ------
+    MeasurementError
+        The INS was not navigating all the time, or restarted.
+    """
+    inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
+    _check_navigating(navigation, inside)
+    time_s = navigation.ins_time_s[inside]
+    velocity = navigation.velocity_enu_mps[inside].copy()
+    velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
+    return (
+        time_s,
+        velocity,
+        navigation.attitude[inside],
+        gyro_temperatures_at(time_s, navigation.temperatures),
+    )
+
+
+def _check_navigating(navigation: NavigationData, inside: NDArray[np.bool_]) -> None:
+    """Turns count as well: an INS that aligns anew in a turn starts with other errors after it."""
+    modes = set(navigation.mode[inside].tolist())
+    if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
+        raise MeasurementError(
+            "the INS left navigation during the dwell or in its turn. Look at its status in the raw CAN log"
+        )
+    if len(set(navigation.alignment[inside].tolist())) > 1:
+        raise MeasurementError(
+            "the INS said in the dwell or in its turn that its alignment is another one. Did it align anew?"
+        )
+    if len(set(navigation.segment[inside].tolist())) > 1:
+        raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")
+    if not np.isfinite(navigation.attitude[inside]).all():
+        raise MeasurementError(
+            "the INS said in the dwell or in its turn that its attitude is not valid. Did it align anew?"
+        )
+
+
+def _row(
+    marks: DwellMarks,
+    temperatures: DwellTemperatures,
+    estimate: StateSpaceEstimate | None,
+    paper: BiasEstimate | None,
+    flags: list[str],
+) -> DwellRow:
+    return DwellRow(
+        unit=marks.unit,
+        run=marks.run,
+        dwell=marks.dwell,
+        cycle=marks.cycle,
+        position=marks.position,
+        azimuth_deg=marks.azimuth_deg,
+        start_s=marks.start_s,
+        end_s=marks.end_s,
+        since_power_on_s=marks.since_power_on_s,
+        chamber_set_c=math.nan if marks.chamber_set_c is None else marks.chamber_set_c,
+        chamber_c=math.nan if marks.chamber_c is None else marks.chamber_c,
+        case_c=temperatures.case_c,
+        gyro_c=temperatures.gyro_c,
+        gyro_rate_c_per_h=temperatures.gyro_rate_c_per_h,
+        board_c=temperatures.board_c,
+        bias_dph=triple(estimate.bias_dph) if estimate else NOT_MEASURED,
+        sigma_dph=triple(estimate.sigma_dph) if estimate else NOT_MEASURED,
+        paper_bias_dph=triple(paper.bias_dph) if paper else NOT_MEASURED,
+        paper_sigma_dph=triple(paper.sigma_dph) if paper else NOT_MEASURED,
+        accelerometer_ug=triple(estimate.accelerometer_bias / UG_TO_MPS2) if estimate else NOT_MEASURED,
+        accelerometer_sigma_ug=triple(estimate.accelerometer_sigma / UG_TO_MPS2)
+        if estimate
+        else NOT_MEASURED,
+        fit_ratio=estimate.fit.ratio if estimate else math.nan,
+        fit_p_value=estimate.fit.p_value if estimate else math.nan,
+        flags="; ".join(flags),
+    )

@@ -1,0 +1,116 @@
+"""The estimate of the dwell under way, from the frames that are there so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate
+from gyrobench.bench.dwells.dwell import MeasurementSetup, rest_output
+from gyrobench.bench.dwells.marks import WindowMark
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import NavigationData
+
+#: Frames before the new ones that are decoded with them, for the status that they belong to.
+_OVERLAP = 400
+_ANY_NOISE = NoiseModel(1e-7, 1e-5, 1e-5, 1e-8)
+
+
+def warm_up(setup: MeasurementSetup) -> None:
+    """Compile what the estimates need, which takes seconds where nothing is in numba's cache yet."""
+    noise = setup.noise or _ANY_NOISE
+    bias_filter = BiasFilter(setup.site, noise, setup.prior)
+    bias_filter.begin_window(0.0, np.eye(3))
+    bias_filter.add(np.arange(2.0), np.zeros((2, 2)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
+    bias_filter.test_of_fit()
+
+
+class LiveEstimate:
+    """Biases of one dwell while its last window goes on.
+
+    Nothing is done before the first turn, since nothing can be told before it. With declared noise only
+    what is new is filtered; noise that the dwell itself tells becomes better known, and all is filtered anew.
+
+    Parameters
+    ----------
+    setup : MeasurementSetup
+        As for the dwell as a whole.
+    frames : callable
+        The frames of the dwell from a number on.
+    """
+
+    def __init__(self, setup: MeasurementSetup, frames: Callable[[int], FrameBlock]) -> None:
+        self._setup = setup
+        self._frames = frames
+        self._filter: BiasFilter | None = None
+        self._begun: list[WindowMark] = []
+        self._next_frame = 0
+
+    def update(self, windows: Sequence[WindowMark]) -> StateSpaceEstimate | None:
+        """Take what has come since the last call.
+
+        Parameters
+        ----------
+        windows : sequence of WindowMark
+            The windows so far; the last one is under way and ends with the last frame that has come.
+
+        Returns
+        -------
+        StateSpaceEstimate or None
+            None as long as the biases can't be told, or where the data can't be used.
+        """
+        if len(windows) < 2:
+            return None
+        if self._setup.noise is None:
+            self._filter, self._begun, self._next_frame = None, [], 0
+        try:
+            navigation, first_frame = self._decoded()
+            if self._filter is None:
+                self._filter = BiasFilter(
+                    self._setup.site, self._noise(windows, navigation), self._setup.prior
+                )
+            for number, mark in enumerate(windows):
+                if mark.end_frame > self._next_frame:
+                    self._take(self._filter, number, mark, navigation, first_frame)
+            self._next_frame = windows[-1].end_frame
+            return self._filter.estimate()
+        except MeasurementError:
+            return None
+
+    def _decoded(self) -> tuple[NavigationData, int]:
+        first_frame = max(0, self._next_frame - _OVERLAP)
+        return self._setup.decode(self._frames(first_frame)), first_frame
+
+    def _noise(self, marks: Sequence[WindowMark], navigation: NavigationData) -> NoiseModel:
+        """Declared, or that of all windows so far but for one that has only just begun."""
+        if self._setup.noise is not None:
+            return self._setup.noise
+        windows = [NavigationWindow(*rest_output(navigation, mark)) for mark in marks[:-1]]
+        with suppress(MeasurementError):
+            windows.append(NavigationWindow(*rest_output(navigation, marks[-1])))
+        return self._setup.noise_in(tuple(windows))
+
+    def _take(
+        self,
+        bias_filter: BiasFilter,
+        number: int,
+        mark: WindowMark,
+        navigation: NavigationData,
+        first_frame: int,
+    ) -> None:
+        begin = max(mark.first_frame, self._next_frame)
+        new = replace(mark, first_frame=begin - first_frame, end_frame=mark.end_frame - first_frame)
+        time_s, velocity, C_nb, gyro_c = rest_output(navigation, new)
+        if not len(time_s):
+            return
+        if number == len(self._begun):
+            turn = self._setup.turn(self._begun[-1], mark, navigation, first_frame) if self._begun else None
+            bias_filter.begin_window(time_s[0], C_nb[0], turn)
+            self._begun.append(mark)
+        bias_filter.add(time_s, velocity[:, :2], C_nb, gyro_c)

@@ -1,0 +1,131 @@
+"""Marks: which frames make a dwell, and what table and chamber were doing.
+
+Frames are counted from the part of the raw log that begins with the dwell's alignment, so that the
+log gives the very frames that were there live, whatever the CAN interface's time stamps do.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from typing import Any, ClassVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.navigation.positions import POSITIONS
+
+_AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class WindowMark:
+    """One stretch of navigation at rest.
+
+    Attributes
+    ----------
+    first_frame, end_frame : int
+        Numbers of its first data frame, and of the first one after it.
+    outer_deg, inner_deg : float
+        Where the table stood, by its own reading.
+    turn_first_frame, turn_end_frame : int or None
+        Numbers of the frames with which the turn to this window began and was over; None where
+        there was none.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = _AS_WRITTEN
+
+    first_frame: int
+    end_frame: int
+    outer_deg: float
+    inner_deg: float
+    turn_first_frame: int | None = None
+    turn_end_frame: int | None = None
+
+
+@dataclass(frozen=True)
+class DwellMarks:
+    """All that is known of a dwell beside its frames.
+
+    Attributes
+    ----------
+    unit, run : str
+        Serial number of the INS; one value per power-on.
+    dwell, cycle : int
+        As in the dwell table.
+    position, azimuth_deg : str, float
+        Where the dwell began.
+    log_part : int
+        Part of the raw CAN log that began with its alignment; frame 0 is that part's first.
+    windows : tuple of WindowMark
+        In the order of time; the paper's method has two.
+    is_verification : bool
+        Whether it verifies a calibration: one window straight from the alignment.
+    align_s : float
+        How long the alignment took.
+    start_s, end_s, since_power_on_s : float
+        Times of the first and last window's ends on the run's clock, and from power-on to the first.
+    chamber_set_c, chamber_c : float or None
+        Set point, and mean of the air; None where the chamber was not controlled or not read.
+    disturbances : tuple of str
+        What went wrong while it lasted; a disturbed dwell is kept out of the bins.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = _AS_WRITTEN
+
+    unit: str
+    run: str
+    dwell: int
+    cycle: int
+    position: str
+    azimuth_deg: float
+    log_part: int
+    windows: tuple[WindowMark, ...]
+    start_s: float
+    end_s: float
+    since_power_on_s: float
+    chamber_set_c: float | None
+    chamber_c: float | None
+    is_verification: bool = False
+    align_s: float = 0.0
+    disturbances: tuple[str, ...] = ()
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames of the log's part that belong to the dwell."""
+        return self.windows[-1].end_frame if self.windows else 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the journal."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> DwellMarks:
+        """Undo :meth:`to_json`.
+
+        Raises
+        ------
+        RunFolderError
+            The data are not those of a dwell.
+        """
+        try:
+            marks = _adapter().validate_json(json.dumps(data))
+        except ValidationError as error:
+            problems = "; ".join(
+                f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
+            )
+            raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
+        lacking = [each.name for each in fields(cls) if each.name not in data]
+        ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
+        if lacking or marks.position not in POSITIONS or not ends or ends[0] < 0 or ends != sorted(ends):
+            raise RunFolderError(
+                "damaged marks of a dwell: keys, position or windows are not those of a dwell"
+            )
+        return marks
+
+
+@cache
+def _adapter() -> TypeAdapter[DwellMarks]:
+    return TypeAdapter(DwellMarks)

@@ -1,0 +1,196 @@
+"""What navigation at rest can't put out: values that stand still, and values that jump.
+
+At rest velocity and attitude move smoothly, by noise and by the error model alone. A value that a frame
+carried wrongly, an INS that started anew or a unit that was knocked shows as a jump from one epoch to
+the next; an output that hangs shows as a value that stays the same to the last bit for longer than the
+declared noise lets it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.navigation.attitude import rotation_vector_enu
+
+Array = NDArray[np.float64]
+
+#: A value this many robust standard deviations and steps of the output away from its neighbours jumps.
+_JUMP_SIGMAS, _JUMP_STEPS = 10.0, 4.0
+_MAD_TO_SIGMA = 1.4826
+#: Times, s, within which a slope may not change by so many standard deviations, and how often a window
+#: holds them.
+_BEND_LAGS_S, _BEND_SIGMAS, _LEAST_LAGS = (10.0, 30.0), 6.5, 3.0
+#: A random walk stays within a step of the output for so many times the time in which it goes that far
+#: once in ten thousand million times.
+_STILL_TIMES = 6.0
+#: Nothing counts as hanging before so many epochs and so long, s.
+_STILL_EPOCHS, _STILL_S = 30, 10.0
+#: An INS is as noisy as declared if its attitude moves by this share of what that leads to expect, over
+#: this time, s. A better one may well keep a velocity for minutes.
+_NOISY_SHARE, _NOISY_OVER_S = 0.5, 10.0
+_VELOCITIES = ("velocity East", "velocity North")
+_ATTITUDE = ("attitude about East", "attitude about North", "heading")
+#: Rounding of the arithmetic: m/s and rad.
+_ARITHMETIC = 1e-11
+
+
+@dataclass(frozen=True)
+class OutputFault:
+    """What is wrong, in words, and whether noise larger than declared would explain it."""
+
+    text: str
+    may_be_noise: bool = False
+
+
+def output_faults(
+    windows: Sequence[NavigationWindow],
+    noise: NoiseModel,
+    gravity: float,
+    velocity_step_mps: float,
+    heading_step_rad: float,
+) -> list[OutputFault]:
+    """Say what is wrong with the output in the windows of a dwell.
+
+    Parameters
+    ----------
+    windows : sequence of NavigationWindow
+        With all their epochs.
+    noise : NoiseModel
+        Of the INS.
+    gravity : float
+        m/s^2.
+    velocity_step_mps, heading_step_rad : float
+        Resolution of the output.
+    """
+    steps = dict.fromkeys(_VELOCITIES, velocity_step_mps) | dict.fromkeys(_ATTITUDE, heading_step_rad)
+    channels = [_channels(window) for window in windows]
+    is_noisy = any(
+        _is_noisy(window.time_s, each, noise.angle_random_walk)
+        for window, each in zip(windows, channels, strict=True)
+    )
+    faults = []
+    for number, (window, each) in enumerate(zip(windows, channels, strict=True), start=1):
+        found = [
+            _jump(window.time_s, each, steps),
+            _bend(window.time_s, each, steps, noise, gravity),
+            _hanging(window.time_s, each, steps, noise) if is_noisy else None,
+        ]
+        faults += [replace(fault, text=f"window {number}: {fault.text}") for fault in found if fault]
+    return faults
+
+
+def _channels(window: NavigationWindow) -> dict[str, Array]:
+    rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
+    velocities = dict(zip(_VELOCITIES, window.velocity_enu_mps.T, strict=False))
+    return velocities | dict(zip(_ATTITUDE, rotation.T, strict=True))
+
+
+def _jump(time_s: Array, channels: Mapping[str, Array], steps: Mapping[str, float]) -> OutputFault | None:
+    """The first jump of any channel."""
+    jumps = {name: _first_jump(time_s, values, steps[name]) for name, values in channels.items()}
+    first = min(jumps, key=jumps.__getitem__)
+    if not math.isfinite(jumps[first]):
+        return None
+    return OutputFault(
+        f"the {first} jumps at {jumps[first]:.1f} s on the clock of the INS: a damaged frame, an INS that "
+        "began anew, or a unit that was knocked. Look at the raw CAN log"
+    )
+
+
+def _bend(
+    time_s: Array,
+    channels: Mapping[str, Array],
+    steps: Mapping[str, float],
+    noise: NoiseModel,
+    gravity: float,
+) -> OutputFault | None:
+    """A slope that changes by more than noise lets it."""
+    for lag_s in _BEND_LAGS_S:
+        middle = time_s[(time_s >= time_s[0] + lag_s) & (time_s <= time_s[-1] - lag_s)]
+        if time_s[-1] - time_s[0] < _LEAST_LAGS * lag_s:
+            continue
+        for name, values in channels.items():
+            before, at, after = (
+                np.interp(middle + away_s, time_s, values) for away_s in (-lag_s, 0.0, lag_s)
+            )
+            bends = before - 2.0 * at + after
+            # A steady bend is that of the error model.
+            away = np.abs(bends - np.median(bends))
+            if name in _VELOCITIES:
+                walk, white = noise.velocity_random_walk, noise.velocity_white
+                tilted = (gravity * noise.angle_random_walk) ** 2 * lag_s**3 * 2.0 / 3.0
+            else:
+                walk, white, tilted = noise.angle_random_walk, noise.heading_white, 0.0
+            white = max(white, steps[name] / math.sqrt(12.0))
+            sigma = math.sqrt(2.0 * walk**2 * lag_s + 6.0 * white**2 + tilted)
+            if away.max() > _BEND_SIGMAS * sigma:
+                own_sigma = _MAD_TO_SIGMA * float(np.median(away))
+                may_be_noise = bool(away.max() <= _BEND_SIGMAS * own_sigma)
+                return OutputFault(
+                    f"the {name} bends within {lag_s:g} s of {middle[np.argmax(away)]:.1f} s on the clock of "
+                    "the INS by more than its noise explains: was the unit moved?",
+                    may_be_noise,
+                )
+    return None
+
+
+def _hanging(
+    time_s: Array, channels: Mapping[str, Array], steps: Mapping[str, float], noise: NoiseModel
+) -> OutputFault | None:
+    """What stays the same for longer than noise lets it."""
+    moves = {
+        name: np.abs(np.diff(values)) > 0.5 * max(steps[name], _ARITHMETIC)
+        for name, values in channels.items()
+    }
+    walks = {"heading": noise.angle_random_walk} | dict.fromkeys(_VELOCITIES, noise.velocity_random_walk)
+    longest_s = {
+        name: max(_STILL_S, _STILL_TIMES * (max(steps[name], _ARITHMETIC) / walk) ** 2) if walk else math.inf
+        for name, walk in walks.items()
+    }
+    moves["whole output"], longest_s["whole output"] = np.any(list(moves.values()), axis=0), _STILL_S
+    for name, limit_s in longest_s.items():
+        begin_s, still_s = _longest_still(time_s, moves[name])
+        if still_s > limit_s:
+            return OutputFault(
+                f"the {name} stays the same for {still_s:.0f} s from {begin_s:.1f} s on the clock of the "
+                "INS, longer than its noise lets it: the output hangs. Restart the INS"
+            )
+    return None
+
+
+def _is_noisy(time_s: Array, channels: Mapping[str, Array], walk: float) -> bool:
+    """Whether any angle moves about as much as its declared random walk."""
+    lag = max(1, round(_NOISY_OVER_S / float(np.median(np.diff(time_s)))))
+    expected = walk * math.sqrt(2.0 * _NOISY_OVER_S)
+    angles = [channels[name] for name in _ATTITUDE]
+    bends = [each[2 * lag :] - 2.0 * each[lag:-lag] + each[: -2 * lag] for each in angles]
+    return any(len(each) > 0 and float(np.std(each)) > _NOISY_SHARE * expected for each in bends)
+
+
+def _first_jump(time_s: Array, values: Array, step: float) -> float:
+    """Time of the first value that its neighbours do not lead to expect; infinite where all do."""
+    before_s, after_s = time_s[1:-1] - time_s[:-2], time_s[2:] - time_s[1:-1]
+    expected = (values[:-2] * after_s + values[2:] * before_s) / (before_s + after_s)
+    away = values[1:-1] - expected
+    # Across lost epochs a random walk goes as far as the root of the time.
+    wide = np.sqrt((before_s + after_s) / (2.0 * np.median(after_s)))
+    sigma = _MAD_TO_SIGMA * float(np.median(np.abs(away)))
+    jumps = np.abs(away) > (_JUMP_SIGMAS * sigma + _JUMP_STEPS * step) * np.maximum(wide, 1.0)
+    return float(time_s[1:-1][jumps][0]) if jumps.any() else math.inf
+
+
+def _longest_still(time_s: Array, moves: NDArray[np.bool_]) -> tuple[float, float]:
+    """Begin and length of the longest stretch without a move (n - 1,), if it has enough epochs."""
+    changes = np.flatnonzero(moves)
+    first = np.concatenate([[0], changes + 1])
+    last = np.concatenate([changes, [len(moves)]])
+    lengths_s = np.where(last - first >= _STILL_EPOCHS, time_s[last] - time_s[first], 0.0)
+    longest = int(np.argmax(lengths_s))
+    return float(time_s[first[longest]]), float(lengths_s[longest])

@@ -1,0 +1,208 @@
+"""CSV tables as text: cells checked one by one, mistakes reported with line and column."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
+
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.reading import read_limited
+
+#: Some hundred thousand dwells.
+MAX_TABLE_BYTES = 100_000_000
+#: Nothing that is measured reaches these: squares and sums of what lies between stay numbers.
+LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
+#: What no gyro reaches; temperatures far beyond would fill the memory with empty bins.
+COLDEST_C, HOTTEST_C = -273.15, 1000.0
+_SHOWN_PROBLEMS = 20
+_INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+
+
+class CsvTable:
+    """Cells of a CSV text, turned into values by column name.
+
+    A cell that is wrong is noted and gives a stand-in; :meth:`raise_problems` reports them all.
+
+    Parameters
+    ----------
+    text : str
+        UTF-8 content, with a header.
+    name : str
+        What to call the file in messages.
+    required : sequence of str
+        Columns that must be there.
+
+    Attributes
+    ----------
+    lines : list of int
+        Line on which each row ends, from 1.
+
+    Raises
+    ------
+    DocumentError
+        No header, a column missing or given twice, a row with too few or too many cells.
+    """
+
+    def __init__(self, text: str, name: str, required: Sequence[str]) -> None:
+        self._name = name
+        self._problems: list[str] = []
+        self._rows: list[list[str]] = []
+        self.lines: list[int] = []
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        try:
+            header = [cell.strip() for cell in next(reader, [])]
+            for cells in reader:
+                if cells:
+                    self._rows.append(cells)
+                    self.lines.append(reader.line_num)
+        except csv.Error as error:
+            raise DocumentError(f"{name}:{reader.line_num}: not valid CSV: {error}") from error
+        self._columns = {column: index for index, column in enumerate(header)}
+        self._check_shape(header, required)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def text(self, index: int, column: str) -> str:
+        """Give the cell as it stands; empty where the table has no such column."""
+        position = self._columns.get(column)
+        return "" if position is None else self._rows[index][position].strip()
+
+    def name(self, index: int, column: str) -> str:
+        """Read a name; one that a spreadsheet would take for a formula is a mistake."""
+        text = self.text(index, column)
+        if text.startswith(("=", "+", "-", "@")):
+            self.problem(
+                index, column, f"a name can't begin with '{text[0]}', as formulas do; found '{text}'"
+            )
+        return text
+
+    def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
+        """Read one of some words."""
+        text = self.text(index, column)
+        if text not in allowed:
+            self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
+        return text
+
+    def integer(self, index: int, column: str) -> int:
+        """Read a whole number."""
+        text = self.text(index, column)
+        if _INTEGER.fullmatch(text):
+            return int(text)
+        self.problem(index, column, f"expected a whole number; found '{text}'")
+        return 0
+
+    def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read a number that may be measured; NaN for an empty cell or ``nan``, which may be a mistake."""
+        text = self.text(index, column)
+        if _NUMBER.fullmatch(text):
+            if abs(float(text)) <= LARGEST_NUMBER:
+                return float(text)
+            self.problem(index, column, f"{float(text):g} is beyond {LARGEST_NUMBER:g}, so nothing measured")
+        elif not (may_be_empty and text.lower() in ("", "nan")):
+            self.problem(index, column, f"expected a number; found '{text}'")
+        return math.nan
+
+    def uncertainty(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read a standard uncertainty, which is above zero."""
+        value = self.number(index, column, may_be_empty)
+        if value < SMALLEST_UNCERTAINTY:
+            self.problem(index, column, f"an uncertainty must be above zero; found {value:g}")
+        return value
+
+    def temperature(self, index: int, column: str, may_be_empty: bool = False) -> float:
+        """Read the temperature of a gyro, degC."""
+        value_c = self.number(index, column, may_be_empty)
+        if value_c < COLDEST_C or value_c > HOTTEST_C:
+            self.problem(
+                index,
+                column,
+                f"{value_c:g} degC is no temperature of a gyro; allowed: {COLDEST_C:g} to {HOTTEST_C:g}",
+            )
+        return value_c
+
+    def problem(self, index: int, column: str, message: str) -> None:
+        """Note that a cell is wrong."""
+        self._problems.append(f"{self._name}:{self.lines[index]}: column {column}: {message}")
+
+    def raise_problems(self) -> None:
+        """Report what was noted.
+
+        Raises
+        ------
+        DocumentError
+            Something was.
+        """
+        if not self._problems:
+            return
+        more = len(self._problems) - _SHOWN_PROBLEMS
+        shown = self._problems[:_SHOWN_PROBLEMS] + ([f"... and {more} more"] if more > 0 else [])
+        raise DocumentError("\n".join(shown))
+
+    def _check_shape(self, header: list[str], required: Sequence[str]) -> None:
+        missing = [column for column in required if column not in self._columns]
+        if missing:
+            raise DocumentError(
+                f"{self._name}:1: the header lacks the columns {', '.join(missing)}; "
+                f"it has {', '.join(header) or 'none'}"
+            )
+        twice = sorted({column for column in header if header.count(column) > 1})
+        if twice:
+            raise DocumentError(f"{self._name}:1: the header gives {', '.join(twice)} more than once")
+        for cells, line in zip(self._rows, self.lines, strict=True):
+            if len(cells) != len(header):
+                raise DocumentError(
+                    f"{self._name}:{line}: {len(cells)} cells where the header has {len(header)}"
+                )
+
+
+def format_number(value: float) -> str:
+    """Nine significant digits, which survive reading and writing again; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
+def format_cell(value: str | float | None) -> str:
+    """A number as above, empty for None, anything else as it is."""
+    if value is None:
+        return ""
+    return format_number(value) if isinstance(value, float) else str(value)
+
+
+def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """CSV text with a header and plain line ends."""
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def read_text(path: Path) -> str:
+    """Content of a UTF-8 file, without the mark that some spreadsheets put in front.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read, is too large, or is not UTF-8.
+    """
+    try:
+        return read_limited(path, MAX_TABLE_BYTES, DocumentError).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a UTF-8 file whole or not at all, line ends as they are.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    write_whole(path, text.encode())

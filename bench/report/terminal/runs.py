@@ -1,0 +1,139 @@
+"""What an index says, in a terminal of 80 columns, readable without colour."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from gyrobench.bench.foundations.text import bin_label, counted, listed
+from gyrobench.bench.report.terminal.parts import plain_table
+from gyrobench.bench.report.wording import BiasScale, p_text
+from gyrobench.bench.runs.index import QueryResult
+from gyrobench.bench.runs.index_trend import FALSE_ALARM, Trend
+
+_FINISHED = "finished"
+_CELL_CHARACTERS = 40
+
+
+def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
+    """List runs; the verdict of one that did not finish is how it ended."""
+    table = plain_table(("run", "began", "unit", "batch", "bench", "verdict", "limits"), words=7)
+    for run in runs[:most]:
+        verdict = run["verdict"] if run["ended"] == _FINISHED else run["ended"]
+        day = run["started_utc"].date().isoformat()
+        cells = (run["path"], day, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
+        table.add_row(*(Text(str(cell or "")) for cell in cells))
+    units = {run["unit"] for run in runs}
+    lines = [f"{counted(len(runs), 'run')} of {counted(len(units), 'unit')}."]
+    if len(runs) > most:
+        lines.append(f"The newest {most} are shown; --most shows more of them.")
+    return Group(table, Text(), Text(" ".join(lines)))
+
+
+def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType:
+    """Compare groups of runs: how many, what the searches and the limits said, biases."""
+    biases = [row[f"bias_{gyro}_dph"] for row in groups for gyro in "xyz"]
+    spreads = [row[f"spread_{gyro}_dph"] for row in groups for gyro in "xyz"]
+    scale = BiasScale.of(_known(biases), _known(spreads))
+    table = plain_table((by, "runs", "units", "c/e/o", "a/m/r", "bias x", "bias y", "bias z"), words=1)
+    for row in groups:
+        searched = "/".join(str(row[name]) for name in ("clean", "explained", "other"))
+        judged = "/".join(str(row[name]) for name in ("accepted", "marginal", "rejected"))
+        means = [_with_spread(scale, row, gyro) for gyro in "xyz"]
+        table.add_row(
+            Text(str(row["name"] or "not known")),
+            str(row["runs"]),
+            str(row["units"]),
+            searched,
+            judged,
+            *means,
+        )
+    note = (
+        f"Biases: mean over the runs ± their standard deviation, {scale.unit}. c/e/o: clean, explained, "
+        "other verdicts of the search for effects; a/m/r: accepted, marginal, rejected by the limits."
+    )
+    return Group(table, Text(), Text(note))
+
+
+def trend_summary(unit: str, trends: Sequence[Trend], mixed: Sequence[str]) -> RenderableType:
+    """Say whether a unit drifts, and list the drift of each gyro and bin."""
+    scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
+    table = plain_table(("gyro", "bin °C", "runs", "bias", "between", "per month", "p", "p all"), words=2)
+    for each in trends:
+        quantity = each.quantity
+        table.add_row(
+            quantity.gyro,
+            bin_label(quantity.bin_low_c, quantity.bin_high_c, ".."),
+            str(len(each.runs)),
+            scale.with_sigma(each.bias_dph, each.sigma_dph, "±"),
+            scale.text(each.between_runs_dph),
+            _slope_text(scale, each),
+            p_text(each.p_value),
+            p_text(each.p_adjusted),
+        )
+    note = (
+        f"In {scale.unit}. Between: scatter from run to run beyond the stated uncertainties; it is in that "
+        "of the slope. p all: p, allowing for all comparisons of the table."
+    )
+    parts: list[RenderableType] = [Text(trend_sentence(unit, trends), style="bold")]
+    parts += [Text(f"Note: {text}") for text in mixed]
+    return Group(*parts, Text(), table, Text(), Text(note))
+
+
+def trend_sentence(unit: str, trends: Sequence[Trend]) -> str:
+    """Say which gyros drift."""
+    tested = [each for each in trends if each.p_value == each.p_value]
+    if not tested:
+        return (
+            f"Unit {unit}: no gyro was measured in the same bin and positions at three times or more, so "
+            "nothing tells a drift."
+        )
+    proven = [each for each in tested if each.is_proven]
+    allowing = f"p < {FALSE_ALARM:g}, allowing for {counted(len(tested), 'comparison')}"
+    if not proven:
+        return f"Unit {unit}: no drift that chance does not explain ({allowing})."
+    scale = BiasScale.of(
+        [each.slope_dph_per_month for each in proven], [each.slope_sigma_dph_per_month for each in proven]
+    )
+    texts = [f"{each.quantity.label} by {_slope_text(scale, each, ' ± ')}" for each in proven]
+    return f"Unit {unit} drifts: {listed(texts)}, in {scale.unit} per month ({allowing})."
+
+
+def problems_text(problems: Mapping[str, str]) -> RenderableType:
+    """List folders that can't be read, and why."""
+    head = f"{counted(len(problems), 'run folder')} can't be read, so nothing above is of these:"
+    return Text("\n".join([head, *(f"  {path}: {why}" for path, why in problems.items())]))
+
+
+def answer_table(answer: QueryResult) -> RenderableType:
+    """Show the result of a query."""
+    table = plain_table(answer.columns, words=len(answer.columns))
+    for row in answer.rows:
+        table.add_row(*(Text("" if value is None else _short(value)) for value in row))
+    return Group(table, Text(counted(len(answer.rows), "row")))
+
+
+def _short(value: object) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= _CELL_CHARACTERS else f"{text[: _CELL_CHARACTERS - 1]}…"
+
+
+def _slope_text(scale: BiasScale, trend: Trend, between: str = "±") -> str:
+    if trend.p_value != trend.p_value:
+        return ""
+    text = scale.with_sigma(trend.slope_dph_per_month, trend.slope_sigma_dph_per_month, between)
+    return text if text.startswith("-") else f"+{text}"
+
+
+def _with_spread(scale: BiasScale, row: Mapping[str, Any], gyro: str) -> str:
+    mean, spread = row[f"bias_{gyro}_dph"], row[f"spread_{gyro}_dph"]
+    if mean is None:
+        return ""
+    return scale.text(mean) if spread is None else scale.with_sigma(mean, spread, "±")
+
+
+def _known(values: Sequence[float | None]) -> list[float]:
+    return [value for value in values if value is not None]

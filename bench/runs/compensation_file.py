@@ -1,0 +1,86 @@
+"""The compensation file: what an INS is to subtract from its gyros, as YAML."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Self
+
+import numpy as np
+import yaml
+from pydantic import Field, model_validator
+
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.drivers.ins.compensation import Compensation
+
+_OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
+_Polynomials = Annotated[list[Annotated[list[float], Field(min_length=1)]], Field(min_length=3, max_length=3)]
+
+_HEAD = """\
+# Compensation of the gyros x, y, z: what each subtracts. T is the temperature of its optics, B that of
+# its electronics, Up the unit vector in body axes.
+"""
+
+
+class CompensationFile(StrictModel):
+    """Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation`, those of each gyro in a row."""
+
+    polynomial_dph: _Polynomials = Field(description="coefficients from degree 0 up, T in degC")
+    low_c: _OfGyros = Field(description="lowest T used")
+    high_c: _OfGyros = Field(description="highest T used")
+    rate_dph_per_c_per_h: _OfGyros | None = Field(default=None, description="per rate of T")
+    rate_limit_c_per_h: _OfGyros | None = Field(default=None, description="highest rate used, of either sign")
+    gradient_dph_per_k: _OfGyros | None = Field(default=None, description="per B - T")
+    difference_low_k: _OfGyros | None = Field(default=None, description="lowest B - T used")
+    difference_high_k: _OfGyros | None = Field(default=None, description="highest B - T used")
+    saturating_dph_per_k: _Vectors | None = Field(
+        default=None, description="per B - T along Up, below the onset"
+    )
+    growing_dph_per_k: _Vectors | None = Field(
+        default=None, description="per B - T along Up, the more the colder"
+    )
+    onset_c: _OfGyros | None = Field(default=None, description="temperature of the onset")
+    onset_width_c: _OfGyros | None = Field(default=None, description="width of the onset")
+    gravity_dph_per_g: _Vectors | None = Field(default=None, description="along Up")
+    warm_up_dph: _OfGyros | None = Field(default=None, description="at power-on")
+    warm_up_s: _OfGyros | None = Field(default=None, description="time constant of the warm-up")
+    hysteresis_dph_per_k: _OfGyros | None = Field(default=None, description="per play of T, less T")
+    half_width_k: _OfGyros | None = Field(default=None, description="half width of the play")
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if len({len(row) for row in self.polynomial_dph}) > 1:
+            raise ValueError("polynomial_dph must have as many coefficients for each gyro")
+        self.compensation()
+        return self
+
+    def compensation(self) -> Compensation:
+        """Give what the file describes."""
+        return Compensation(**{name: np.array(value) for name, value in self if value is not None})
+
+
+def write_compensation(path: Path, compensation: Compensation) -> None:
+    """Write a compensation file; numbers that are zero for all gyros are left out where they may be.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    values = {each.name: getattr(compensation, each.name) for each in fields(compensation)}
+    required = {name for name, field in CompensationFile.model_fields.items() if field.is_required()}
+    content = {name: value.tolist() for name, value in values.items() if name in required or value.any()}
+    write_whole(path, (_HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)).encode())
+
+
+def read_compensation(path: Path) -> Compensation:
+    """Read a compensation file.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything wrong with it, with places.
+    """
+    return validate(read_document(path), CompensationFile).compensation()

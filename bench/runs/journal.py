@@ -1,0 +1,167 @@
+"""The journal: what a run did, on the disk before the next thing is done."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import math
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import cant_be_written, sync_folder
+from gyrobench.bench.foundations.reading import parse_json, read_limited
+
+#: Some hundred times the journal of a run of 1000 h.
+MAX_JOURNAL_BYTES = 500_000_000
+_SHOWN_CHARACTERS = 60
+
+
+class Journal:
+    """Append-only JSON lines; each is on the disk when :meth:`record` returns.
+
+    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. A journal that is there is
+    gone on with. If its last line was cut off, that line goes, and an entry ``journal_repaired``
+    says so.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written, another process writes it, or it is damaged before its last line.
+    """
+
+    def __init__(self, path: Path, clock: Clock) -> None:
+        self._path = path
+        self._clock = clock
+        self._writing = threading.Lock()  # messages are sent by threads of their own
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        except OSError as error:
+            raise cant_be_written(path, error) from error
+        try:
+            self._lock()
+            self._sound_bytes, cut_off = self._find_end()
+        except BaseException:
+            self.close()
+            raise
+        if cut_off:
+            self.record("journal_repaired", cut_off=_shown(cut_off))
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the file go; everything recorded is on the disk already."""
+        with contextlib.suppress(OSError):
+            os.close(self._descriptor)
+
+    def record(self, event: str, **details: Any) -> None:
+        """Add one entry; numbers that are not finite become null.
+
+        Raises
+        ------
+        RunFolderError
+            It can't be written; the journal is as it was before.
+        """
+        with self._writing:
+            self._write({"event": event} | details)
+
+    def _write(self, content: dict[str, Any]) -> None:
+        entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
+        line = json.dumps(_finite(entry | content), allow_nan=False).encode() + b"\n"
+        try:
+            self._drop_half_line()
+            written = os.write(self._descriptor, line)
+            while written < len(line):
+                written += os.write(self._descriptor, line[written:])
+            os.fsync(self._descriptor)
+        except OSError as error:
+            with contextlib.suppress(OSError):  # else the next entry sees to it
+                self._drop_half_line()
+            raise cant_be_written(self._path, error) from error
+        self._sound_bytes += len(line)
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise RunFolderError(
+                f"{self._path}: another process is writing this run. Wait for its end, or stop it."
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+
+    def _find_end(self) -> tuple[int, bytes]:
+        try:
+            sync_folder(self._path.parent)
+            content = self._path.read_bytes()
+        except OSError as error:
+            raise cant_be_written(self._path, error) from error
+        sound_bytes = sum(size_bytes for _, size_bytes in _parse(self._path, content))
+        return sound_bytes, content[sound_bytes:]
+
+    def _drop_half_line(self) -> None:
+        if os.fstat(self._descriptor).st_size != self._sound_bytes:
+            os.ftruncate(self._descriptor, self._sound_bytes)
+
+
+def read_journal(path: Path) -> Iterator[dict[str, Any]]:
+    """Entries of a journal in order; a last line that was cut off is left out.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be read, or a line before the last one is damaged.
+    """
+    yield from parse_journal(read_limited(path, MAX_JOURNAL_BYTES, RunFolderError), path)
+
+
+def parse_journal(content: bytes, name: str | Path) -> Iterator[dict[str, Any]]:
+    """Entries of a journal's content; see :func:`read_journal`.
+
+    Parameters
+    ----------
+    content : bytes
+        Of the file.
+    name : str or Path
+        What to call the file in messages.
+    """
+    yield from (entry for entry, _ in _parse(name, content))
+
+
+def _parse(path: str | Path, content: bytes) -> Iterator[tuple[dict[str, Any], int]]:
+    """Entries, each with the number of bytes that it takes."""
+    # An entry without its line end was never finished, and nothing was done on the strength of it.
+    lines = content.split(b"\n")[:-1]
+    for number, line in enumerate(lines, start=1):
+        try:
+            entry = parse_json(line)
+        except ValueError:
+            entry = None
+        if isinstance(entry, dict):
+            yield entry, len(line) + 1
+        elif number < len(lines):
+            raise RunFolderError(f"{path}:{number}: damaged entry: {_shown(line)!r}")
+
+
+def _shown(line: bytes) -> str:
+    return line[:_SHOWN_CHARACTERS].decode(errors="replace")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,131 @@
+"""Provenance: with what, on what and by which files a run was made."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import platform
+from collections.abc import Mapping
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import gyrobench
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import file_sha256, write_whole
+from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.runs.folder import RunFolder
+
+_PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
+
+_MAX_BYTES = 10_000_000
+_OBJECTS = ("instruments", "options", "files_sha256", "packages")
+
+
+def write_provenance(
+    folder: RunFolder, started: datetime, identities: Mapping[str, str], options: Mapping[str, Any]
+) -> None:
+    """Write provenance.json.
+
+    Parameters
+    ----------
+    started : datetime
+        Calendar time of the run's clock at its start.
+    identities : mapping
+        What each instrument said it is.
+    options : mapping
+        Options of the command that decide what was run.
+    """
+    content = {
+        "gyrobench": gyrobench.__version__,
+        "started_utc": started.isoformat(),
+        "utc_offset_s": _utc_offset_s(started),
+        "operator": _user(),
+        "host": platform.node(),
+        "instruments": dict(identities),
+        "options": dict(options),
+        "files_sha256": {path.name: file_sha256(path) for path in _inputs(folder)},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+    _write(folder, content)
+
+
+def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
+    """Add what an instrument that was switched on later said it is."""
+    content = read_provenance(folder)
+    content["instruments"][instrument] = identity
+    _write(folder, content)
+
+
+def note_preparer(folder: RunFolder, name: str) -> None:
+    """Keep who prepares the report, for every time that it is written anew."""
+    if content := read_provenance(folder):
+        _write(folder, content | {"prepared_by": name})
+
+
+def read_provenance(folder: RunFolder) -> dict[str, Any]:
+    """Content of provenance.json; empty where there is none.
+
+    Raises
+    ------
+    RunFolderError
+        It can't be read, or is damaged.
+    """
+    if not folder.provenance.exists():
+        return {}
+    try:
+        content = parse_json(read_limited(folder.provenance, _MAX_BYTES, RunFolderError))
+    except ValueError as error:
+        raise RunFolderError(f"{folder.provenance}: damaged: {error}") from error
+    parts = [content, *(content.get(key, {}) for key in _OBJECTS)] if isinstance(content, dict) else [None]
+    if not all(isinstance(part, dict) for part in parts):
+        raise RunFolderError(
+            f"{folder.provenance}: damaged: it, and {', '.join(_OBJECTS)} in it, have to be objects"
+        )
+    return dict(content)
+
+
+def started_utc(folder: RunFolder) -> datetime:
+    """Calendar time at which a run began.
+
+    Raises
+    ------
+    RunFolderError
+        It is not known.
+    """
+    try:
+        return datetime.fromisoformat(read_provenance(folder)["started_utc"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{folder.provenance}: does not tell when the run began") from error
+
+
+def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:
+    write_whole(folder.provenance, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def _utc_offset_s(moment: datetime) -> float:
+    """How far local time on the bench is ahead of UTC."""
+    offset = moment.astimezone().utcoffset()
+    return 0.0 if offset is None else offset.total_seconds()
+
+
+def _user() -> str:
+    """Login name of who started the run; a container may know none."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
+
+
+def _inputs(folder: RunFolder) -> list[Path]:
+    return [folder.procedure, folder.station, *sorted(folder.path.glob("*.dbc"))]
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

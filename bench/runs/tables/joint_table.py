@@ -1,0 +1,231 @@
+"""The joint solutions of a run as tables: ``joint_biases.csv`` and ``joint.csv``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from gyrobench.bench.bias.joint.solution import JointSolution
+from gyrobench.bench.bias.joint.vertical_pairs import Finding, UpRate
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
+from gyrobench.bench.navigation.earth import RADPS_TO_DPH, UG_TO_MPS2
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+
+
+@dataclass(frozen=True)
+class JointBiasRow:
+    """Bias of one gyro in one dwell.
+
+    Attributes
+    ----------
+    stop, dwell : int
+        Number of the stop of the chamber, from 1, and of the dwell.
+    position, gyro : str
+        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`; "x", "y" or "z".
+    temperature_c : float
+        Mean of the gyro.
+    single_dph, single_sigma_dph : float
+        The dwell by itself.
+    joint_dph, joint_sigma_dph : float
+        All dwells of the stop together.
+    corrected_dph, corrected_sigma_dph : float
+        The same with the rate Up taken away from the vertical gyros; NaN where that is not to be done.
+    """
+
+    stop: int
+    dwell: int
+    position: str
+    gyro: str
+    temperature_c: float
+    single_dph: float
+    single_sigma_dph: float
+    joint_dph: float
+    joint_sigma_dph: float
+    corrected_dph: float
+    corrected_sigma_dph: float
+
+    @property
+    def gain(self) -> float:
+        """Uncertainty of the dwell by itself over that of all together."""
+        return self.single_sigma_dph / self.joint_sigma_dph
+
+
+@dataclass(frozen=True)
+class JointStopRow:
+    """What the dwells of one stop of the chamber share.
+
+    Attributes
+    ----------
+    stop, cycle, dwells : int
+        Number of the stop, from 1, pass of the profile, number of dwells. Stop 0 is all stops
+        together: its row has the rate Up alone.
+    chamber_set_c : float
+        Set point; NaN where there is none.
+    accelerometer_x_ug, ... : float
+        Biases and their standard uncertainties.
+    north_rate_dph, up_rate_dph, ... : float
+        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not told.
+    latitude_error_arcmin, latitude_error_sigma_arcmin : float
+        Latitude error that would explain both.
+    up_rate_p_value : float
+        Test that the half-differences of all gyros are equal.
+    finding : str
+        What the half-differences of the vertical gyros are: name of a
+        :class:`gyrobench.bench.bias.joint.vertical_pairs.Finding`.
+    fit_p_value, any_north_p_value : float
+        Test that the dwells agree on what they share, with the latitude as declared and with any
+        rate North.
+    """
+
+    stop: int
+    cycle: int
+    dwells: int
+    chamber_set_c: float
+    accelerometer_x_ug: float
+    accelerometer_y_ug: float
+    accelerometer_z_ug: float
+    accelerometer_x_sigma_ug: float
+    accelerometer_y_sigma_ug: float
+    accelerometer_z_sigma_ug: float
+    north_rate_dph: float
+    north_rate_sigma_dph: float
+    up_rate_dph: float
+    up_rate_sigma_dph: float
+    latitude_error_arcmin: float
+    latitude_error_sigma_arcmin: float
+    up_rate_p_value: float
+    finding: str
+    fit_p_value: float
+    any_north_p_value: float
+
+
+Row = TypeVar("Row", JointBiasRow, JointStopRow)
+
+
+def joint_bias_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointBiasRow]:
+    """Biases of all dwells, three rows each; corrected by the rate Up of all stops where it applies."""
+    return [row for stop, each in enumerate(solutions, 1) for row in _bias_rows(stop, each, up_rate)]
+
+
+def joint_stop_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointStopRow]:
+    """What is shared, stop by stop; last a row, numbered 0, with the rate Up of all stops together."""
+    rows = [_stop_row(stop, each) for stop, each in enumerate(solutions, 1)]
+    if up_rate is not None and len(solutions) > 1:
+        rows.append(_all_stops(sum(row.dwells for row in rows), up_rate))
+    return rows
+
+
+def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
+    """Write rows of one kind as CSV.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    cells = ([format_cell(value) for value in astuple(row)] for row in rows)
+    write_text(path, format_csv([field.name for field in fields(kind)], cells))
+
+
+def read_joint_biases(path: Path) -> list[JointBiasRow]:
+    """Read ``joint_biases.csv``.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read, or lists all that is wrong with it.
+    """
+    return _read(path, JointBiasRow)
+
+
+def read_joint_stops(path: Path) -> list[JointStopRow]:
+    """Read ``joint.csv``; errors as for :func:`read_joint_biases`."""
+    return _read(path, JointStopRow)
+
+
+def _bias_rows(stop: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
+    corrected = solution.corrected(up_rate) if up_rate is not None and up_rate.applies else None
+    for index, dwell in enumerate(solution.dwells):
+        for axis, gyro in enumerate(AXES):
+            pairs = (solution.single, solution.together, corrected)
+            values = [
+                RADPS_TO_DPH * value
+                for each in pairs
+                for value in (
+                    (each.bias_radps[index, axis], each.sigma_radps[index, axis])
+                    if each
+                    else (np.nan, np.nan)
+                )
+            ]
+            yield JointBiasRow(
+                stop, dwell.number, dwell.position_name, gyro, dwell.gyro_c[axis], *map(float, values)
+            )
+
+
+def _stop_row(stop: int, solution: JointSolution) -> JointStopRow:
+    first = solution.dwells[0]
+    north, north_sigma = solution.north_rate
+    values: dict[str, Any] = {}
+    for suffix, each in zip(("", "_sigma"), solution.accelerometer_bias, strict=True):
+        values |= {
+            f"accelerometer_{axis}{suffix}_ug": float(a / UG_TO_MPS2)
+            for axis, a in zip(AXES, each, strict=True)
+        }
+    return JointStopRow(
+        stop=stop,
+        cycle=first.cycle,
+        dwells=len(solution.dwells),
+        chamber_set_c=first.chamber_set_c,
+        north_rate_dph=north * RADPS_TO_DPH,
+        north_rate_sigma_dph=north_sigma * RADPS_TO_DPH,
+        fit_p_value=solution.fit.p_value,
+        any_north_p_value=solution.north_free_fit.p_value,
+        **values,
+        **_up(solution.up_rate),
+    )
+
+
+def _all_stops(dwells: int, rate: UpRate) -> JointStopRow:
+    values: dict[str, Any] = {field.name: math.nan for field in fields(JointStopRow)}
+    return JointStopRow(**values | {"stop": 0, "cycle": 0, "dwells": dwells} | _up(rate))
+
+
+def _up(rate: UpRate) -> dict[str, Any]:
+    arcmin = 60.0 * 180.0 / math.pi
+    return {
+        "up_rate_dph": rate.rate * RADPS_TO_DPH,
+        "up_rate_sigma_dph": rate.sigma * RADPS_TO_DPH,
+        "latitude_error_arcmin": rate.latitude_error * arcmin,
+        "latitude_error_sigma_arcmin": rate.latitude_sigma * arcmin,
+        "up_rate_p_value": rate.p_value,
+        "finding": rate.finding.name.lower(),
+    }
+
+
+def _read(path: Path, kind: type[Row]) -> list[Row]:
+    names = [field.name for field in fields(kind)]
+    table = CsvTable(read_text(path), str(path), required=names)
+    rows = [kind(**{name: _value(table, index, name) for name in names}) for index in range(len(table))]
+    table.raise_problems()
+    return rows
+
+
+_CHOICES = {
+    "position": tuple(POSITIONS),
+    "gyro": AXES,
+    "finding": tuple(finding.name.lower() for finding in Finding),
+}
+_INTEGERS = ("stop", "dwell", "cycle", "dwells")
+
+
+def _value(table: CsvTable, index: int, name: str) -> Any:
+    if name in _CHOICES:
+        return table.choice(index, name, _CHOICES[name])
+    if name in _INTEGERS:
+        return table.integer(index, name)
+    return table.number(index, name, may_be_empty=True)

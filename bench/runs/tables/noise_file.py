@@ -1,0 +1,175 @@
+"""The noise that a run showed, kept as ``noise.json``: a summary, and all that it was read from."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sized
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
+
+from gyrobench.bench.bias.noise.allan import AllanVariance, RateNoise
+from gyrobench.bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
+from gyrobench.bench.foundations.csv_tables import read_text, write_text
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.navigation.positions import AXES
+
+_UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"
+#: An array of plain numbers, which goes into one line.
+_OfTerms = Annotated[list[float], Field(min_length=3, max_length=3)]
+_ARRAY = re.compile(r"\[[^][{}]*\]")
+
+
+def write_noise(path: Path, noise: NoiseEstimate) -> None:
+    """Write a noise estimate.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise)}
+    text = json.dumps(data, indent=1, default=lambda array: array.tolist())
+    write_text(path, _ARRAY.sub(lambda array: " ".join(array[0].split()), text) + "\n")
+
+
+def read_noise(path: Path) -> NoiseEstimate:
+    """Read a noise estimate.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or holds something else.
+    """
+    text = read_text(path)
+    try:
+        data = _NoiseFile.model_validate(parse_json(text))
+    except ValueError as error:
+        raise DocumentError(f"{path}: holds no noise estimate: {error}") from error
+    x, y, z = map(_channel, data.gyros)
+    return NoiseEstimate(
+        gyros=(x, y, z),
+        all_gyros=_channel(data.all_gyros),
+        heading=_channel(data.heading),
+        acceleration=_channel(data.acceleration),
+        gravity=data.gravity,
+        duration_s=data.duration_s,
+    )
+
+
+class _Part(StrictModel):
+    """What was measured may be infinite or not a number."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+
+def _positive(value: float) -> float:
+    if value <= 0.0:
+        raise ValueError("must be above zero")
+    return value
+
+
+def _not_negative(value: float) -> float:
+    if value < 0.0:
+        raise ValueError("must not be below zero")
+    return value
+
+
+#: As pydantic's own limits, but NaN passes.
+_Positive = Annotated[float, AfterValidator(_positive)]
+_NotNegative = Annotated[float, AfterValidator(_not_negative)]
+
+
+class _Allan(_Part):
+    interval_s: float = Field(gt=0.0)
+    factors: list[Annotated[int, Field(ge=1, lt=2**53)]]
+    variance: list[_NotNegative]
+    counts: list[Annotated[int, Field(ge=0, lt=2**53)]]
+    lengths: list[Annotated[int, Field(ge=0, lt=2**53)]]
+
+
+class _Fit(_Part):
+    terms: _OfTerms
+    unbounded: _OfTerms
+    covariance: Annotated[list[_OfTerms], Field(min_length=3, max_length=3)]
+    expected: list[_NotNegative]
+    used: list[bool]
+    edf: list[_Positive]
+    misfit: float
+
+    @model_validator(mode="after")
+    def _variances(self) -> Self:
+        for index, row in enumerate(self.covariance):
+            _not_negative(row[index])
+        return self
+
+
+class _Channel(_Part):
+    allan: _Allan
+    step: _NotNegative
+    fit: _Fit | None
+
+    @model_validator(mode="after")
+    def _same_averaging_times(self) -> Self:
+        lists: list[Sized] = [self.allan.variance, self.allan.counts]
+        if self.fit is not None:
+            lists += [self.fit.expected, self.fit.used, self.fit.edf]
+        if any(len(each) != len(self.allan.factors) for each in lists):
+            raise ValueError("every averaging time needs one value of each kind")
+        return self
+
+
+class _NoiseFile(_Part):
+    units: str
+    summary: dict[str, Any]
+    gyros: Annotated[list[_Channel], Field(min_length=3, max_length=3)]
+    all_gyros: _Channel
+    heading: _Channel
+    acceleration: _Channel
+    gravity: float
+    duration_s: float
+
+
+def _summary(noise: NoiseEstimate) -> dict[str, dict[str, float | bool | None]]:
+    arw, arw_si = "angle_random_walk{}_deg_per_sqrt_h", DEG_PER_SQRT_H_TO_SI
+    rows = [
+        *(
+            (arw.format(f"_{axis}"), arw_si, each)
+            for axis, each in zip(AXES, noise.angle_random_walks, strict=True)
+        ),
+        (arw.format(""), arw_si, noise.angle_random_walk),
+        (arw.format("_by_velocities"), arw_si, noise.angle_random_walk_of_tilt),
+        ("velocity_random_walk_ug_per_sqrt_hz", UG_PER_SQRT_HZ_TO_SI, noise.velocity_random_walk),
+        ("velocity_output_mps", 1.0, noise.velocity_white),
+        ("heading_output_urad", 1e-6, noise.heading_white),
+    ]
+    return {name: _told(parameter, unit_si) for name, unit_si, parameter in rows}
+
+
+def _told(parameter: NoiseParameter, unit_si: float) -> dict[str, float | bool | None]:
+    """Value and sigma, or the limit of what is not told from zero or is hidden by the resolution."""
+    if parameter.value is not None and parameter.sigma is not None:
+        return {"value": _short(parameter.value / unit_si), "sigma": _short(parameter.sigma / unit_si)}
+    below = None if parameter.limit is None else _short(parameter.limit / unit_si)
+    return {"below": below, "hidden_by_resolution": parameter.square is None}
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def _channel(data: _Channel) -> ChannelNoise:
+    fit = None if data.fit is None else RateNoise(**_arrays(data.fit))
+    allan = {**_arrays(data.allan), "lengths": tuple(data.allan.lengths)}
+    return ChannelNoise(AllanVariance(**allan), data.step, fit)
+
+
+def _arrays(data: _Part) -> dict[str, Any]:
+    return {name: np.array(value) if isinstance(value, list) else value for name, value in data}

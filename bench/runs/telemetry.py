@@ -1,0 +1,134 @@
+"""Telemetry: the readings of the bench's instruments, as a folder of Parquet files.
+
+pandas, polars, DuckDB and the like open the folder as one table. Where readings are missing, a row
+of NaN with the time of the next reading stands between them, so that a line drawn through the
+readings is broken there.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.runs.parts import find_parts, part_path
+
+#: Columns, in order; all are 64-bit floats, NaN where a value is not known.
+COLUMNS = (
+    "time_s",
+    "chamber_set_c",
+    "chamber_c",
+    "outer_deg",
+    "inner_deg",
+    "outer_rate_dps",
+    "inner_rate_dps",
+    "gyro_x_c",
+    "gyro_y_c",
+    "gyro_z_c",
+    "board_x_c",
+    "board_y_c",
+    "board_z_c",
+    "case_c",
+    "ins_mode",
+    "step",
+    "dwell",
+)
+_ROWS_PER_PART = 900
+#: A kill loses the readings of this time at most.
+_LONGEST_UNWRITTEN_S = 600.0
+_SUFFIX = ".parquet"
+_MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
+
+
+class Telemetry:
+    """Writes the readings, part by part.
+
+    The present part is written anew, whole, with every flush until it is full: so a run of weeks
+    has few parts, and each can be read at any instant. Parts that are there at the start are kept;
+    the readings go on in a new one, after a gap.
+
+    Raises
+    ------
+    RunFolderError
+        A part can't be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        make_folder(folder)
+        parts = find_parts(folder, _SUFFIX)
+        self._number = 1 + max(parts, default=0)
+        self._rows: list[tuple[float, ...]] = []
+        self._written_rows = 0
+        self._gap = bool(parts)
+
+    def add(self, row: tuple[float, ...]) -> None:
+        """Add one row with the values of :data:`COLUMNS`."""
+        if self._gap:
+            self._rows.append((row[0], *[math.nan] * (len(COLUMNS) - 1)))
+            self._gap = False
+        self._rows.append(row)
+        unwritten_s = row[0] - self._rows[self._written_rows][0]
+        if unwritten_s >= _LONGEST_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has been collected; when this returns, it is on the disk."""
+        if self._written_rows == len(self._rows):
+            return
+        values = np.array(self._rows, dtype=np.float64).T
+        buffer = io.BytesIO()
+        pq.write_table(pa.table(dict(zip(COLUMNS, values, strict=True))), buffer)
+        write_whole(part_path(self._folder, self._number, _SUFFIX), buffer.getvalue())
+        self._written_rows = len(self._rows)
+        if self._written_rows >= _ROWS_PER_PART:
+            self._number += 1
+            self._rows.clear()
+            self._written_rows = 0
+
+
+def read_telemetry(folder: Path) -> dict[str, NDArray[np.float64]]:
+    """All readings of a run, column name to values, in the order of time.
+
+    Raises
+    ------
+    RunFolderError
+        A part can't be read.
+    """
+    parts = [_read_part(path) for path in find_parts(folder, _SUFFIX).values()]
+    return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in COLUMNS}
+
+
+def last_reading_s(folder: Path) -> float:
+    """Time of the last reading of a run, zero where there is none; may be later than its last journal entry.
+
+    Raises
+    ------
+    RunFolderError
+        The last part can't be read.
+    """
+    parts = find_parts(folder, _SUFFIX)
+    return float(_read_part(parts[max(parts)])["time_s"].max(initial=0.0)) if parts else 0.0
+
+
+def _read_part(path: Path) -> dict[str, NDArray[np.float64]]:
+    content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
+    try:
+        part = pq.ParquetFile(content)
+        # A few damaged bytes could ask for gigabytes.
+        if part.metadata.num_rows > _MAX_PART_ROWS:
+            raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
+        table = part.read(columns=list(COLUMNS))
+        return {name: np.asarray(table.column(name).cast(pa.float64())) for name in COLUMNS}
+    except (OSError, KeyError, ValueError, pa.ArrowException) as error:
+        if isinstance(error, RunFolderError):
+            raise
+        raise RunFolderError(f"{path}: can't be read: {error}") from error

@@ -1,0 +1,156 @@
+"""What a dwell of the emulated bench gives, whole and spoilt in every way."""
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.dwells.dwell import measure_dwell
+
+
+def has_no_numbers(row):
+    return np.isnan([row.bias_dph, row.sigma_dph, row.paper_bias_dph, row.paper_sigma_dph]).all()
+
+
+def halved(mark, gap_frames=0):
+    """Two stretches of one window, the table where it was, and some frames between them left out."""
+    middle = (mark.first_frame + mark.end_frame) // 2
+    return replace(mark, end_frame=middle), replace(mark, first_frame=middle + gap_frames)
+
+
+def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
+    measured = measure_dwell(*recorded)
+    row = measured.row
+    assert row.flags == ""
+    assert row.bias_dph == tuple(measured.estimate.bias_dph)
+    assert row.sigma_dph == tuple(measured.estimate.sigma_dph)
+    assert row.paper_bias_dph == tuple(measured.paper.bias_dph)
+    assert row.fit_p_value == measured.estimate.fit.p_value
+    # An epoch a second over 150 s, and over what the commands around them take.
+    for window in measured.windows:
+        assert np.diff(window.time_s) == pytest.approx(1.0)
+        assert 150.0 <= window.time_s[-1] - window.time_s[0] < 152.0
+    assert np.abs(np.subtract(row.gyro_c, 25.0)).max() < 5.0
+
+
+def test_a_dwell_whose_ins_fell_back_to_alignment_has_no_bias_and_says_why(recorded):
+    marks, frames, setup = recorded
+    early = replace(marks.windows[0], first_frame=0)
+    row = measure_dwell(replace(marks, windows=(early, marks.windows[1])), frames, setup).row
+    assert has_no_numbers(row)
+    assert "left navigation" in row.flags
+
+
+def test_a_dwell_without_frames_has_no_bias_and_says_why(recorded):
+    marks, frames, setup = recorded
+    row = measure_dwell(marks, frames.take(slice(0, 0)), setup).row
+    assert has_no_numbers(row)
+    assert "no navigation frames" in row.flags
+
+
+def test_frames_that_stopped_flag_the_dwell(recorded):
+    marks, frames, setup = recorded
+    second = marks.windows[1]
+    row = measure_dwell(marks, frames.take(slice(0, second.first_frame + 37 * 40)), setup).row
+    assert has_no_numbers(row)
+    assert "the window lasts 39.9 s" in row.flags
+
+
+def test_a_gap_of_some_seconds_flags_the_dwell(recorded):
+    marks, frames, setup = recorded
+    middle = (marks.windows[0].first_frame + marks.windows[0].end_frame) // 2
+    gap = np.flatnonzero(frames.timestamp_s > frames.timestamp_s[middle] + 3.0)[0] - middle
+    kept = np.ones(len(frames), dtype=bool)
+    kept[middle : middle + gap] = False
+    before = replace(marks.windows[0], end_frame=marks.windows[0].end_frame - gap)
+    after = replace(
+        marks.windows[1],
+        first_frame=marks.windows[1].first_frame - gap,
+        end_frame=marks.windows[1].end_frame - gap,
+    )
+    measured = measure_dwell(replace(marks, windows=(before, after)), frames.take(kept), setup)
+    assert "nothing from the INS for 3" in measured.row.flags
+    assert measured.counts.lost in (29, 30, 31)
+
+
+def test_three_windows_give_a_bias_that_is_not_the_papers(recorded):
+    marks, frames, setup = recorded
+    whole = measure_dwell(marks, frames, setup).estimate
+    three = (marks.windows[0], *halved(marks.windows[1], gap_frames=37 * 5))
+    measured = measure_dwell(replace(marks, windows=three), frames, setup)
+    assert measured.row.flags == ""
+    assert measured.paper is None
+    assert np.isnan([measured.row.paper_bias_dph, measured.row.paper_sigma_dph]).all()
+    # A jump of the attitude between two windows costs a little of what they say.
+    assert (measured.estimate.sigma_dph > whole.sigma_dph).all()
+    assert (measured.estimate.sigma_dph < 1.5 * whole.sigma_dph).all()
+    assert (np.abs(measured.estimate.bias_dph - whole.bias_dph) < measured.estimate.sigma_dph).all()
+
+
+def test_one_window_can_not_tell_the_biases(recorded):
+    marks, frames, setup = recorded
+    row = measure_dwell(replace(marks, windows=marks.windows[:1]), frames, setup).row
+    assert has_no_numbers(row)
+    assert "no navigation after a turn" in row.flags
+
+
+def test_windows_that_overlap_flag_the_dwell(recorded):
+    marks, frames, setup = recorded
+    row = measure_dwell(replace(marks, windows=(*marks.windows, marks.windows[1])), frames, setup).row
+    assert has_no_numbers(row)
+    assert "before the one before it ends" in row.flags
+
+
+def test_a_table_that_stood_elsewhere_flags_the_dwell(recorded):
+    marks, frames, setup = recorded
+    turned = replace(marks.windows[1], inner_deg=marks.windows[1].inner_deg - 90.0)
+    row = measure_dwell(replace(marks, windows=(marks.windows[0], turned)), frames, setup).row
+    assert has_no_numbers(row)
+    assert "INS and table in window 2 disagree by 90.0 deg" in row.flags
+
+
+def test_a_disturbed_dwell_keeps_its_flag_and_its_numbers(recorded):
+    marks, frames, setup = recorded
+    row = measure_dwell(replace(marks, disturbances=("door opened",)), frames, setup).row
+    assert row.flags == "door opened"
+    assert np.isfinite(row.bias_dph).all()
+
+
+def test_time_stamps_that_do_not_start_at_the_epoch_or_step_back_change_nothing(recorded):
+    marks, frames, setup = recorded
+    expected = measure_dwell(marks, frames, setup).row
+    since_power_up = frames.timestamp_s - frames.timestamp_s[0] + 5.0
+    stepped = np.where(np.arange(len(frames)) < len(frames) // 2, since_power_up, since_power_up - 30.0)
+    for stamps in (since_power_up, stepped):
+        assert measure_dwell(marks, replace(frames, timestamp_s=stamps), setup).row == expected
+
+
+def test_one_wild_velocity_flags_the_dwell(recorded):
+    marks, frames, setup = recorded
+    data = frames.data.copy()
+    inside = slice(marks.windows[0].first_frame, marks.windows[0].end_frame)
+    velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
+    data[velocity_rows[100]] = 0x11
+    row = measure_dwell(marks, replace(frames, data=data), setup).row
+    assert "times the residual" in row.flags
+
+
+@pytest.mark.parametrize(("factor", "flagged"), [(0.2, True), (5.0, False)])
+def test_a_dwell_is_flagged_if_its_noise_is_larger_than_declared(recorded, factor, flagged):
+    marks, frames, setup = recorded
+    declared = [factor * value for value in dataclasses.astuple(setup.noise)]
+    measured = measure_dwell(marks, frames, replace(setup, noise=type(setup.noise)(*declared)))
+    assert ("the noise is larger than declared" in measured.row.flags) is flagged
+    assert measured.row.fit_ratio == pytest.approx(1.0 / factor, rel=0.2)
+
+
+def test_noise_that_is_not_declared_is_estimated_but_never_below_the_resolution(recorded):
+    _, _, setup = recorded
+    coarse = replace(setup, noise=None, velocity_lsb_mps=0.01, heading_lsb_rad=1e-5)
+    windows = measure_dwell(*recorded).windows
+    noise = coarse.noise_in(windows)
+    assert noise.angle_random_walk == pytest.approx(setup.noise.angle_random_walk, rel=0.2)
+    assert noise.velocity_white == pytest.approx(0.01 / 12**0.5)
+    assert noise.heading_white == pytest.approx(1e-5 / 12**0.5)
+    assert setup.noise_in(windows) is setup.noise

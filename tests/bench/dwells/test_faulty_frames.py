@@ -1,0 +1,88 @@
+"""Whatever happens to the frames of a dwell: its numbers are right, or it says that they are not."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.dwells.dwell import measure_dwell
+from tests.bench.dwells.fault_kinds import FAULTS
+from tests.bench.dwells.frame_faults import Recording
+
+#: Faults that cost nothing: the dwell stays good.
+HARMLESS = {
+    ("none", ""),
+    ("frames lost", "one"),
+    ("frames lost", "1%"),
+    ("frames lost", "1 s"),
+    ("frames repeated", "1%"),
+    ("frames out of order", "1 % by 1"),
+    ("time stamps jump", "-3600 s"),
+    ("time stamps jump", "-30 s"),
+    ("time stamps jump", "10 s"),
+    ("foreign frames", "3 for each"),
+    ("electronics saturated", "all"),
+}
+#: What is said of others.
+SAID = {
+    ("frames lost", "10 s"): "nothing from the INS for",
+    ("counter jumps", "100"): "clock of the INS was set anew",
+    ("bit flipped, velocity", "bit 24"): "jumps at",
+    ("bit flipped, temperature", "bit 31"): "no temperature of the y gyro, so its bias belongs to no bin",
+    ("output stuck", "30 s"): "the output hangs",
+    ("heading stuck", "window"): "the heading stays the same",
+    ("velocity E stuck", "window"): "the velocity East stays the same",
+    ("alignment lost", "5 %"): "alignment is another one",
+    ("mode aligning", "one"): "left navigation",
+    ("attitude not valid", "one"): "not valid",
+    ("velocity saturated", "all"): "velocity is not a number",
+    ("temperature saturated", "all"): "x gyro, so its bias belongs to no bin: its sensor tells nothing",
+    ("temperature of 200 degC", "all"): "says 200.0 degC",
+    ("temperature jumps", "10.0 K"): "jumps by 10.0 K",
+    ("second node, temperature", "10 K"): "does a second node send them",
+    ("second node, heading", "ramp"): "contradict those of the same epoch",
+    ("output steps, heading", "10000 LSB"): "the heading jumps",
+    ("turned by hand", "10.0 arcsec in 10 s"): "bends within 10 s",
+}
+
+
+@pytest.fixture(scope="module")
+def measured(recorded):
+    """Every fault once in the ten-minute check's dwell."""
+    marks, frames, setup = recorded
+    outcomes = {}
+    for number, (kind, size, make) in enumerate(FAULTS):
+        faulty = make(Recording(marks, frames), np.random.default_rng(number))
+        outcomes[kind, size] = measure_dwell(faulty.marks, faulty.frames, setup).row
+    return outcomes
+
+
+def is_slow_turn(fault):
+    """A steady turn through a whole window looks like a bias; only the table's own reading tells more."""
+    kind, size = fault
+    return kind == "turned by hand" and size.endswith("window s")
+
+
+def test_no_wrong_number_passes_for_good(measured):
+    clean = measured["none", ""]
+    for fault, row in measured.items():
+        if not row.flags and not is_slow_turn(fault):
+            off = np.abs(np.subtract(row.bias_dph, clean.bias_dph)) / clean.sigma_dph
+            assert off.max() < 4.0, fault
+            assert np.abs(np.subtract(row.gyro_c, clean.gyro_c)).max() < 1.0, fault
+
+
+def test_a_slow_turn_through_one_window_is_noticed_by_the_other(measured):
+    for arcsec in (10.0, 100.0):
+        assert (
+            "the biases of the windows differ"
+            in measured["turned by hand", f"{arcsec} arcsec in window s"].flags
+        )
+
+
+@pytest.mark.parametrize("fault", sorted(HARMLESS), ids=", ".join)
+def test_what_costs_nothing_flags_nothing(measured, fault):
+    assert measured[fault].flags == ""
+
+
+@pytest.mark.parametrize("fault", sorted(SAID), ids=", ".join)
+def test_a_flag_says_what_was_wrong(measured, fault):
+    assert SAID[fault] in measured[fault].flags

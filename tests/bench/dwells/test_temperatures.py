@@ -1,0 +1,139 @@
+import math
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.dwells.temperatures import (
+    dwell_temperatures,
+    gyro_temperatures_at,
+    slopes_c_per_h,
+    triple,
+)
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.drivers.ins.epochs import EpochCounts
+from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures
+
+START_C, SLOPE_C_PER_H = np.array([20.0, -30.0, 65.0]), np.array([3.6, 0.0, -7.2])
+EPOCHS, TEMPERATURE_S = 400, 5.0
+
+
+def optics_c(time_s):
+    return START_C + np.multiply.outer(time_s / 3600.0, SLOPE_C_PER_H)
+
+
+def series(time_s, **changed):
+    """Temperatures that change evenly, the electronics 10 K hotter, the case 5 K cooler than the x gyro."""
+    values = {"optics_c": optics_c(time_s), "case_c": optics_c(time_s)[:, 0] - 5.0}
+    values["spread_k"] = np.zeros((len(time_s), 7))
+    return Temperatures(time_s, **{**values, "electronics_c": values["optics_c"] + 10.0, **changed})
+
+
+def recording(temperatures):
+    """Epochs each second from 100 s on, with three frames each."""
+    time_s = 100.0 + np.arange(EPOCHS)
+    return NavigationData(
+        ins_time_s=time_s,
+        timestamp_s=time_s,
+        row=3 * np.arange(EPOCHS) + 2,
+        segment=np.zeros(EPOCHS, np.int64),
+        velocity_enu_mps=np.zeros((EPOCHS, 3)),
+        attitude=np.tile(np.eye(3), (EPOCHS, 1, 1)),
+        mode=np.zeros(EPOCHS, np.int8),
+        alignment=np.zeros(EPOCHS, np.int8),
+        temperatures=temperatures,
+        counts=EpochCounts(),
+        short_frames=0,
+    )
+
+
+@pytest.fixture
+def navigation():
+    return recording(series(np.arange(0.0, 600.0, TEMPERATURE_S)))
+
+
+def test_means_and_slopes_are_those_between_two_frames(navigation):
+    # Rows 300 to 899 are the epochs from 200 to 399 s, temperatures those from 200 to 395 s.
+    found = dwell_temperatures(navigation, 300, 900)
+    np.testing.assert_allclose(found.gyro_c, optics_c(297.5))
+    np.testing.assert_allclose(found.gyro_rate_c_per_h, SLOPE_C_PER_H, atol=1e-9)
+    np.testing.assert_allclose(found.board_c, optics_c(297.5) + 10.0)
+    assert found.case_c == pytest.approx(optics_c(297.5)[0] - 5.0)
+
+
+def test_what_the_ins_does_not_tell_is_not_a_number():
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    unknown = np.full((len(time_s), 3), np.nan)
+    found = dwell_temperatures(
+        recording(series(time_s, electronics_c=unknown, case_c=unknown[:, 0])), 300, 900
+    )
+    assert np.isnan([*found.board_c, found.case_c]).all()
+    np.testing.assert_allclose(found.gyro_c, optics_c(297.5))
+
+
+def test_no_epoch_between_the_frames_is_an_error(navigation):
+    with pytest.raises(MeasurementError, match="no navigation frames in the dwell"):
+        dwell_temperatures(navigation, 5000, 6000)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_fewer_than_two_temperatures_are_an_error(count):
+    few = series(200.0 + np.arange(count))
+    with pytest.raises(MeasurementError, match="no gyro temperatures in the dwell"):
+        dwell_temperatures(recording(few), 300, 900)
+
+
+def test_slope_is_that_of_least_squares():
+    time_s = np.array([0.0, 1.0, 2.0, 5.0])
+    values = np.column_stack([2.0 * time_s + 1.0, [0.0, 1.0, -1.0, 0.5]])
+    expected = [np.polyfit(time_s / 3600.0, column, 1)[0] for column in values.T]
+    np.testing.assert_allclose(slopes_c_per_h(time_s, values), expected)
+
+
+def test_temperatures_at_epochs_lie_between_their_neighbours():
+    time_s = np.array([0.0, 2.5, 7.0, 595.0, 700.0])
+    found = gyro_temperatures_at(time_s, series(np.arange(0.0, 600.0, TEMPERATURE_S)))
+    np.testing.assert_allclose(found[:-1], optics_c(time_s[:-1]))
+    np.testing.assert_allclose(found[-1], optics_c(595.0))  # the last one known
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_temperatures_are_as_good_as_none(count):
+    assert gyro_temperatures_at(np.arange(5.0), series(np.arange(float(count)))) is None
+
+
+def test_a_gyro_without_temperature_leaves_them_all_out():
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    lacking = optics_c(time_s)
+    lacking[:, 1] = math.nan
+    assert gyro_temperatures_at(time_s, series(time_s, optics_c=lacking)) is None
+
+
+def test_triple_is_made_of_plain_numbers():
+    assert [type(value) for value in triple(np.array([1, 2, 3], np.int32))] == [float] * 3
+
+
+def with_gaps(time_s, share, axis=1):
+    """Optics of which one gyro's samples are not a number, in even steps."""
+    values = optics_c(time_s)
+    values[:: round(1.0 / share), axis] = math.nan
+    return values
+
+
+def test_a_few_temperatures_that_are_no_numbers_do_not_matter():
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    told = series(time_s, optics_c=with_gaps(time_s, 0.05))
+    found = dwell_temperatures(recording(told), 300, 900)
+    np.testing.assert_allclose(found.gyro_c, optics_c(297.5), atol=0.01)
+    np.testing.assert_allclose(found.gyro_rate_c_per_h, SLOPE_C_PER_H, atol=1e-9)
+    at_s = np.array([12.0, 100.0, 400.0])
+    np.testing.assert_allclose(gyro_temperatures_at(at_s, told), optics_c(at_s))
+
+
+def test_a_gyro_that_often_tells_no_number_is_not_measured_and_the_others_are():
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    told = series(time_s, optics_c=with_gaps(time_s, 0.2))
+    found = dwell_temperatures(recording(told), 300, 900)
+    assert np.isnan([found.gyro_c[1], found.gyro_rate_c_per_h[1]]).all()
+    np.testing.assert_allclose(np.array(found.gyro_c)[[0, 2]], optics_c(297.5)[[0, 2]])
+    np.testing.assert_allclose(np.array(found.gyro_rate_c_per_h)[[0, 2]], SLOPE_C_PER_H[[0, 2]], atol=1e-9)
+    assert gyro_temperatures_at(time_s, told) is None

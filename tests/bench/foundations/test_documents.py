@@ -1,0 +1,249 @@
+import json
+import string
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import Field
+
+from gyrobench.bench.foundations.documents import (
+    MAX_DOCUMENT_BYTES,
+    Document,
+    Problem,
+    StrictModel,
+    find_document,
+    parse_document,
+    read_document,
+    validate,
+)
+from gyrobench.bench.foundations.errors import DocumentError
+
+PATH = Path("folder/test.yaml")
+
+
+class Inner(StrictModel):
+    temperature_c: float = Field(gt=-273.15, description="of the chamber")
+    name: str = ""
+
+
+class Outer(StrictModel):
+    title: str
+    count: int = 1
+    share: float = 0.0
+    on: bool = False
+    inner: list[Inner] = Field(default=[])
+    named: dict[str, Inner] = Field(default={})
+
+
+def parse(text: str) -> Document:
+    return parse_document(text, PATH)
+
+
+def error_of(text: str) -> str:
+    with pytest.raises(DocumentError) as caught:
+        validate(parse(text), Outer)
+    return str(caught.value)
+
+
+def test_a_document_becomes_its_model() -> None:
+    text = (
+        "title: a\ncount: 3\nshare: 1e-5\non: true\n"
+        "inner:\n  - {temperature_c: 20}\nnamed: {x: {temperature_c: -5.5}}"
+    )
+    model = validate(parse(text), Outer)
+    assert model == Outer(
+        title="a", count=3, share=1e-5, on=True,
+        inner=[Inner(temperature_c=20.0)], named={"x": Inner(temperature_c=-5.5)},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1", 1), ("-7", -7), ("+7", 7), ("010", 10), ("1.5", 1.5), ("1.", 1.0), (".5", 0.5), ("1e3", 1000.0),
+        ("1E-5", 1e-5), ("true", True), ("False", False), ("~", None), ("", None), ("null", None),
+        ("on", "on"), ("yes", "yes"), ("no", "no"), ("0x1F", "0x1F"), ("1_000", "1_000"), ("12:30", "12:30"),
+        ("2026-01-01", "2026-01-01"), ("$name", "$name"), ("'1'", "1"), ("!!str 1", "1"), ("!!float 2", 2.0),
+        ("1.2.3", "1.2.3"), ("<<", "<<"), ("=", "="),
+    ],
+)  # fmt: skip
+def test_plain_scalars_are_those_of_yaml_1_2(text: str, value: object) -> None:
+    data = parse(f"key: {text}").data
+    assert data == {"key": value}
+    assert type(data["key"]) is type(value)
+
+
+def test_every_key_and_item_knows_its_place() -> None:
+    document = parse("a: 1\nb:\n  - x\n  - c: 2\n    d: [5, 6]\n")
+    assert document.places[("b", 1, "d", 1)] == (5, 12)
+    assert document.place(("b", 1, "c")) == f"{PATH}:4:5"
+    assert document.place(("b", 0)) == f"{PATH}:3:5"
+
+
+def test_the_place_of_something_missing_is_that_of_what_it_is_missing_from() -> None:
+    document = parse("a:\n  b: 1\n")
+    assert document.place(("a", "nothing", "deeper")) == f"{PATH}:1:1"
+    assert document.place(("a", "tag", "b")) == f"{PATH}:2:3"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("title: a\ncuont: 2", "2:1: unknown key 'cuont' (did you mean 'count'?); allowed here: title"),
+        ("title: a\nzzz: 2", "2:1: unknown key 'zzz'; allowed here: title, count"),
+        ("count: 2", "1:1: the key 'title' is missing"),
+        ("title: a\ncount: 2.5", "2:1: 'count' should be a valid integer; found 2.5"),
+        ("title: a\ncount: '2'", '2:1: \'count\' should be a valid integer; found "2"'),
+        ("title: a\ncount: true", "2:1: 'count' should be a valid integer; found true"),
+        ("title: a\nshare: true", "2:1: 'share' should be a valid number; found true"),
+        ("title: a\nshare: 1e999", "2:1: 'share' should be a finite number; found Infinity"),
+        ("title: 5", "1:1: 'title' should be a valid string; found 5"),
+        ("title: a\non: 1", "2:1: 'on' should be a valid boolean; found 1"),
+        ("title: a\ninner:\n - temperature_c: -300", "3:4: 'temperature_c' should be greater than -273.15;"),
+        ("title: a\ninner:\n - name: n", "3:4: the key 'temperature_c' is missing: of the chamber"),
+        ("title: a\ninner: [5]", "2:9: Input should be a valid dictionary or instance of Inner; found 5"),
+        ("title: a\nnamed:\n  q: {temperature: 5, temperature_c: 5}", "3:7: unknown key 'temperature'"),
+        ("title: a\nt{x}: 2", "2:1: unknown key 't{x}'"),
+        ('title: a\n"t\\nx": 2', '2:1: unknown key "t\\nx"'),
+        ("title: a\ncount: 온도", '2:1: \'count\' should be a valid integer; found "온도"'),
+        ("title: a\ntitle: b", "2:1: the key 'title' is given twice"),
+        ("title: a\n? [1, 2]\n: 5", "a key has to be plain text"),
+        ("title: .nan", "1:1: expected text, a number or true/false"),
+        ("count: !!int two", "1:1: expected text, a number or true/false"),
+        ("share: !!float E", "1:1: expected text, a number or true/false"),
+        ("on: !!bool maybe", "1:1: expected text, a number or true/false"),
+        ("title: !!python/name:os.system x", "1:1: expected text, a number or true/false"),
+        ("title: !!binary aGk=", "1:1: expected text, a number or true/false"),
+        ("[1, 2]", "1:1: expected keys and values; found [1, 2]"),
+        ("just text", "1:1: expected keys and values"),
+        ("", "1:1: the file is empty"),
+        ("# only a comment", "1:1: the file is empty"),
+        ("title: [a", "not valid YAML"),
+        ("title: a\n  count: 2", "2:8: not valid YAML"),
+        ("a: 1\n---\nb: 2", "2:1: not valid YAML: but found another document"),
+        ("title: *nowhere", "1:8: not valid YAML: found undefined alias"),
+        ("title: \x07", "1:1: not valid YAML"),
+        ('"\\UFFFFFFFF": 1', "1:1: not valid YAML"),
+        (f"%YAML {'9' * 5000}.1\n---\na: 1", "1:1: not valid YAML"),
+        ("[" * 5000, "not valid YAML: more than 50000 values or deeper than 50 levels"),
+        ("title: [" + "1," * 120_000 + "]", "not valid YAML: more than 50000 values"),
+        ("title: &a [*a, *a]", "1:1: more than 50000 values or deeper than 50 levels"),
+        ("title: !!python/object/apply:os.system [ls]", "a value can't have the tag"),
+        ("inner: !!set {a, b}", "a value can't have the tag"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_its_place(text: str, expected: str) -> None:
+    message = error_of(text)
+    assert message.startswith(f"{PATH}:")
+    assert expected in message
+    assert "\n" not in message
+
+
+def test_all_mistakes_are_listed_in_the_order_of_the_file() -> None:
+    message = error_of("inner:\n  - {temperature_c: x}\n  - {nmae: 5}\ncount: 1.5\n")
+    assert [line.split(":")[1] for line in message.splitlines()] == ["1", "2", "3", "3", "4"]
+
+
+def test_long_values_are_cut() -> None:
+    assert len(error_of(f"title: a\ncount: {'x' * 10_000}")) < 200
+
+
+@pytest.mark.parametrize("text", ["&a [*a]", "a: &b {c: *b}", "&a {x: [*a, *a, *a, *a]}"])
+def test_a_document_that_contains_itself_is_refused(text: str) -> None:
+    with pytest.raises(DocumentError, match="levels"):
+        parse(text)
+
+
+def test_aliases_that_grow_are_refused() -> None:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
+    with pytest.raises(DocumentError, match="more than 50000 values"):
+        parse("\n".join(lines))
+
+
+def test_an_alias_stands_for_the_value_at_its_anchor() -> None:
+    document = parse("a: &x {b: [1]}\nc: *x\n")
+    assert document.data == {"a": {"b": [1]}, "c": {"b": [1]}}
+    assert document.place(("c", "b", 0)) == f"{PATH}:1:12"
+
+
+def test_problems_that_are_equal_are_listed_once() -> None:
+    document = parse("a: 1")
+    assert str(document.error([Problem(("a",), "wrong")] * 3)) == f"{PATH}:1:1: wrong"
+
+
+FRAGMENTS = ["!!int ", "!!float ", "!!null ", "!!map ", "a", ": ", "- ", "\n", "1e", "&x ", "*x", "[", "]"]
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    st.one_of(
+        st.text(max_size=200),
+        st.text(st.sampled_from("ab1.-:?,[]{}&*!|>'\"%@`#~<= \n\t\\Ux0e"), max_size=80),
+        st.lists(st.sampled_from(FRAGMENTS)).map("".join),
+    )
+)
+def test_any_text_gives_a_document_or_a_document_error(text: str) -> None:
+    message = f"{PATH}:"
+    try:
+        validate(parse(text), Outer)
+    except DocumentError as error:
+        message = str(error)
+    assert message.startswith(f"{PATH}:")
+
+
+SCALARS = st.one_of(
+    st.booleans(), st.integers(-(10**9), 10**9), st.floats(allow_nan=False, allow_infinity=False),
+    st.text(string.ascii_letters + " :#", max_size=5),
+)  # fmt: skip
+
+
+@settings(deadline=None)
+@given(
+    st.recursive(
+        SCALARS,
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(st.text(string.ascii_letters, min_size=1), inner, max_size=3)
+        ),
+        max_leaves=10,
+    )
+)
+def test_plain_data_written_as_json_is_read_back(data: object) -> None:
+    assert parse(json.dumps({"key": data})).data == {"key": data}
+
+
+def test_a_file_is_read_as_utf_8(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("title: 자이로\n", encoding="utf-8")
+    assert read_document(path).data == {"title": "자이로"}
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.yaml"
+    broken.write_bytes(b"title: \xff\xfe")
+    large = tmp_path / "large.yaml"
+    large.write_text("#" * (MAX_DOCUMENT_BYTES + 1))
+    for path, message in [
+        (tmp_path / "missing.yaml", "No such file"),
+        (tmp_path, "directory"),
+        (broken, "not UTF-8"),
+        (large, "at most 1000000"),
+    ]:
+        with pytest.raises(DocumentError, match=message) as caught:
+            read_document(path)
+        assert str(path) in str(caught.value)
+
+
+def test_a_shipped_file_is_found_by_its_name_and_any_file_by_its_path(tmp_path: Path) -> None:
+    assert find_document("procedures", "ten_minute_check").name == "ten_minute_check.yaml"
+    own = tmp_path / "own.yaml"
+    own.touch()
+    assert find_document("procedures", str(own)) == own
+
+
+@pytest.mark.parametrize("name", ["nothing", "nothing.yaml", "folder/nothing"])
+def test_a_file_that_does_not_exist_is_answered_with_the_shipped_names(name: str) -> None:
+    with pytest.raises(DocumentError, match=r"Shipped procedures: .*six_position_fig7, ten_minute_check"):
+        find_document("procedures", name)

@@ -1,0 +1,90 @@
+import os
+
+import pytest
+
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import file_sha256, make_folder, make_new_folder, remove, write_whole
+
+
+def broken(*_):
+    raise OSError(5, "Input/output error")
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "table.csv"
+    write_whole(path, b"old")
+    with pytest.raises(RunFolderError, match="can't be written"):
+        write_whole(tmp_path / "absent" / "table.csv", b"new")
+    write_whole(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_a_file_stays_as_it_was_where_the_disk_fails(tmp_path, monkeypatch, call):
+    path = tmp_path / "table.csv"
+    write_whole(path, b"old")
+    monkeypatch.setattr(os, call, broken)
+    with pytest.raises(RunFolderError, match="Input/output error"):
+        write_whole(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_is_there_already_takes_no_folder(tmp_path):
+    path = tmp_path / "figures"
+    path.write_text("a file")
+    with pytest.raises(RunFolderError, match="is a file where a folder should be"):
+        make_folder(path)
+    with pytest.raises(RunFolderError, match="can't be made: File exists"):
+        make_folder(path / "deeper")
+
+
+def test_a_folder_is_made_with_those_above_it_and_once(tmp_path):
+    path = tmp_path / "a" / "b" / "c"
+    assert make_new_folder(path)
+    assert not make_new_folder(path)
+    make_folder(path)
+    assert path.is_dir()
+
+
+def test_a_folder_that_cant_be_made_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "mkdir", broken)
+    with pytest.raises(RunFolderError, match="can't be made: Input/output error"):
+        make_folder(tmp_path / "new")
+
+
+def test_removing_what_is_not_there_is_no_error(tmp_path):
+    path = tmp_path / "stale.json"
+    path.touch()
+    remove(path)
+    remove(path)
+    assert not path.exists()
+
+
+def test_a_file_that_cant_be_removed_is_an_error(tmp_path, monkeypatch):
+    path = tmp_path / "stale.json"
+    path.touch()
+    monkeypatch.setattr(os, "unlink", broken)
+    with pytest.raises(RunFolderError, match="can't be removed: Input/output error"):
+        remove(path)
+
+
+def test_what_need_not_outlive_a_power_cut_is_written_whole_without_a_wait(tmp_path, monkeypatch):
+    path = tmp_path / "live.json"
+    path.write_bytes(b"old")
+    monkeypatch.setattr(os, "fsync", broken)
+    write_whole(path, b"new", is_synced=False)
+    assert path.read_bytes() == b"new"
+    monkeypatch.setattr(os, "replace", broken)
+    with pytest.raises(RunFolderError, match="Input/output error"):
+        write_whole(path, b"newer", is_synced=False)
+    assert path.read_bytes() == b"new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["live.json"]
+
+
+def test_the_hash_of_a_file_is_that_of_its_content(tmp_path):
+    (tmp_path / "dwells.csv").write_bytes(b"abc")
+    assert file_sha256(tmp_path / "dwells.csv").startswith("ba7816bf8f01cfea")
+    with pytest.raises(RunFolderError, match=r"absent\.csv: can't be read"):
+        file_sha256(tmp_path / "absent.csv")

@@ -1,0 +1,53 @@
+"""Levels and differences of runs that were not measured in the same positions."""
+
+from datetime import datetime
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.runs.index_run_biases import LEVEL, run_biases
+
+
+def rows(path, biases, sigma=0.001, gyro="x"):
+    return [
+        {
+            "path": path,
+            "unit": "1",
+            "started_utc": datetime(2026, 1, 1),
+            "gyro": gyro,
+            "bin_low_c": 20.0,
+            "bin_high_c": 25.0,
+            "position": position,
+            "bias_dph": bias,
+            "sigma_dph": sigma,
+        }
+        for position, bias in biases.items()
+    ]
+
+
+def test_a_level_is_the_mean_of_the_positions_and_a_difference_is_from_it():
+    result = run_biases(rows("a", {"z_up": 0.001, "y_up": 0.002, "x_up": 0.006}, sigma=0.003))
+    assert {quantity.name: each[0].bias_dph for quantity, each in result.items()} == pytest.approx(
+        {LEVEL: 0.003, "z_up": -0.002, "y_up": -0.001, "x_up": 0.003}
+    )
+    sigmas = {quantity.name: each[0].sigma_dph for quantity, each in result.items()}
+    assert sigmas[LEVEL] == pytest.approx(0.003 / np.sqrt(3))
+    assert sigmas["z_up"] == pytest.approx(0.003 * np.sqrt(2 / 3))
+
+
+def test_runs_are_compared_by_the_positions_that_most_have():
+    result = run_biases(
+        [
+            *rows("a", {"z_up": 1.0, "y_up": 3.0}),
+            *rows("b", {"z_up": 1.0, "y_up": 3.0, "x_up": 100.0}),
+            *rows("c", {"z_up": 1.0}),
+        ]
+    )
+    level = next(quantity for quantity in result if quantity.name == LEVEL)
+    assert level.positions == ("z_up", "y_up")
+    assert [(run.path, run.bias_dph) for run in result[level]] == [("a", 2.0), ("b", 2.0)]
+
+
+def test_of_two_positions_one_difference_tells_all():
+    names = [quantity.name for quantity in run_biases(rows("a", {"z_up": 1.0, "y_up": 3.0}))]
+    assert names == [LEVEL, "y_up"]

@@ -1,0 +1,73 @@
+import re
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.runs.compensation_file import CompensationFile, read_compensation, write_compensation
+from gyrobench.drivers.ins import Compensation
+
+POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        path = tmp_path / "compensation.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_every_number_of_a_compensation_has_its_key():
+    assert list(CompensationFile.model_fields) == [each.name for each in fields(Compensation)]
+
+
+def test_a_compensation_is_read_as_it_was_written(tmp_path):
+    random = np.random.default_rng(2)
+    numbers = {each.name: random.uniform(1.0, 2.0, 3) for each in fields(Compensation)}
+    for name in ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g"):
+        numbers[name] = random.normal(size=(3, 3))
+    numbers |= {"polynomial_dph": random.normal(size=(3, 4)), "high_c": np.full(3, 60.0)}
+    numbers["difference_high_k"] = np.full(3, 30.0)
+    path = tmp_path / "compensation.yaml"
+    write_compensation(path, Compensation(**numbers))
+    read = read_compensation(path)
+    for name, value in numbers.items():
+        np.testing.assert_array_equal(getattr(read, name), value)
+
+
+def test_terms_that_are_not_used_are_left_out(tmp_path, written):
+    path = tmp_path / "polynomial.yaml"
+    write_compensation(path, read_compensation(written(POLYNOMIAL)))
+    assert "warm_up" not in path.read_text()
+    assert read_compensation(path).terms() == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            f"{POLYNOMIAL}difference_low_k: [5, 5, 5]\ndifference_high_k: [6, 4, 6]\n",
+            "difference_low_k must not be above difference_high_k",
+        ),
+        (
+            POLYNOMIAL + "warm_up_dph: [1, 2, 3]\nwarm_up_s: [-1, 0, 1]\n",
+            "warm_up_dph needs warm_up_s above zero",
+        ),
+        (POLYNOMIAL.replace("[1.0]", "[1.0, 2.0]"), "as many coefficients for each gyro"),
+        (
+            POLYNOMIAL.replace("low_c: [-20, -20, -20]", "low_c: [-20, 90, -20]"),
+            "low_c must not be above high_c",
+        ),
+        (POLYNOMIAL + "gravity: [1, 2, 3]\n", "unknown key 'gravity'"),
+        (POLYNOMIAL + "warm_up_dph: [1, 2]\n", "at least 3 items"),
+        ("low_c: [1, 2, 3]\n", "polynomial_dph"),
+    ],
+)
+def test_mistakes_are_told_with_their_place(written, text, message):
+    with pytest.raises(DocumentError, match=message) as caught:
+        read_compensation(written(text))
+    assert re.match(r".*compensation\.yaml:\d+:\d+: ", str(caught.value))

@@ -1,0 +1,157 @@
+import os
+import subprocess
+import sys
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.runs.journal import Journal, read_journal
+
+
+def test_entries_come_back_in_order_with_their_time(tmp_path):
+    clock = VirtualClock()
+    with Journal(tmp_path / "journal.jsonl", clock) as journal:
+        journal.record("step_started", step=1)
+        clock.sleep(2.5)
+        journal.record("step_finished", step=1, took_s=2.5)
+    entries = list(read_journal(tmp_path / "journal.jsonl"))
+    assert [(entry["event"], entry["time_s"]) for entry in entries] == [
+        ("step_started", 0.0),
+        ("step_finished", 2.5),
+    ]
+    assert entries[1]["utc"].startswith("2000-01-01T00:00:02.5")
+
+
+def test_an_entry_is_on_the_disk_before_the_next_thing_happens(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("step_started", step=1)
+        assert len(list(read_journal(path))) == 1
+
+
+def test_a_last_line_that_was_cut_off_is_left_out(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_text('{"event": "a"}\n{"event": "b", "st')
+    assert [entry["event"] for entry in read_journal(path)] == ["a"]
+
+
+def test_a_damaged_line_in_the_middle_is_an_error_with_its_place(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_text('{"event": "a"}\n{"ev\n{"event": "c"}\n')
+    entries = read_journal(path)
+    assert next(entries) == {"event": "a"}
+    with pytest.raises(RunFolderError, match=r"journal\.jsonl:2: damaged"):
+        next(entries)
+
+
+@pytest.mark.parametrize(
+    "tail",
+    [
+        b'{"event": "b", "st',
+        b'{"event": "b"}',
+        b"\0" * 40,
+        b'{"eve\0\0\0\0\n',
+        b"[1, 2]\n",
+        b"\xff\xfe\n",
+        b"[" * 100_000 + b"\n",
+    ],
+)
+def test_a_journal_that_was_cut_off_is_repaired_and_says_so(tmp_path, tail):
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(b'{"event": "a"}\n' + tail)
+    assert [entry["event"] for entry in read_journal(path)] == ["a"]
+    with Journal(path, VirtualClock(3.0)) as journal:
+        journal.record("c")
+    entries = list(read_journal(path))
+    assert [entry["event"] for entry in entries] == ["a", "journal_repaired", "c"]
+    assert entries[1]["cut_off"] == tail[:60].decode(errors="replace")
+    assert path.read_bytes().count(b"\n") == 3
+
+
+def test_a_whole_journal_is_gone_on_with_as_it_is(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    for event in "ab":
+        with Journal(path, VirtualClock()) as journal:
+            journal.record(event)
+    assert [entry["event"] for entry in read_journal(path)] == ["a", "b"]
+
+
+def test_a_journal_damaged_in_the_middle_is_not_written_to(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_text('{"ev\n{"event": "c"}\n')
+    with pytest.raises(RunFolderError, match=r"journal\.jsonl:1: damaged"):
+        Journal(path, VirtualClock())
+    assert path.read_text() == '{"ev\n{"event": "c"}\n'
+
+
+def test_a_second_writer_is_refused_until_the_first_is_gone(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    program = (
+        "import sys, pathlib; from gyrobench.bench.foundations.clock import VirtualClock;"
+        "from gyrobench.bench.runs.journal import Journal;"
+        "journal = Journal(pathlib.Path(sys.argv[1]), VirtualClock()); journal.record('a');"
+        "print('writes', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", program, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"writes\n"
+        with pytest.raises(RunFolderError, match="another process is writing this run"):
+            Journal(path, VirtualClock())
+        other.kill()
+        other.wait()
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("b")
+    assert [entry["event"] for entry in read_journal(path)] == ["a", "b"]
+
+
+def test_an_entry_that_could_not_be_written_leaves_the_journal_as_it_was(tmp_path, small_files):
+    path = tmp_path / "journal.jsonl"
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("a")
+        with small_files(path.stat().st_size + 20), pytest.raises(RunFolderError, match="can't be written"):
+            journal.record("b", text="x" * 100)
+        assert [entry["event"] for entry in read_journal(path)] == ["a"]
+        assert path.read_bytes().endswith(b"\n")
+        journal.record("c")
+    assert [entry["event"] for entry in read_journal(path)] == ["a", "c"]
+
+
+def test_an_entry_that_is_not_on_the_disk_is_taken_back(tmp_path, monkeypatch):
+    path = tmp_path / "journal.jsonl"
+
+    def broken(descriptor):
+        raise OSError(5, "Input/output error")
+
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("a")
+        monkeypatch.setattr(os, "fsync", broken)
+        with pytest.raises(RunFolderError, match="Input/output error"):
+            journal.record("b")
+    assert [entry["event"] for entry in read_journal(path)] == ["a"]
+
+
+def test_a_number_that_is_not_finite_becomes_null(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("trip", value_c=float("nan"), limits_c=(float("-inf"), 70.0), of={"x": float("inf")})
+    (entry,) = read_journal(path)
+    assert (entry["value_c"], entry["limits_c"], entry["of"]) == (None, [None, 70.0], {"x": None})
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.text(max_size=30), share=st.floats(0.0, 1.0))
+def test_cut_anywhere_a_journal_gives_the_entries_that_are_whole(tmp_path, text, share):
+    path = tmp_path / "journal.jsonl"
+    path.unlink(missing_ok=True)
+    with Journal(path, VirtualClock()) as journal:
+        for number in range(4):
+            journal.record("said", number=number, text=text)
+    whole = path.read_bytes()
+    cut = whole[: round(share * len(whole))]
+    path.write_bytes(cut)
+    entries = list(read_journal(path))
+    assert [entry["number"] for entry in entries] == list(range(cut.count(b"\n")))
+    assert all(entry["text"] == text for entry in entries)
