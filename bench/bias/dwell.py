@@ -6,11 +6,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import angle_between, rotation_vector_enu
-from gyrobench.bench.navigation.earth import RADPS_TO_DPH
 from gyrobench.bench.navigation.positions import POSITIONS, Position
 
 #: Fewest epochs of a window.
@@ -27,7 +26,7 @@ MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
 MAX_MOVEMENT = np.deg2rad(0.5)
 
 
-def slots(time_s: NDArray[np.float64], first_s: float, interval_s: float) -> NDArray[np.int64]:
+def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
     """Number of the interval, counted from ``first_s``, that each time (n,) lies in."""
     return np.floor((time_s - first_s) / interval_s + _SLOT_TOLERANCE).astype(np.int64)
 
@@ -53,10 +52,10 @@ class NavigationWindow:
         Too few epochs or too short a time, a gap, times that do not increase, not a number.
     """
 
-    time_s: NDArray[np.float64]
-    velocity_enu_mps: NDArray[np.float64]
-    C_nb: NDArray[np.float64]
-    gyro_c: NDArray[np.float64] | None = None
+    time_s: FloatArray
+    velocity_enu_mps: FloatArray
+    C_nb: FloatArray
+    gyro_c: FloatArray | None = None
 
     def __post_init__(self) -> None:
         count = len(self.time_s)
@@ -107,11 +106,11 @@ class TurnPath:
         Attitude at each of them.
     """
 
-    time_s: NDArray[np.float64]
-    C_nb: NDArray[np.float64]
+    time_s: FloatArray
+    C_nb: FloatArray
 
     @classmethod
-    def steady(cls, begin_s: float, end_s: float, C_nb: NDArray[np.float64]) -> TurnPath:
+    def steady(cls, begin_s: float, end_s: float, C_nb: FloatArray) -> TurnPath:
         """Attitudes (k, 3, 3) at equal times from begin to end."""
         return cls(np.linspace(begin_s, end_s, len(C_nb)), C_nb)
 
@@ -142,7 +141,7 @@ class Dwell:
     position_name: str
     azimuth_rad: float
     windows: tuple[NavigationWindow, ...]
-    C_nb_table: tuple[NDArray[np.float64], ...]
+    C_nb_table: tuple[FloatArray, ...]
     turns: tuple[TurnPath, ...]
 
     def __post_init__(self) -> None:
@@ -183,9 +182,7 @@ class Dwell:
                 f"{np.rad2deg(MAX_MOVEMENT):g} deg is allowed). Was the table moved?"
             )
 
-    def _check_attitude(
-        self, what: str, C_one: NDArray[np.float64], other: str, C_other: NDArray[np.float64]
-    ) -> None:
+    def _check_attitude(self, what: str, C_one: FloatArray, other: str, C_other: FloatArray) -> None:
         angle = angle_between(C_one, C_other)
         if not angle <= MAX_ATTITUDE_DISAGREEMENT:
             raise MeasurementError(
@@ -207,16 +204,16 @@ class BiasEstimate:
         Its covariance, (rad/s)^2.
     """
 
-    bias_radps: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    bias_radps: FloatArray
+    covariance: FloatArray
 
     @property
-    def bias_dph(self) -> NDArray[np.float64]:
+    def bias_dph(self) -> FloatArray:
         """Bias of the x, y and z gyro, deg/h."""
         return self.bias_radps * RADPS_TO_DPH
 
     @property
-    def sigma_dph(self) -> NDArray[np.float64]:
+    def sigma_dph(self) -> FloatArray:
         """Standard uncertainty of the x, y and z gyro's bias, deg/h."""
         return np.sqrt(np.diag(self.covariance)) * RADPS_TO_DPH
 
@@ -224,7 +221,7 @@ class BiasEstimate:
 _CHECK_INS = "Check the messages of the INS in the raw CAN log"
 
 
-def _check_times(time_s: NDArray[np.float64]) -> None:
+def _check_times(time_s: FloatArray) -> None:
     if not np.isfinite(time_s).all():
         raise MeasurementError(f"the time of an epoch is not a number. {_CHECK_INS}")
     interval = np.diff(time_s)

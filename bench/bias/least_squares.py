@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
+
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Combinations of data whose variance the estimate leaves less of than this test nothing.
 _LEAST_VARIANCE = 1e-3
 
 
-def solve(
-    rows: NDArray[np.float64], data: NDArray[np.float64], prior_root: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def solve(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unknowns (p,) and their covariance (p, p).
 
     Parameters
@@ -34,7 +33,7 @@ def solve(
     return spread @ root[:count, count], spread @ spread.T
 
 
-def compress(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def compress(rows: FloatArray) -> FloatArray:
     """Fewest rows with the same normal equations as these (n, c); at most c of them."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
@@ -48,9 +47,7 @@ class Misfit:
     p_value: float
 
 
-def misfit(
-    residuals: NDArray[np.float64], rows: NDArray[np.float64], covariance: NDArray[np.float64]
-) -> Misfit:
+def misfit(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -> Misfit:
     """Test what an estimate leaves of white data.
 
     Parameters

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
-def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
+def holm(p_values: Sequence[float]) -> FloatArray:
     """P-values after Holm: what is left below a level is so with that chance at most of one false alarm.
 
     It holds whether or not the comparisons depend on one another. NaN stays and is not counted.

@@ -19,10 +19,10 @@ from __future__ import annotations
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
 from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
 
@@ -39,7 +39,7 @@ class PolynomialTrend:
         The highest derivative is the sum of the values times these.
     """
 
-    def __init__(self, time: NDArray[np.float64], degree: int) -> None:
+    def __init__(self, time: FloatArray, degree: int) -> None:
         middle, half = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
         basis, triangle = np.linalg.qr(np.vander((time - middle) / half, degree + 1, increasing=True))
         self.weights = factorial(degree) / (triangle[degree, degree] * half**degree) * basis[:, degree]

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, UG_TO_MPS2
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS, UG_TO_MPS2
 
 _ARCSEC = np.pi / 180.0 / 3600.0
 _ARCMIN = 60.0 * _ARCSEC

@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-FloatArray = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Twice the likelihood that a 95 % interval of one number leaves on either side.
 _DROP = 3.841

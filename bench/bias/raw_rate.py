@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.stats import chi2, norm
 
@@ -35,8 +34,9 @@ from gyrobench.bench.bias.noise.allan import (
     allan_variance,
     fit_rate_noise,
 )
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
 from gyrobench.bench.navigation.positions import AXES
 
 #: Shortest recording, s, and fewest samples.
@@ -78,9 +78,9 @@ class RateRecording:
         Not a number, times that do not increase, a gap, too short, a gyro that never changes, motion.
     """
 
-    time_s: NDArray[np.float64]
-    rate_radps: NDArray[np.float64]
-    specific_force_mps2: NDArray[np.float64] | None = None
+    time_s: FloatArray
+    rate_radps: FloatArray
+    specific_force_mps2: FloatArray | None = None
 
     def __post_init__(self) -> None:
         self._check_shapes()
@@ -101,12 +101,12 @@ class RateRecording:
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
 
     @property
-    def angle_rad(self) -> NDArray[np.float64]:
+    def angle_rad(self) -> FloatArray:
         """Integral of the rates since one interval before the first sample, (n + 1, 3)."""
         return np.vstack([np.zeros(3), np.cumsum(self.rate_radps * self.interval_s, axis=0)])
 
     @property
-    def up(self) -> NDArray[np.float64] | None:
+    def up(self) -> FloatArray | None:
         """Unit vector Up (3,) in body axes, if the specific force is there."""
         if self.specific_force_mps2 is None:
             return None
@@ -132,7 +132,7 @@ class RateRecording:
         if count < MIN_SAMPLES:
             raise MeasurementError(f"only {count} samples; a recording needs {MIN_SAMPLES}. Record longer")
 
-    def _check_rest(self, name: str, values: NDArray[np.float64], least: float) -> None:
+    def _check_rest(self, name: str, values: FloatArray, least: float) -> None:
         block = max(_LEAST_IN_BLOCK, round(MOTION_BLOCK_S / self.interval_s))
         whole = len(values) // block * block
         bends = np.diff(values[:whole].reshape(-1, block, 3).mean(axis=1), 2, axis=0)
@@ -163,8 +163,8 @@ class RateEstimate:
         What was fitted to them.
     """
 
-    rate_radps: NDArray[np.float64]
-    sigma_radps: NDArray[np.float64]
+    rate_radps: FloatArray
+    sigma_radps: FloatArray
     allan: tuple[AllanVariance, ...]
     noise: tuple[RateNoise, ...]
 
@@ -228,9 +228,9 @@ class AttitudesEstimate:
         Rates less unknowns.
     """
 
-    bias_radps: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    earth_rate_enu_radps: NDArray[np.float64]
+    bias_radps: FloatArray
+    covariance: FloatArray
+    earth_rate_enu_radps: FloatArray
     chi_squared: float
     degrees_of_freedom: int
 
@@ -295,7 +295,7 @@ def up_down_pair(
 
 def estimate_attitudes(
     recordings: Sequence[RateRecording],
-    C_nb: NDArray[np.float64],
+    C_nb: FloatArray,
     latitude_rad: float | None,
 ) -> AttitudesEstimate:
     """Estimate the biases of three gyros from recordings in known attitudes.
@@ -348,7 +348,7 @@ def estimate_attitudes(
 _CHECK = "Check the recording"
 
 
-def _check_times(time_s: NDArray[np.float64]) -> None:
+def _check_times(time_s: FloatArray) -> None:
     if not np.isfinite(time_s).all():
         raise MeasurementError(f"the time of a sample is not a number. {_CHECK}")
     steps = np.diff(time_s)
@@ -367,14 +367,14 @@ def _check_times(time_s: NDArray[np.float64]) -> None:
         )
 
 
-def _expected_terms(noise: RateNoise) -> NDArray[np.float64]:
+def _expected_terms(noise: RateNoise) -> FloatArray:
     """Expectation of the terms, given that none is below zero: their truncated normal distribution."""
     z = noise.unbounded / noise.sigmas
     # exp(logs) instead of the ratio, which is 0 / 0 far below zero.
     return np.asarray(noise.unbounded + noise.sigmas * np.exp(norm.logpdf(z) - norm.logcdf(z)))
 
 
-def _slope(rate: NDArray[np.float64], interval: float, white: float, walk: float) -> tuple[float, float]:
+def _slope(rate: FloatArray, interval: float, white: float, walk: float) -> tuple[float, float]:
     """Generalised least-squares slope of the angle, and its variance.
 
     Neighbouring increments share the white noise of the angle between them.

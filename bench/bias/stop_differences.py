@@ -21,14 +21,13 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.stops import mean_c
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
-FloatArray = NDArray[np.float64]
 _Stop = Sequence[DwellRow]
 
 #: Slope that a gyro's bias may have where the run does not tell it, standard deviation, (deg/h)/K.

@@ -8,18 +8,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.set_point_path import set_point_path
 from gyrobench.bench.closure.temperature_record import TemperatureRecord, record_of_dwells
 from gyrobench.bench.closure.thermal_network import electronics_above_optics
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Share of the dwells in which a sensor other than a gyro's may have said nothing.
 _MOST_HOLES = 0.1

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.problem import Problem, Solution, solve
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _MOST_EVALUATIONS = 60
 #: Of a parameter in first steps, and of the sum of squares.

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidate import Candidate, solve_with, stack
@@ -17,12 +16,10 @@ from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.lack_of_fit import LackOfFit, lack_of_fit
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import MOST_EFFECTS, Search
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 #: Below this probability of chance something is left.
 LEFT_OVER_P = 1e-3

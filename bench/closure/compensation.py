@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.closure import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.drivers.ins.compensation import Compensation
 
-FloatArray = NDArray[np.float64]
 #: Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation` by their names.
 Numbers = dict[str, FloatArray]
 

@@ -6,14 +6,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidate import Candidate, solve_with
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 #: The other cycles tell a term's size if they hold at least this share of its length in the one left out.
 _LEAST_LENGTH = 0.1

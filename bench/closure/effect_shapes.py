@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.problem import Problem
-
-FloatArray = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Terms below this share of their own length, or of an effect's whole, say nothing.
 NOTHING = 1e-5

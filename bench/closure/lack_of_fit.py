@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
@@ -20,8 +19,7 @@ from scipy.stats import norm
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.problem import SCALE_C, Problem
-
-FloatArray = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 _DWELLS_A_TIME_KNOT = 6
 _MOST_TIME_KNOTS = 40

@@ -8,17 +8,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.temperature_forecast import forecast_temperatures
 from gyrobench.bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Navigate, PowerOn
-
-FloatArray = NDArray[np.float64]
 
 #: Angle random walk of a ring laser gyro of navigation grade, deg/sqrt(h), where the station declares none.
 TYPICAL_RANDOM_WALK = 0.001

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 #: The declared model: a cubic in each gyro's temperature over this, and one constant for each run.
 DEGREE = 3

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import ncx2
@@ -29,8 +28,7 @@ from gyrobench.bench.closure.effect_shapes import NOTHING, Fit, Truth, basis_of,
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE, TIE_MARGIN
-
-FloatArray = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Probability with which an effect of the smallest size told is found.
 POWER = 0.9

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 #: Samples of the course in each dwell.
 SAMPLES = 60
@@ -58,7 +57,7 @@ def set_point_path(
     return path
 
 
-def _ramps(holds: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _ramps(holds: BoolArray) -> list[tuple[int, int]]:
     """First and last dwell of each stretch that does not hold."""
     edges = np.diff(np.concatenate([[1], holds.astype(int), [1]]))
     return list(zip(np.flatnonzero(edges == -1), np.flatnonzero(edges == 1) - 1, strict=True))

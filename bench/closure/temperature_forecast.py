@@ -12,13 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
-
-FloatArray = NDArray[np.float64]
 
 #: Share of the gyros' lag behind the air that the case takes, and of their self-heating.
 CASE_LAG_SHARE = 0.2

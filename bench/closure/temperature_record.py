@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _STEPS_A_DWELL = 6
 _MOST_STEPS = 20_000

@@ -1,6 +1,7 @@
 """A small thermal network of each gyro, fitted to the temperatures that the dwells hold.
 
 Optics at T are warmed by the electronics at B and lose heat to the case; convection makes the flow
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from the electronics depend on the direction of gravity below an onset temperature::
 
     q = (B - T) (1 + s(T) a . Up)         s(T) = 1 / (1 + exp((T - onset) / width))
@@ -19,12 +20,10 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import least_squares
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _STEPS_A_DWELL = 10
 _SPLINE_DEGREE = 5

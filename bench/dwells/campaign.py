@@ -6,17 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.telemetry import read_telemetry
-
-FloatArray = NDArray[np.float64]
 
 _FEWEST = 2
 _STEP_S = 30.0

@@ -8,7 +8,6 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.dwell_table import DwellRow
@@ -16,10 +15,9 @@ from gyrobench.bench.closure.closure import Closure
 from gyrobench.bench.closure.compensation import LoadableModel
 from gyrobench.bench.dwells.residual_check import ResidualCheck, check_residuals
 from gyrobench.bench.dwells.verification_dwell import VerificationDwell
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import format_cell, format_csv, write_text
 from gyrobench.bench.navigation.error_model import Site
-
-FloatArray = NDArray[np.float64]
 
 #: The compensations that are compared, in this order.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
@@ -28,8 +27,8 @@ from gyrobench.bench.dwells.temperatures import (
     gyro_temperatures_at,
     triple,
 )
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import UG_TO_MPS2
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.drivers.ins.epochs import EpochCounts
@@ -37,8 +36,6 @@ from gyrobench.drivers.ins.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.resolution import ResolutionLimit
-
-Array = NDArray[np.float64]
 
 #: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
 LEAST_FIT_P = 1e-5
@@ -253,7 +250,9 @@ def misfit_text(fit: FitTest) -> str:
     )
 
 
-def rest_output(navigation: NavigationData, mark: WindowMark) -> tuple[Array, Array, Array, Array | None]:
+def rest_output(
+    navigation: NavigationData, mark: WindowMark
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
     """Times (n,), velocities (n, 3), attitudes (n, 3, 3) and gyro temperatures (n, 3) of one window.
 
     Raises
@@ -274,7 +273,7 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> tuple[Array, Ar
     )
 
 
-def _check_navigating(navigation: NavigationData, inside: NDArray[np.bool_]) -> None:
+def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
     """Turns count as well: an INS that aligns anew in a turn starts with other errors after it."""
     modes = set(navigation.mode[inside].tolist())
     if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:

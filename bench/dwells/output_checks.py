@@ -13,13 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
-
-Array = NDArray[np.float64]
 
 #: A value this many robust standard deviations and steps of the output away from its neighbours jumps.
 _JUMP_SIGMAS, _JUMP_STEPS = 10.0, 4.0
@@ -86,13 +84,15 @@ def output_faults(
     return faults
 
 
-def _channels(window: NavigationWindow) -> dict[str, Array]:
+def _channels(window: NavigationWindow) -> dict[str, FloatArray]:
     rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
     velocities = dict(zip(_VELOCITIES, window.velocity_enu_mps.T, strict=False))
     return velocities | dict(zip(_ATTITUDE, rotation.T, strict=True))
 
 
-def _jump(time_s: Array, channels: Mapping[str, Array], steps: Mapping[str, float]) -> OutputFault | None:
+def _jump(
+    time_s: FloatArray, channels: Mapping[str, FloatArray], steps: Mapping[str, float]
+) -> OutputFault | None:
     """The first jump of any channel."""
     jumps = {name: _first_jump(time_s, values, steps[name]) for name, values in channels.items()}
     first = min(jumps, key=jumps.__getitem__)
@@ -105,8 +105,8 @@ def _jump(time_s: Array, channels: Mapping[str, Array], steps: Mapping[str, floa
 
 
 def _bend(
-    time_s: Array,
-    channels: Mapping[str, Array],
+    time_s: FloatArray,
+    channels: Mapping[str, FloatArray],
     steps: Mapping[str, float],
     noise: NoiseModel,
     gravity: float,
@@ -142,7 +142,7 @@ def _bend(
 
 
 def _hanging(
-    time_s: Array, channels: Mapping[str, Array], steps: Mapping[str, float], noise: NoiseModel
+    time_s: FloatArray, channels: Mapping[str, FloatArray], steps: Mapping[str, float], noise: NoiseModel
 ) -> OutputFault | None:
     """What stays the same for longer than noise lets it."""
     moves = {
@@ -165,7 +165,7 @@ def _hanging(
     return None
 
 
-def _is_noisy(time_s: Array, channels: Mapping[str, Array], walk: float) -> bool:
+def _is_noisy(time_s: FloatArray, channels: Mapping[str, FloatArray], walk: float) -> bool:
     """Whether any angle moves about as much as its declared random walk."""
     lag = max(1, round(_NOISY_OVER_S / float(np.median(np.diff(time_s)))))
     expected = walk * math.sqrt(2.0 * _NOISY_OVER_S)
@@ -174,7 +174,7 @@ def _is_noisy(time_s: Array, channels: Mapping[str, Array], walk: float) -> bool
     return any(len(each) > 0 and float(np.std(each)) > _NOISY_SHARE * expected for each in bends)
 
 
-def _first_jump(time_s: Array, values: Array, step: float) -> float:
+def _first_jump(time_s: FloatArray, values: FloatArray, step: float) -> float:
     """Time of the first value that its neighbours do not lead to expect; infinite where all do."""
     before_s, after_s = time_s[1:-1] - time_s[:-2], time_s[2:] - time_s[1:-1]
     expected = (values[:-2] * after_s + values[2:] * before_s) / (before_s + after_s)
@@ -186,7 +186,7 @@ def _first_jump(time_s: Array, values: Array, step: float) -> float:
     return float(time_s[1:-1][jumps][0]) if jumps.any() else math.inf
 
 
-def _longest_still(time_s: Array, moves: NDArray[np.bool_]) -> tuple[float, float]:
+def _longest_still(time_s: FloatArray, moves: BoolArray) -> tuple[float, float]:
     """Begin and length of the longest stretch without a move (n - 1,), if it has enough epochs."""
     changes = np.flatnonzero(moves)
     first = np.concatenate([[0], changes + 1])

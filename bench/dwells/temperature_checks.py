@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.drivers.ins.navigation_data import NavigationData
-
-Array = NDArray[np.float64]
 
 #: Temperatures, degC, that an INS survives.
 _PLAUSIBLE_C = (-80.0, 150.0)
@@ -73,11 +71,11 @@ def believed_temperatures(
     )
 
 
-def _told(values_c: Array) -> Array:
+def _told(values_c: FloatArray) -> FloatArray:
     return values_c[np.isfinite(values_c)]
 
 
-def _fault(time_s: Array, values_c: Array, begin_s: float, end_s: float) -> str:
+def _fault(time_s: FloatArray, values_c: FloatArray, begin_s: float, end_s: float) -> str:
     """What is wrong with one sensor by itself; empty where nothing is."""
     told = np.isfinite(values_c)
     if not told.any():
@@ -99,7 +97,7 @@ def _fault(time_s: Array, values_c: Array, begin_s: float, end_s: float) -> str:
     return ""
 
 
-def _contradiction(spread_k: Array) -> str:
+def _contradiction(spread_k: FloatArray) -> str:
     if not (spread_k > _SPREAD_K).any():
         return ""
     return f"gives readings at a time that differ by {spread_k.max():.1f} K: does a second node send them?"

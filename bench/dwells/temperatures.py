@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, Triple
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures
 
@@ -51,13 +51,13 @@ def dwell_temperatures(navigation: NavigationData, first_row: int, end_row: int)
     )
 
 
-def slopes_c_per_h(time_s: NDArray[np.float64], values_c: NDArray[np.float64]) -> NDArray[np.float64]:
+def slopes_c_per_h(time_s: FloatArray, values_c: FloatArray) -> FloatArray:
     """Least-squares slopes (m,) of temperatures (n, m) over times (n,)."""
     hours = (time_s - time_s.mean()) / 3600.0
     return np.asarray(hours @ values_c / (hours @ hours))
 
 
-def gyro_temperatures_at(time_s: NDArray[np.float64], series: Temperatures) -> NDArray[np.float64] | None:
+def gyro_temperatures_at(time_s: FloatArray, series: Temperatures) -> FloatArray | None:
     """Temperatures (n, 3) of the gyros' optics at epochs; None where the INS does not tell them all."""
     told = [_told(axis_c) for axis_c in series.optics_c.T]
     if any(np.count_nonzero(each) < _FEWEST for each in told):
@@ -70,18 +70,18 @@ def gyro_temperatures_at(time_s: NDArray[np.float64], series: Temperatures) -> N
     )
 
 
-def _told(values_c: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _told(values_c: FloatArray) -> BoolArray:
     """Which samples (n,) of a channel are numbers; none of them where too few are."""
     finite = np.isfinite(values_c)
     return finite & (np.count_nonzero(finite) >= _LEAST_FINITE * len(finite))
 
 
-def _means(values_c: NDArray[np.float64]) -> NDArray[np.float64]:
+def _means(values_c: FloatArray) -> FloatArray:
     told = [(column_c, _told(column_c)) for column_c in values_c.T]
     return np.array([column_c[each].mean() if each.any() else math.nan for column_c, each in told])
 
 
-def _slopes(time_s: NDArray[np.float64], values_c: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slopes(time_s: FloatArray, values_c: FloatArray) -> FloatArray:
     told = [(column_c, _told(column_c)) for column_c in values_c.T]
     return np.array(
         [
@@ -91,7 +91,7 @@ def _slopes(time_s: NDArray[np.float64], values_c: NDArray[np.float64]) -> NDArr
     )
 
 
-def triple(values: NDArray[np.float64]) -> Triple:
+def triple(values: FloatArray) -> Triple:
     """Values of the x, y and z gyro as plain numbers."""
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfc
 
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple
@@ -22,7 +21,7 @@ from gyrobench.bench.bias.verification.estimators import (
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.verification_dwell import VerificationDwell
-from gyrobench.bench.navigation.earth import UG_TO_MPS2
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.verification_table import VerificationRow
 
@@ -132,7 +131,7 @@ def _are_half_turn_apart(one: VerificationDwell, other: VerificationDwell) -> bo
 
 
 def _empty_row(
-    marks: DwellMarks, method: str, direction: NDArray[np.float64], flags: Sequence[str]
+    marks: DwellMarks, method: str, direction: FloatArray, flags: Sequence[str]
 ) -> VerificationRow:
     along = POSITIONS[marks.position].C_nb(math.radians(marks.azimuth_deg)).T @ direction
     return VerificationRow(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.live import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.drivers.ins.frames import FrameBlock
 
@@ -154,7 +154,7 @@ class DwellRecorder:
         )
 
 
-def _creep_deg(read_deg: NDArray[np.float64]) -> float:
+def _creep_deg(read_deg: FloatArray) -> float:
     """How far readings in the order of time, shape (n, 2), creep beyond their own scatter; else zero."""
     count = len(read_deg) // 3
     if count == 0:

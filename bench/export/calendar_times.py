@@ -6,14 +6,15 @@ from datetime import datetime
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
+
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: The column that has them.
 UTC_FIELD = pa.field("utc", pa.timestamp("us", tz="UTC"))
 _MICROSECONDS = 1e6
 
 
-def calendar_times(began: datetime, time_s: NDArray[np.float64]) -> pa.Array:
+def calendar_times(began: datetime, time_s: FloatArray) -> pa.Array:
     """Calendar times of moments (n,) in seconds after ``began``."""
     begin_us = round(began.timestamp() * _MICROSECONDS)
     times_us = begin_us + np.rint(time_s * _MICROSECONDS).astype(np.int64)

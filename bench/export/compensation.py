@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.closure import Closure
 from gyrobench.bench.closure.compensation import declared_model, model_with_effects
 from gyrobench.bench.export.columns import field_of, unit_of
 from gyrobench.bench.export.destination import Destination
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.drivers.ins.compensation import TERMS, Compensation
@@ -90,9 +90,7 @@ def _table(declared: Compensation, model: Compensation) -> pa.Table:
     )
 
 
-def _polynomial(
-    compensation: Compensation, gyro: int, temperature_c: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _polynomial(compensation: Compensation, gyro: int, temperature_c: FloatArray) -> FloatArray:
     bias_dph = np.polynomial.polynomial.polyval(temperature_c, compensation.polynomial_dph[gyro])
     inside = (temperature_c >= compensation.low_c[gyro]) & (temperature_c <= compensation.high_c[gyro])
     return np.where(inside, np.round(bias_dph, _DECIMALS), np.nan)

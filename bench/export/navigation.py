@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.dwells.dwell import MeasurementSetup
@@ -21,14 +20,13 @@ from gyrobench.bench.export.calendar_times import UTC_FIELD, calendar_times
 from gyrobench.bench.export.columns import field_of
 from gyrobench.bench.export.destination import Destination
 from gyrobench.bench.export.placed_parts import PlacedLog, PlacedPart
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.drivers.ins.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
-
-Array = NDArray[np.float64]
 
 _ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"
 _EPOCH = datetime.fromtimestamp(0.0, UTC)
@@ -91,7 +89,7 @@ def _table(part: PlacedPart, setup: MeasurementSetup, marks: DwellMarks | None, 
     return pa.table({UTC_FIELD.name: utc, **columns, **whole}).select(SCHEMA.names)
 
 
-def _measured(data: NavigationData, began_s: float) -> list[Array]:
+def _measured(data: NavigationData, began_s: float) -> list[FloatArray]:
     quaternion = np.full((len(data.row), 4), np.nan)
     known = np.isfinite(data.attitude).all(axis=(1, 2))
     if known.any():
@@ -110,7 +108,7 @@ def _measured(data: NavigationData, began_s: float) -> list[Array]:
     ]
 
 
-def _held(values: Array, time_s: Array, data: NavigationData) -> Array:
+def _held(values: FloatArray, time_s: FloatArray, data: NavigationData) -> FloatArray:
     """Last of the values (m, k), sent at times (m,), at each epoch (n,); NaN before the first."""
     held = np.full((len(data.row), values.shape[1]), np.nan)
     restarts = np.concatenate([[0], np.cumsum(np.diff(time_s) < 0.0)])[: len(time_s)]

@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import t as student
 
@@ -39,11 +38,10 @@ from gyrobench.bench.bias.random_effects import (
     restricted_deviance,
     weighted_fit,
 )
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
-
-FloatArray = NDArray[np.float64]
 
 #: With fewer units there is no spread to speak of.
 FEWEST_UNITS = 4

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.jog.limits import HandLimits
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.ins.ins_status import Float64, InsStatus
+from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 #: The unit stands in a position where each of its axes is this near.
@@ -103,7 +104,7 @@ def _short_mode(ins: InsStatus) -> str:
     return "silent" if not math.isfinite(ins.age_s) else ins.mode.name.lower()
 
 
-def _azimuth_deg(C_nb: Float64, C_zero: Float64) -> float:
+def _azimuth_deg(C_nb: FloatArray, C_zero: FloatArray) -> float:
     turn = C_nb @ C_zero.T
     return math.degrees(math.atan2(turn[1, 0], turn[0, 0])) % 360.0
 
@@ -112,7 +113,7 @@ def _known(value: float | None, form: str) -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
-def _xyz(values: Float64) -> str:
+def _xyz(values: FloatArray) -> str:
     return "  ".join(
         f"{axis} {_known(float(value), '.2f')}" for axis, value in zip("xyz", values, strict=True)
     )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.live.picture import MOST_ESTIMATES, MOST_IN_WINDOW
 from gyrobench.bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
 from gyrobench.bench.live.thinned import Thinned
@@ -19,7 +19,7 @@ class _Window:
     def __init__(self, planned_s: float, begun_s: float) -> None:
         self._planned_s = planned_s
         self._begun_s = begun_s
-        self._first: NDArray[np.float64] | None = None
+        self._first: FloatArray | None = None
         self._rows: Thinned[tuple[float, float, float, float]] = Thinned(MOST_IN_WINDOW)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
@@ -88,6 +88,6 @@ class DwellTrace:
         )
 
 
-def _heading_deg(turned: NDArray[np.float64]) -> float:
+def _heading_deg(turned: FloatArray) -> float:
     """Angle about Up of a small rotation (3, 3), NaN if that is not known."""
     return float(np.rad2deg(np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])))

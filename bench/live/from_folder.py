@@ -9,10 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gyrobench.bench.engine.progress import WITHOUT_A_WORD, progress_of
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.live.picture import MOST_MESSAGES, Picture, RunState, read_picture
 from gyrobench.bench.live.picture_parts import Attitude, BenchNow, MeasuredProfile, Note, PlannedProfile
@@ -119,7 +117,7 @@ def _updated_utc(folder: RunFolder) -> str:
     return datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="seconds")
 
 
-def _bench_at_end(telemetry: Mapping[str, NDArray[np.float64]], now_s: float) -> BenchNow | None:
+def _bench_at_end(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchNow | None:
     """The last reading, as old as it is."""
     if not telemetry or not len(telemetry["time_s"]):
         return None

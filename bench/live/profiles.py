@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.live.picture import MOST_MEASURED, MOST_PLANNED
 from gyrobench.bench.live.picture_parts import MeasuredProfile, PlannedProfile, PositionSpan
 from gyrobench.bench.procedure.plan import Plan
@@ -30,12 +30,12 @@ def measured_profile(rows: Sequence[tuple[float, ...]]) -> MeasuredProfile:
     )
 
 
-def profile_of_telemetry(telemetry: Mapping[str, NDArray[np.float64]]) -> MeasuredProfile:
+def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
     """Profile of a run that has been recorded."""
     return MeasuredProfile(*(_thinned(telemetry[name], MOST_MEASURED) for name in COLUMNS))
 
 
-def _thinned(values: NDArray[np.float64], most: int) -> tuple[float, ...]:
+def _thinned(values: FloatArray, most: int) -> tuple[float, ...]:
     """So many values at most, evenly chosen, with the first and the last."""
     if len(values) > most:
         values = values[np.linspace(0, len(values) - 1, most).round().astype(int)]

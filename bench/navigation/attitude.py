@@ -12,21 +12,21 @@ Navigation System Based on Ring Laser Gyroscope", section 4.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Up in the navigation frame.
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def rotation_matrix(axis: ArrayLike, angle: float) -> NDArray[np.float64]:
+def rotation_matrix(axis: ArrayLike, angle: float) -> FloatArray:
     """Matrix (3, 3) that turns vectors by ``angle`` (rad) about the unit vector ``axis``."""
     return np.asarray(Rotation.from_rotvec(angle * np.asarray(axis, dtype=float)).as_matrix())
 
 
-def rotation_vector_enu(
-    C_nb: NDArray[np.float64], C_nb_reference: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def rotation_vector_enu(C_nb: FloatArray, C_nb_reference: FloatArray) -> FloatArray:
     """Rotation vectors in ENU that lead from a reference attitude to the given ones.
 
     The Up component is a heading without singularity: for rotations much smaller than 1 rad it
@@ -49,12 +49,12 @@ def rotation_vector_enu(
     return vector * stretch[:, np.newaxis]
 
 
-def angle_between(C_one: NDArray[np.float64], C_other: NDArray[np.float64]) -> float:
+def angle_between(C_one: FloatArray, C_other: FloatArray) -> float:
     """Angle (rad, 0 to pi) of the rotation that leads from one attitude (3, 3) to another."""
     return float(_axis_and_angle(C_one @ C_other.T)[2])
 
 
-def euler_rpy321(C_nb: NDArray[np.float64]) -> NDArray[np.float64]:
+def euler_rpy321(C_nb: FloatArray) -> FloatArray:
     """Roll, pitch and yaw (..., 3), rad, of ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``.
 
     Roll and yaw are meaningless where body y is up or down (pitch of +-90 deg).
@@ -65,7 +65,7 @@ def euler_rpy321(C_nb: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def euler_pry231(C_nb: NDArray[np.float64]) -> NDArray[np.float64]:
+def euler_pry231(C_nb: FloatArray) -> FloatArray:
     """Roll, pitch and yaw (..., 3), rad, of ``C_nb = Rz(yaw) Ry(roll) Rx(pitch)``.
 
     Pitch and yaw are meaningless where body x is up or down (roll of +-90 deg).
@@ -77,8 +77,8 @@ def euler_pry231(C_nb: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _axis_and_angle(
-    turn: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    turn: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Axis times sine (..., 3), sine and angle (...) of rotation matrices (..., 3, 3)."""
     twice = [
         turn[..., 2, 1] - turn[..., 1, 2],

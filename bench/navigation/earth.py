@@ -1,9 +1,10 @@
-"""The Earth's rotation, gravity and curvature (WGS-84), and the units that go with them."""
+"""The Earth's rotation, gravity and curvature (WGS-84)."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Rotation rate of the Earth, rad/s.
 EARTH_RATE = 7.292115e-5
@@ -19,25 +20,12 @@ MEAN_RADIUS = 6371008.8
 EQUATOR_GRAVITY = 9.7803253359
 #: Normal gravity at the poles, m/s^2.
 POLE_GRAVITY = 9.8321849378
-#: Gravity by definition, m/s^2: the g of specifications in ug.
-STANDARD_GRAVITY = 9.80665
-
-#: One degree per hour in rad/s.
-DPH_TO_RADPS = np.pi / 180.0 / 3600.0
-#: One rad/s in degrees per hour.
-RADPS_TO_DPH = 1.0 / DPH_TO_RADPS
-#: One degree per root hour (angle random walk) in rad/sqrt(s).
-DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
-#: One ug (accelerometer bias) in m/s^2.
-UG_TO_MPS2 = 1e-6 * STANDARD_GRAVITY
-#: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
-UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
 
 _CENTRIFUGAL_RATIO = 0.00344978650684  # rate^2 a^2 b / GM
 _SOMIGLIANA = (1.0 - FLATTENING) * POLE_GRAVITY / EQUATOR_GRAVITY - 1.0
 
 
-def earth_rate_enu(latitude: float) -> NDArray[np.float64]:
+def earth_rate_enu(latitude: float) -> FloatArray:
     """Resolve the rotation of the Earth in the navigation frame, rad/s, at a latitude in rad."""
     return EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
 

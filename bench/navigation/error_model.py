@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu, gravity
 
@@ -79,12 +79,12 @@ class Intervals:
         State after for white noise of the rates and accelerations.
     """
 
-    transition: NDArray[np.float64]
-    response: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    transition: FloatArray
+    response: FloatArray
+    covariance: FloatArray
 
 
-def dynamics(site: Site) -> NDArray[np.float64]:
+def dynamics(site: Site) -> FloatArray:
     """Matrix (6, 6) that gives the derivative of the state."""
     _, rate_n, rate_u = earth_rate_enu(site.latitude)
     meridian, across = curvature_radii(site.latitude, site.height)
@@ -103,7 +103,7 @@ def dynamics(site: Site) -> NDArray[np.float64]:
 
 
 def integrate(
-    site: Site, durations: NDArray[np.float64], angle_random_walk: float, velocity_random_walk: float
+    site: Site, durations: FloatArray, angle_random_walk: float, velocity_random_walk: float
 ) -> Intervals:
     """Integrate the model over times at rest.
 

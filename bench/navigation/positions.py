@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 
 #: Body axes, in the order of arrays.
@@ -57,7 +57,7 @@ class Position:
         """+1 where the vertical body axis points up, -1 where it points down."""
         return 1 if "U" in self.directions else -1
 
-    def C_nb(self, azimuth_rad: float = 0.0) -> NDArray[np.float64]:  # noqa: N802
+    def C_nb(self, azimuth_rad: float = 0.0) -> FloatArray:  # noqa: N802
         """Attitude (3, 3) after a turn by ``azimuth_rad`` about Up from azimuth 0."""
         at_zero = np.array([_DIRECTIONS[letter] for letter in self.directions]).T
         return rotation_matrix(UP, azimuth_rad) @ at_zero if azimuth_rad else at_zero

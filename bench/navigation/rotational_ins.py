@@ -23,18 +23,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS, curvature_radii
+from gyrobench.bench.navigation.earth import curvature_radii
 from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 
-Float64 = NDArray[np.float64]
 #: Time since the start (n,), s, and Up in body axes (n, 3), to the gyros' residual bias (n, 3), deg/h.
-ResidualBias = Callable[[Float64, Float64], Float64]
+ResidualBias = Callable[[FloatArray, FloatArray], FloatArray]
 
 #: One nautical mile, m.
 NAUTICAL_MILE_M = 1852.0
@@ -125,14 +125,14 @@ class PositionError:
         Each at the end of a step of a minute or less.
     """
 
-    time_s: Float64
-    east_m: Float64
-    north_m: Float64
-    velocity_east_mps: Float64
-    velocity_north_mps: Float64
+    time_s: FloatArray
+    east_m: FloatArray
+    north_m: FloatArray
+    velocity_east_mps: FloatArray
+    velocity_north_mps: FloatArray
 
     @property
-    def distance_nmi(self) -> Float64:
+    def distance_nmi(self) -> FloatArray:
         """Distance from the true position, shape (n,)."""
         return np.hypot(self.east_m, self.north_m) / NAUTICAL_MILE_M
 
@@ -181,7 +181,7 @@ def rotate_for(
     return navigate_with_drift(steps_s, np.einsum("nij,nj->ni", attitudes, body_dph), site)
 
 
-def navigate_with_drift(steps_s: Float64, drift_enu_dph: Float64, site: Site) -> PositionError:
+def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Site) -> PositionError:
     """Navigate at rest with gyro drifts in the navigation frame, each constant over a step.
 
     Parameters
@@ -246,7 +246,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
         for end in ("up", "down")
     )
 
-    def residual_bias(_: Float64, up_body: Float64) -> Float64:
+    def residual_bias(_: FloatArray, up_body: FloatArray) -> FloatArray:
         weights = np.where(np.abs(up_body) > _LEVEL, up_body**2, 0.0)[:, :, np.newaxis]
         parts = np.where(up_body[:, :, np.newaxis] > 0.0, up, down)
         return np.asarray(np.sum(weights * np.where(weights > 0.0, parts, 0.0), axis=1))
@@ -254,7 +254,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     return residual_bias
 
 
-def _cycle(scheme: RotationScheme) -> tuple[Float64, Float64]:
+def _cycle(scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
     """Lengths (n,) of the steps of one cycle, and the attitude (n, 3, 3) in the middle of each."""
     dwell_steps = int(np.ceil(scheme.dwell_s / _DWELL_STEP_S))
     angles, lengths = [], []

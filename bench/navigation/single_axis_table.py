@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import UP
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable, named_direction
@@ -20,9 +20,7 @@ class SingleAxisTable(TwoAxisTable):
     """A table whose outer axis is a stand: it is at zero and stays there."""
 
     @classmethod
-    def about(
-        cls, axis_enu: NDArray[np.float64], C_mount: NDArray[np.float64], limits_deg: tuple[float, float]
-    ) -> Self:
+    def about(cls, axis_enu: FloatArray, C_mount: FloatArray, limits_deg: tuple[float, float]) -> Self:
         """Make a table that turns about one axis.
 
         Parameters
@@ -42,12 +40,12 @@ class SingleAxisTable(TwoAxisTable):
         stand = np.roll(np.abs(axis_enu), 1)  # any direction perpendicular to the axis
         return cls(stand, axis_enu, C_mount, (0.0, 0.0), limits_deg)
 
-    def reaches(self, C_nb: NDArray[np.float64]) -> bool:
+    def reaches(self, C_nb: FloatArray) -> bool:
         """Whether some angle, limits apart, gives this attitude: the axis keeps its place in the unit."""
         carried = C_nb @ self.C_mount.T @ self.inner_axis_enu
         return bool(np.allclose(carried, self.inner_axis_enu, atol=_TOLERANCE))
 
-    def _why_not(self, C_nb: NDArray[np.float64]) -> str:  # noqa: ARG002 - as with two axes
+    def _why_not(self, C_nb: FloatArray) -> str:  # noqa: ARG002 - as with two axes
         axis = named_direction(self.inner_axis_enu)
         reached = [name for name, position in POSITIONS.items() if self.reaches(position.C_nb())]
         positions = ", ".join(reached) or "no position"

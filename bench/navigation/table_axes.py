@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -49,9 +49,9 @@ class TwoAxisTable:
         The axes are no perpendicular unit vectors or ``C_mount`` is no rotation.
     """
 
-    outer_axis_enu: NDArray[np.float64]
-    inner_axis_enu: NDArray[np.float64]
-    C_mount: NDArray[np.float64]
+    outer_axis_enu: FloatArray
+    inner_axis_enu: FloatArray
+    C_mount: FloatArray
     outer_limits_deg: tuple[float, float] = UNLIMITED
     inner_limits_deg: tuple[float, float] = UNLIMITED
 
@@ -65,12 +65,12 @@ class TwoAxisTable:
         if not (np.allclose(C @ C.T, np.eye(3), atol=_TOLERANCE) and np.linalg.det(C) > 0.0):
             raise DocumentError(f"the mounting must be a right-handed rotation; found {C.tolist()}")
 
-    def attitude(self, outer_deg: float, inner_deg: float) -> NDArray[np.float64]:
+    def attitude(self, outer_deg: float, inner_deg: float) -> FloatArray:
         """Attitude ``C_nb`` (3, 3) of the unit at these axis angles."""
         outer = rotation_matrix(self.outer_axis_enu, np.deg2rad(outer_deg))
         return outer @ rotation_matrix(self.inner_axis_enu, np.deg2rad(inner_deg)) @ self.C_mount
 
-    def angles(self, C_nb: NDArray[np.float64], turns_deg: Sequence[float] = ()) -> Angles:
+    def angles(self, C_nb: FloatArray, turns_deg: Sequence[float] = ()) -> Angles:
         """Axis angles that give an attitude.
 
         Parameters
@@ -123,18 +123,18 @@ class TwoAxisTable:
             )
         return target
 
-    def path(self, from_angles: Angles, to_angles: Angles) -> NDArray[np.float64]:
+    def path(self, from_angles: Angles, to_angles: Angles) -> FloatArray:
         """Attitudes (k, 3, 3) on the way between two pairs of angles, both axes moving at once."""
         longest_deg = float(np.abs(np.subtract(to_angles, from_angles)).max())
         steps = max(1, int(np.ceil(longest_deg / _PATH_STEP_DEG)))
         return np.stack([self.attitude(*pair) for pair in np.linspace(from_angles, to_angles, steps + 1)])
 
-    def reaches(self, C_nb: NDArray[np.float64]) -> bool:
+    def reaches(self, C_nb: FloatArray) -> bool:
         """Whether some axis angles, limits apart, give this attitude."""
         carried = C_nb @ self.C_mount.T @ self.inner_axis_enu
         return bool(abs(carried @ self.outer_axis_enu) < _TOLERANCE)
 
-    def _principal_angles(self, C_nb: NDArray[np.float64]) -> Angles:
+    def _principal_angles(self, C_nb: FloatArray) -> Angles:
         if not self.reaches(C_nb):
             raise DocumentError(self._why_not(C_nb))
         from_zero = C_nb @ self.C_mount.T
@@ -166,7 +166,7 @@ class TwoAxisTable:
         limits = (self.outer_limits_deg, self.inner_limits_deg)
         return all(low <= angle <= high for angle, (low, high) in zip(angles, limits, strict=True))
 
-    def _why_not(self, C_nb: NDArray[np.float64]) -> str:
+    def _why_not(self, C_nb: FloatArray) -> str:
         body_axis = self.C_mount.T @ self.inner_axis_enu
         tilt = np.rad2deg(np.arccos(np.clip(C_nb @ body_axis @ self.outer_axis_enu, -1.0, 1.0)))
         reached = [name for name, position in POSITIONS.items() if self.reaches(position.C_nb())]
@@ -179,12 +179,12 @@ class TwoAxisTable:
         )
 
 
-def named_direction(vector_enu: NDArray[np.float64]) -> str:
+def named_direction(vector_enu: FloatArray) -> str:
     """``East``, ``-Up`` or, for an oblique vector, its components."""
     return _named(vector_enu, ("East", "North", "Up"))
 
 
-def _angle_deg(axis: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+def _angle_deg(axis: FloatArray, start: FloatArray, end: FloatArray) -> float:
     """Angle of the turn about ``axis`` that takes ``start``, perpendicular to it, to ``end``; (-180, 180]."""
     angle = np.rad2deg(np.arctan2(axis @ np.cross(start, end), start @ end))
     rounded = round(float(angle), _ANGLE_DECIMALS) + 0.0
@@ -203,13 +203,13 @@ def _distance(option: Angles, wanted: Angles) -> float:
     return round(abs(option[0] - wanted[0]) + abs(option[1] - wanted[1]), _ANGLE_DECIMALS)
 
 
-def _upward(axis: NDArray[np.float64]) -> int:
+def _upward(axis: FloatArray) -> int:
     """+1 for an axis that points up, -1 for down, 0 for any other."""
     vertical = float(axis @ UP)
     return int(np.sign(vertical)) if abs(vertical) > 1.0 - _TOLERANCE else 0
 
 
-def _named(vector: NDArray[np.float64], names: tuple[str, ...]) -> str:
+def _named(vector: FloatArray, names: tuple[str, ...]) -> str:
     """``x``, ``-z`` or, for an oblique vector, its components."""
     index = int(np.argmax(np.abs(vector)))
     if abs(vector[index]) < 1.0 - _TOLERANCE:

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo
 
@@ -61,9 +61,7 @@ def timeline_rows(plan: Plan) -> list[TimelineRow]:
     return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _stop_and_part)]
 
 
-def temperature_profile(
-    plan: Plan, interval_s: float = 60.0
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def temperature_profile(plan: Plan, interval_s: float = 60.0) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Predict the temperatures over a plan.
 
     Parameters

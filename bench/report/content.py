@@ -9,13 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.noise.estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
@@ -73,7 +71,7 @@ class RunContent:
     station: Entry
     dwells: list[DwellRow]
     bins: list[BiasBin]
-    telemetry: Mapping[str, NDArray[np.float64]]
+    telemetry: Mapping[str, FloatArray]
     joint_biases: list[JointBiasRow] = field(default_factory=list)
     joint_stops: list[JointStopRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
@@ -103,7 +101,7 @@ def read_run(folder: RunFolder) -> RunContent:
     nothing: Entry = {}
     no_dwells: list[DwellRow] = []
     no_bins: list[BiasBin] = []
-    no_readings: Mapping[str, NDArray[np.float64]] = {}
+    no_readings: Mapping[str, FloatArray] = {}
 
     def read(path: Path, reader: Callable[[], T], missing: T) -> T:
         if not path.exists():

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.reading import read_limited
@@ -95,7 +95,7 @@ class Telemetry:
             self._written_rows = 0
 
 
-def read_telemetry(folder: Path) -> dict[str, NDArray[np.float64]]:
+def read_telemetry(folder: Path) -> dict[str, FloatArray]:
     """All readings of a run, column name to values, in the order of time.
 
     Raises
@@ -119,7 +119,7 @@ def last_reading_s(folder: Path) -> float:
     return float(_read_part(parts[max(parts)])["time_s"].max(initial=0.0)) if parts else 0.0
 
 
-def _read_part(path: Path) -> dict[str, NDArray[np.float64]]:
+def _read_part(path: Path) -> dict[str, FloatArray]:
     content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
     try:
         part = pq.ParquetFile(content)

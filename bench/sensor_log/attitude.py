@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gyrobench.bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
+from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.sensor_log.document import EarthRate
 
 
-def nearest_position(force: NDArray[np.float64]) -> tuple[str, float]:
+def nearest_position(force: FloatArray) -> tuple[str, float]:
     """Position whose vertical is nearest to a specific force.
 
     Parameters
@@ -35,7 +35,7 @@ def nearest_position(force: NDArray[np.float64]) -> tuple[str, float]:
     return name, math.degrees(math.acos(min(1.0, cosines[name])))
 
 
-def earth_rate_dph(position: str, rule: EarthRate) -> NDArray[np.float64]:
+def earth_rate_dph(position: str, rule: EarthRate) -> FloatArray:
     """Earth rate that the gyros sense, deg/h, body axes, shape (3,).
 
     Without an azimuth only the vertical axis has a value; the others are 0.

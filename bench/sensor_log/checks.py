@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.sensor_log.attitude import nearest_position
@@ -104,7 +104,7 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
     return list(warnings)
 
 
-def _check_swing(axis: str, swing: float, temperatures: NDArray[np.float64], log_map: LogMap) -> None:
+def _check_swing(axis: str, swing: float, temperatures: FloatArray, log_map: LogMap) -> None:
     least = log_map.temperatures.least_swing_c
     if swing < least:
         raise MeasurementError(
@@ -128,7 +128,7 @@ def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s
     return ""
 
 
-def _reason_of_rates(window: Window, saturation: NDArray[np.float64]) -> str:
+def _reason_of_rates(window: Window, saturation: FloatArray) -> str:
     for axis, stayed, extreme, limit in zip(
         AXES, window.longest_unchanged, window.extreme_dph, saturation, strict=True
     ):
@@ -161,7 +161,7 @@ def _reason_of_place(window: Window, log_map: LogMap) -> str:
     return ""
 
 
-def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> NDArray[np.float64]:
+def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> FloatArray:
     """Rate at which each gyro saturates: the declared one, or one at which it was clipped."""
     declared = full_scale_dph(log_map) * (1.0 - 1e-6)
     extremes = np.array([each.extreme_dph for each in windows])

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.sensor_log.attitude import earth_rate_dph, nearest_position
@@ -67,7 +67,7 @@ def read_log(path: Path, log_map: LogMap) -> ReadLog:
     return ReadLog(path, reader, windows, reasons, expected - len(windows))
 
 
-def dwell_rows(logs: Sequence[ReadLog], sigma_dph: NDArray[np.float64], log_map: LogMap) -> list[DwellRow]:
+def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) -> list[DwellRow]:
     """One row for each good window, in the order of the logs.
 
     Parameters
@@ -190,7 +190,7 @@ def _means(window: Window, what: str) -> Triple:
     return x, y, z
 
 
-def _triple(values: NDArray[np.float64]) -> Triple:
+def _triple(values: FloatArray) -> Triple:
     x, y, z = (float(value) for value in values)
     return x, y, z
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.sensor_log.windows import BLOCKS, Window
 
@@ -25,7 +26,7 @@ _LEAST_DIFFERENCES, _MOST_DIFFERENCES = 8, 2000
 _TOLERANCE = 6.0
 
 
-def noise_of_means(logs: Sequence[Sequence[Window]]) -> NDArray[np.float64]:
+def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     """Standard uncertainty of a window's mean by its noise, deg/h, shape (3,).
 
     Second differences of neighbouring means hold no constant and no slope. Their mean square over
@@ -67,9 +68,7 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> NDArray[np.float64]:
     return np.asarray(sigma)
 
 
-def _without_drift(
-    parts: NDArray[np.float64], squares: NDArray[np.float64], counts: NDArray[np.intp]
-) -> float:
+def _without_drift(parts: FloatArray, squares: FloatArray, counts: NDArray[np.intp]) -> float:
     """Variance of a whole window's mean.
 
     Parameters
@@ -92,7 +91,7 @@ def _without_drift(
     return float(2.0 * _OF_WHITE_RATE / _OF_WHITE_ANGLE * angle + rate + instability)
 
 
-def _within(windows: Sequence[Window]) -> Iterator[tuple[float, NDArray[np.float64]]]:
+def _within(windows: Sequence[Window]) -> Iterator[tuple[float, FloatArray]]:
     """Second differences of the means of parts of a window, for each size of part."""
     finest = min(len(each.blocks_dph) for each in windows)
     for count in BLOCKS:
@@ -101,7 +100,7 @@ def _within(windows: Sequence[Window]) -> Iterator[tuple[float, NDArray[np.float
             yield 1.0 / count, np.diff(means, n=2, axis=1).reshape(-1, 3)
 
 
-def _between(logs: Sequence[Sequence[Window]]) -> NDArray[np.float64]:
+def _between(logs: Sequence[Sequence[Window]]) -> FloatArray:
     """Second differences of the means of three windows that follow one another."""
     triples = [
         first.rate_dph - 2.0 * middle.rate_dph + last.rate_dph
@@ -112,14 +111,14 @@ def _between(logs: Sequence[Sequence[Window]]) -> NDArray[np.float64]:
     return np.array(triples).reshape(-1, 3)
 
 
-def _mean_square(differences: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean_square(differences: FloatArray) -> FloatArray:
     """Mean square by column without what lies beyond three standard deviations."""
     squares = differences**2
     limit = 9.0 * np.median(squares, axis=0) / _MEDIAN_OF_SQUARE
     return np.asarray(np.nanmean(np.where(squares <= limit, squares, np.nan), axis=0) / _MEAN_WITHIN)
 
 
-def _resolution_variance(windows: Sequence[Window]) -> NDArray[np.float64]:
+def _resolution_variance(windows: Sequence[Window]) -> FloatArray:
     step = np.min([each.rate_step_dph for each in windows], axis=0)
     step = np.where(np.isfinite(step), step, 0.0)
     scatter = np.median([each.scatter_dph for each in windows], axis=0)

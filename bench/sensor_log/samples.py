@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
-from gyrobench.bench.navigation.earth import RADPS_TO_DPH
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.sensor_log.document import Column, LogMap, TextFormat
 from gyrobench.bench.sensor_log.record_log import RecordLog
@@ -19,7 +19,7 @@ from gyrobench.bench.sensor_log.text_log import Batch, TextLog
 
 #: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x_dph``, ``gyro_x_c``, ...,
 #: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
-Samples = dict[str, NDArray[np.float64]]
+Samples = dict[str, FloatArray]
 
 RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
@@ -119,7 +119,7 @@ class SampleReader:
             samples["position"] = self._positions(batch[position.column])
         return samples
 
-    def _positions(self, texts: NDArray[np.str_]) -> NDArray[np.float64]:
+    def _positions(self, texts: NDArray[np.str_]) -> FloatArray:
         names, which = np.unique(_words(texts), return_inverse=True)
         values = {_word(text): name for text, name in self._map.position.values.items()}
         unknown = [name for name in names if name and name not in values]
@@ -131,7 +131,7 @@ class SampleReader:
         order = list(POSITIONS)
         return np.array([float(order.index(values[name])) if name else np.nan for name in names])[which]
 
-    def _check_order(self, time_s: NDArray[np.float64], last_s: float) -> None:
+    def _check_order(self, time_s: FloatArray, last_s: float) -> None:
         steps = np.diff(time_s, prepend=last_s)
         back = np.flatnonzero(steps < 0.0)
         if back.size:
@@ -165,7 +165,7 @@ def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
     return quantities
 
 
-def _measured(name: str, raw: NDArray[np.float64], scale: float, offset: float) -> NDArray[np.float64]:
+def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatArray:
     """Values of a quantity; NaN where it can't have what the log says."""
     with np.errstate(over="ignore", invalid="ignore"):
         values = raw * scale + offset

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.sensor_log.samples import FORCES, RATES, Samples
 
 #: Into how many blocks a window may be cut, whose means show the noise; each half of the one before.
@@ -57,18 +58,18 @@ class Window:
     dropped: int
     widest_step_s: float
     covered_s: float
-    rate_dph: NDArray[np.float64]
-    scatter_dph: NDArray[np.float64]
-    blocks_dph: NDArray[np.float64]
-    rate_step_dph: NDArray[np.float64]
-    extreme_dph: NDArray[np.float64]
+    rate_dph: FloatArray
+    scatter_dph: FloatArray
+    blocks_dph: FloatArray
+    rate_step_dph: FloatArray
+    extreme_dph: FloatArray
     longest_at_extreme: NDArray[np.intp]
     longest_unchanged: NDArray[np.intp]
     means: dict[str, float]
     slopes_per_h: dict[str, float]
     steps: dict[str, float]
     spans: dict[str, float]
-    force: NDArray[np.float64]
+    force: FloatArray
 
 
 def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> Iterator[Window]:
@@ -94,13 +95,13 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
         yield _window(rest, window_s, skip_s, before_s)
 
 
-def longest_run(same: NDArray[np.bool_]) -> int:
+def longest_run(same: BoolArray) -> int:
     """How many true values stand in a row at most."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-def _window_index(time_s: NDArray[np.float64], window_s: float, skip_s: float) -> NDArray[np.intp]:
+def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray[np.intp]:
     return np.asarray((time_s - skip_s) // window_s, dtype=np.intp)
 
 
@@ -145,12 +146,12 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
     )
 
 
-def _blocks(rates: NDArray[np.float64]) -> NDArray[np.float64]:
+def _blocks(rates: FloatArray) -> FloatArray:
     count = next(count for count in BLOCKS if 2 * count <= len(rates))
     return np.array([block.mean(axis=0) for block in np.array_split(rates, count)])
 
 
-def _trend(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float, float, float]:
+def _trend(time_s: FloatArray, values: FloatArray) -> tuple[float, float, float, float]:
     """Mean, slope per hour, smallest step and span; NaN, NaN, infinite and NaN without values."""
     known = np.isfinite(values)
     if not known.any():
@@ -162,17 +163,17 @@ def _trend(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[fl
     return mean, slope, _smallest_step(known_values), float(np.ptp(known_values))
 
 
-def _smallest_step(values: NDArray[np.float64]) -> float:
+def _smallest_step(values: FloatArray) -> float:
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * np.abs(values).max(initial=0.0)]
     return float(steps.min(initial=np.inf))
 
 
-def _longest_at_extreme(rate: NDArray[np.float64]) -> int:
+def _longest_at_extreme(rate: FloatArray) -> int:
     sizes = np.abs(rate)
     return longest_run(sizes == sizes.max(initial=0.0))
 
 
-def _mean(values: NDArray[np.float64]) -> float:
+def _mean(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else np.nan

@@ -7,10 +7,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.noise.model import NoiseModel
 from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, Problem
 from gyrobench.bench.foundations.errors import DocumentError
@@ -234,5 +234,5 @@ class Station:
         )
 
 
-def _vector(direction: Direction) -> NDArray[np.float64]:
+def _vector(direction: Direction) -> FloatArray:
     return np.array(_DIRECTIONS[direction])

@@ -27,10 +27,10 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-Float64 = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 class EulerSequence(StrEnum):
@@ -49,7 +49,9 @@ class QuaternionFrames(StrEnum):
     FRD_TO_NED = "frd_to_ned"
 
 
-def attitude_matrices(sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Float64:
+def attitude_matrices(
+    sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike
+) -> FloatArray:
     """Matrices ``C_nb``, shape (n, 3, 3), of Euler angles in rad, shape (n,)."""
     about_x, about_y = _turned("x", pitch), _turned("y", roll)
     tilted = about_x @ about_y if sequence is EulerSequence.RPY_321 else about_y @ about_x
@@ -58,7 +60,7 @@ def attitude_matrices(sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike
 
 def quaternion_matrices(
     frames: QuaternionFrames, w: ArrayLike, x: ArrayLike, y: ArrayLike, z: ArrayLike
-) -> Float64:
+) -> FloatArray:
     """Matrices ``C_nb``, shape (n, 3, 3), of quaternions that need not be of length one.
 
     The all-zero quaternion, which some INS send before alignment, gives NaN.
@@ -74,7 +76,7 @@ def quaternion_matrices(
     return matrices
 
 
-def euler_angles(sequence: EulerSequence, C_nb: Float64) -> tuple[Float64, Float64, Float64]:
+def euler_angles(sequence: EulerSequence, C_nb: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Roll, pitch and yaw, each of shape (n,), rad, of matrices (n, 3, 3).
 
     At the singularity of the sequence yaw and the angle about the vertical axis mean nothing.
@@ -90,7 +92,7 @@ def euler_angles(sequence: EulerSequence, C_nb: Float64) -> tuple[Float64, Float
     return roll, pitch, yaw
 
 
-def _turned(axis: Literal["x", "y", "z"], angle: ArrayLike) -> Float64:
+def _turned(axis: Literal["x", "y", "z"], angle: ArrayLike) -> FloatArray:
     """Matrices (n, 3, 3) that turn vectors about an axis."""
     angle = np.asarray(angle, np.float64)
     with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right

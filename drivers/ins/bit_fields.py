@@ -14,9 +14,9 @@ import numpy as np
 from cantools.database.can import Signal
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 
-Float64 = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
 _WORD_BITS = 64
@@ -81,7 +81,7 @@ class BitField:
             return at_top.view(np.int64) >> self.right.astype(np.int64)
         return at_top >> self.right
 
-    def physical(self, words: Payloads) -> Float64:
+    def physical(self, words: Payloads) -> FloatArray:
         """Read the field, scaled to the DBC's unit."""
         values = self.raw(words).astype(np.float64)
         if self.signal.scale != 1:
@@ -90,7 +90,7 @@ class BitField:
             values += self.signal.offset
         return values
 
-    def to_raw(self, values: Float64) -> Words:
+    def to_raw(self, values: FloatArray) -> Words:
         """Turn values in the DBC's unit into the field's bits, right-aligned.
 
         Integers are rounded to the nearest step and limited to what the field can hold.
@@ -115,7 +115,7 @@ class BitField:
         return (raw << self.right) >> self.left
 
 
-def _rounded(values: Float64, length: int, signed: bool) -> Words:
+def _rounded(values: FloatArray, length: int, signed: bool) -> Words:
     low, high = (-(2 ** (length - 1)), 2 ** (length - 1) - 1) if signed else (0, 2**length - 1)
     # 2**63 - 1 and 2**64 - 1 round up as float64, to a number that no longer fits.
     inside = np.clip(np.rint(values), low, np.nextafter(float(high + 1), 0.0))

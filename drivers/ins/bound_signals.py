@@ -11,16 +11,15 @@ from functools import cached_property
 
 import numpy as np
 from cantools.database.can import Signal
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.documents import Location, Problem
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.frames import FrameBlock
 from gyrobench.drivers.ins.signal_map import Dimension, Quantity, SignalMap
 
-Float64 = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = IntArray
 
 _KNOT_MPS = 1852.0 / 3600.0
 _DEGREE_RAD = np.pi / 180.0
@@ -61,7 +60,7 @@ class BoundSignal:
     offset: float
     saturates: bool = False
 
-    def to_si(self, physical: Float64) -> Float64:
+    def to_si(self, physical: FloatArray) -> FloatArray:
         """Values in SI of values in the DBC's unit; NaN where the signal is saturated."""
         values = np.asarray(physical * self.gain + self.offset, np.float64)
         if self.saturates:
@@ -160,20 +159,20 @@ class BlockReader:
     def __init__(self, block: FrameBlock, codec: DbcCodec) -> None:
         self.block = block
         self.codec = codec
-        self._decoded: dict[str, tuple[Rows, dict[str, Float64]]] = {}
+        self._decoded: dict[str, tuple[Rows, dict[str, FloatArray]]] = {}
 
     def rows(self, message: str) -> Rows:
         """Where in the block the frames of a message stand."""
         return self._message(message)[0]
 
-    def held(self, bound: BoundSignal, rows: Rows) -> Float64:
+    def held(self, bound: BoundSignal, rows: Rows) -> FloatArray:
         """Last value that had arrived at each of those rows of the block; NaN before the first."""
         frames, decoded = self._message(bound.message)
         values = np.append(bound.to_si(decoded[bound.signal.name]), np.nan)
         # Index -1, where nothing had arrived yet, is the NaN at the end.
         return np.asarray(values[np.searchsorted(frames, rows, side="right") - 1])
 
-    def _message(self, message: str) -> tuple[Rows, dict[str, Float64]]:
+    def _message(self, message: str) -> tuple[Rows, dict[str, FloatArray]]:
         if message not in self._decoded:
             rows = self.codec.rows(self.block, message)
             self._decoded[message] = rows, self.codec.decode(self.block, message)

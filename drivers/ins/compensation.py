@@ -25,11 +25,9 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-
-Float64 = NDArray[np.float64]
 
 #: The terms beyond the polynomial, by the effect that each describes, and the coefficients of each.
 TERMS = MappingProxyType(
@@ -56,11 +54,11 @@ _ON_DIFFERENCE = ("gradient_dph_per_k", "saturating_dph_per_k", "growing_dph_per
 _VECTORS = ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g")
 
 
-def _zeros() -> Float64:
+def _zeros() -> FloatArray:
     return np.zeros(3)
 
 
-def _zero_vectors() -> Float64:
+def _zero_vectors() -> FloatArray:
     return np.zeros((3, 3))
 
 
@@ -99,23 +97,23 @@ class Compensation:
         term that is used has no width, time constant or limits.
     """
 
-    polynomial_dph: Float64
-    low_c: Float64
-    high_c: Float64
-    rate_dph_per_c_per_h: Float64 = field(default_factory=_zeros)
-    rate_limit_c_per_h: Float64 = field(default_factory=_zeros)
-    gradient_dph_per_k: Float64 = field(default_factory=_zeros)
-    difference_low_k: Float64 = field(default_factory=_zeros)
-    difference_high_k: Float64 = field(default_factory=_zeros)
-    saturating_dph_per_k: Float64 = field(default_factory=_zero_vectors)
-    growing_dph_per_k: Float64 = field(default_factory=_zero_vectors)
-    onset_c: Float64 = field(default_factory=_zeros)
-    onset_width_c: Float64 = field(default_factory=_zeros)
-    gravity_dph_per_g: Float64 = field(default_factory=_zero_vectors)
-    warm_up_dph: Float64 = field(default_factory=_zeros)
-    warm_up_s: Float64 = field(default_factory=_zeros)
-    hysteresis_dph_per_k: Float64 = field(default_factory=_zeros)
-    half_width_k: Float64 = field(default_factory=_zeros)
+    polynomial_dph: FloatArray
+    low_c: FloatArray
+    high_c: FloatArray
+    rate_dph_per_c_per_h: FloatArray = field(default_factory=_zeros)
+    rate_limit_c_per_h: FloatArray = field(default_factory=_zeros)
+    gradient_dph_per_k: FloatArray = field(default_factory=_zeros)
+    difference_low_k: FloatArray = field(default_factory=_zeros)
+    difference_high_k: FloatArray = field(default_factory=_zeros)
+    saturating_dph_per_k: FloatArray = field(default_factory=_zero_vectors)
+    growing_dph_per_k: FloatArray = field(default_factory=_zero_vectors)
+    onset_c: FloatArray = field(default_factory=_zeros)
+    onset_width_c: FloatArray = field(default_factory=_zeros)
+    gravity_dph_per_g: FloatArray = field(default_factory=_zero_vectors)
+    warm_up_dph: FloatArray = field(default_factory=_zeros)
+    warm_up_s: FloatArray = field(default_factory=_zeros)
+    hysteresis_dph_per_k: FloatArray = field(default_factory=_zeros)
+    half_width_k: FloatArray = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -151,5 +149,5 @@ def checksum(numbers: Iterable[float]) -> int:
     return zlib.crc32(b"".join(struct.pack("<f", number) for number in numbers))
 
 
-def _used(coefficients: Float64) -> NDArray[np.bool_]:
+def _used(coefficients: FloatArray) -> BoolArray:
     return np.asarray(np.any(coefficients.reshape(3, -1) != 0.0, axis=1))

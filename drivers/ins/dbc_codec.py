@@ -20,6 +20,7 @@ from cantools.database import Database
 from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.reading import read_limited
 from gyrobench.drivers.ins.bit_fields import BitField, Payloads
@@ -43,8 +44,6 @@ _DBC_ERRORS = (
     ArithmeticError,
     RecursionError,
 )
-
-Float64 = NDArray[np.float64]
 
 
 def load_dbc(path: Path) -> Database:
@@ -122,7 +121,7 @@ class DbcCodec:
         """Those frames that :meth:`decode` decodes, in order."""
         return block.take(self.rows(block, message_name))
 
-    def rows(self, block: FrameBlock, message_name: str) -> NDArray[np.int64]:
+    def rows(self, block: FrameBlock, message_name: str) -> IntArray:
         """Where in the block the frames of a message stand; ones that are too short are left out."""
         layout = self._layout(message_name)
         found = np.flatnonzero(block.arbitration_id == layout.arbitration_id)
@@ -133,7 +132,7 @@ class DbcCodec:
         layout = self._layout(message_name)
         return int(np.sum(block.length[block.arbitration_id == layout.arbitration_id] < layout.length))
 
-    def decode(self, block: FrameBlock, message_name: str) -> dict[str, Float64]:
+    def decode(self, block: FrameBlock, message_name: str) -> dict[str, FloatArray]:
         """Values of every signal of a message, in the DBC's units, one for each selected frame.
 
         NaN where a multiplexed signal is not in the frame. Integers of more than 53 bits are
@@ -209,7 +208,7 @@ class _Layout:
         self.length = message.length
         self.fields = {signal.name: BitField(signal) for signal in message.signals}
 
-    def physical(self, name: str, words: Payloads) -> Float64:
+    def physical(self, name: str, words: Payloads) -> FloatArray:
         values = self.fields[name].physical(words)
         if self.fields[name].signal.multiplexer_ids is None:
             return values
@@ -217,7 +216,7 @@ class _Layout:
             self._present(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
         )
 
-    def encode(self, values: dict[str, Float64]) -> NDArray[np.uint8]:
+    def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
         count = len(next(iter(values.values()), np.zeros(1)))
         raw = {
             name: field.to_raw(values[name]) if name in values else np.zeros(count, np.uint64)
@@ -233,7 +232,7 @@ class _Layout:
         payloads = little.view(np.uint8) | big.view(np.uint8)
         return payloads.reshape(count, MAX_LENGTH)[:, : self.length]
 
-    def _present(self, name: str, raw_of: Callable[[str], NDArray[Any]]) -> NDArray[np.bool_]:
+    def _present(self, name: str, raw_of: Callable[[str], NDArray[Any]]) -> BoolArray:
         """Whether the multiplexer, and the one above it, select the signal."""
         signal = self.fields[name].signal
         selector = signal.multiplexer_signal

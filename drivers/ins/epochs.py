@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.drivers.ins.bound_signals import BlockReader
 from gyrobench.drivers.ins.readout import Readout
 
-Float64 = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = IntArray
 
 #: A counter that runs ahead of the arrival by more epochs than this has been set anew.
 _JUMP = 300.0
@@ -73,9 +72,9 @@ class Epochs:
     """
 
     rows: Rows
-    arrival_s: Float64
-    ins_time_s: Float64
-    segment: NDArray[np.int64]
+    arrival_s: FloatArray
+    ins_time_s: FloatArray
+    segment: IntArray
     counts: EpochCounts
 
 
@@ -119,10 +118,10 @@ class _Groups:
     """Complete groups of frames: last row, arrival, row of the time frame among them or -1."""
 
     rows: Rows
-    arrival_s: Float64
+    arrival_s: FloatArray
     time_rows: Rows
 
-    def take(self, chosen: NDArray[np.bool_]) -> _Groups:
+    def take(self, chosen: BoolArray) -> _Groups:
         return _Groups(self.rows[chosen], self.arrival_s[chosen], self.time_rows[chosen])
 
 
@@ -155,9 +154,7 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
     return groups, int(np.sum(~complete[1:-1]))
 
 
-def _only_late(
-    readout: Readout, rows: Rows, again: NDArray[np.bool_], counts: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _only_late(readout: Readout, rows: Rows, again: BoolArray, counts: BoolArray) -> BoolArray:
     """Tell which frames belong to the epoch of the frame before, however late they came.
 
     Between two counts of the epochs that follow each other there is one epoch. ``again`` tells where the
@@ -205,7 +202,7 @@ def _modulus(readout: Readout, path: str) -> float:
     return readout.signals[path].modulus if path in readout.signals else np.inf
 
 
-def _follow(numbers: Float64, modulus: float, passed: Float64) -> tuple[Float64, NDArray[np.bool_]]:
+def _follow(numbers: FloatArray, modulus: float, passed: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Find the steps from number to number (the first is 1), and where the numbering was set anew.
 
     ``passed`` is the number of epochs that the arrival says have passed in each step; where its clock was
@@ -219,12 +216,12 @@ def _follow(numbers: Float64, modulus: float, passed: Float64) -> tuple[Float64,
     return np.concatenate([[1.0], steps])[:count], np.concatenate([[False], jumped])[:count]
 
 
-def _nearest(steps: Float64, modulus: float, expected: Float64 | float) -> Float64:
+def _nearest(steps: FloatArray, modulus: float, expected: FloatArray | float) -> FloatArray:
     """Take from each step the wraps that bring it nearest to what is expected."""
     return steps if np.isinf(modulus) else steps + modulus * np.rint((expected - steps) / modulus)
 
 
-def _times(readout: Readout, groups: _Groups, position: Float64, restart: NDArray[np.bool_]) -> Float64:
+def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: BoolArray) -> FloatArray:
     """INS time of each epoch, NaN where it can't be told.
 
     Where two times of the INS contradict the count of epochs between them, its clock was set
@@ -252,7 +249,7 @@ def _times(readout: Readout, groups: _Groups, position: Float64, restart: NDArra
     return np.round(times_s, _TIME_DECIMALS)
 
 
-def _interpolated(position: Float64, segment: NDArray[np.int64], known: Rows, offsets_s: Float64) -> Float64:
+def _interpolated(position: FloatArray, segment: IntArray, known: Rows, offsets_s: FloatArray) -> FloatArray:
     """Offsets at every position from those at the known ones of the same segment."""
     result = np.full(len(position), np.nan)
     for run in _runs(segment):
@@ -262,7 +259,7 @@ def _interpolated(position: Float64, segment: NDArray[np.int64], known: Rows, of
     return result
 
 
-def _count_contradicted(reader: BlockReader, readout: Readout, ends: Rows, steps: Float64) -> int:
+def _count_contradicted(reader: BlockReader, readout: Readout, ends: Rows, steps: FloatArray) -> int:
     """Count frames that no epoch accounts for; each of ``steps`` is how many lead to an epoch's end."""
     if not len(ends):
         return 0
@@ -277,14 +274,14 @@ def _count_contradicted(reader: BlockReader, readout: Readout, ends: Rows, steps
     return contradicted
 
 
-def _count_late(delays_s: Float64, segment: NDArray[np.int64], tolerance_s: float) -> int:
+def _count_late(delays_s: FloatArray, segment: IntArray, tolerance_s: float) -> int:
     late = 0
     for run in _runs(segment):
         late += int(np.sum(delays_s[run] - np.minimum.accumulate(delays_s[run]) > tolerance_s))
     return late
 
 
-def _runs(segment: NDArray[np.int64]) -> Iterator[slice]:
+def _runs(segment: IntArray) -> Iterator[slice]:
     """Stretches of equal segment number."""
     edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
     for start, stop in pairwise(edges):

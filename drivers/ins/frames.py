@@ -9,6 +9,8 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+
 #: Set in an identifier of 29 bits, as in SocketCAN and in DBC files.
 EXTENDED_ID = 0x8000_0000
 
@@ -32,7 +34,7 @@ class FrameBlock:
         Data bytes, zero beyond the length.
     """
 
-    timestamp_s: NDArray[np.float64]
+    timestamp_s: FloatArray
     arbitration_id: NDArray[np.uint32]
     length: NDArray[np.uint8]
     data: NDArray[np.uint8]
@@ -60,7 +62,7 @@ class FrameBlock:
     def __len__(self) -> int:
         return len(self.timestamp_s)
 
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_] | slice) -> FrameBlock:
+    def take(self, rows: IntArray | BoolArray | slice) -> FrameBlock:
         """Select frames by a numpy index."""
         return FrameBlock(
             self.timestamp_s[rows], self.arbitration_id[rows], self.length[rows], self.data[rows]

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.bound_signals import BoundSignal
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
@@ -19,7 +19,6 @@ from gyrobench.drivers.ins.signal_map import SignalMap
 #: Values older than this are not known any more.
 STALE_S = 5.0
 
-Float64 = NDArray[np.float64]
 
 _NOW = np.zeros(1, np.int64)
 
@@ -68,7 +67,7 @@ class Snapshot:
         self._codec = codec
         self._decoded: dict[str, dict[str, float]] = {}
 
-    def held(self, bound: BoundSignal, rows: NDArray[np.int64]) -> Float64:  # noqa: ARG002 - only now
+    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
         """Value of a signal, shape (1,); NaN if its frame is not there."""
         if bound.message not in self._decoded:
             frame = self._frames.get(_key(self._codec.arbitration_id(bound.message)))
@@ -151,22 +150,22 @@ class InsStatus:
         return float(self._readout.time_s(_NOW)[0])
 
     @cached_property
-    def velocity_enu_mps(self) -> Float64:
+    def velocity_enu_mps(self) -> FloatArray:
         """Velocity, shape (3,)."""
         return np.asarray(self._readout.velocity_enu_mps(_NOW)[0])
 
     @cached_property
-    def attitude(self) -> Float64:
+    def attitude(self) -> FloatArray:
         """``C_nb``, shape (3, 3)."""
         return np.asarray(self._readout.attitude(_NOW)[0])
 
     @cached_property
-    def optics_c(self) -> Float64:
+    def optics_c(self) -> FloatArray:
         """Temperature of each gyro's optics by body axis, shape (3,)."""
         return np.asarray(self._readout.axes("gyro_optics_temperature", _NOW)[0])
 
     @cached_property
-    def electronics_c(self) -> Float64:
+    def electronics_c(self) -> FloatArray:
         """Temperature of each gyro's electronics by body axis, shape (3,)."""
         return np.asarray(self._readout.axes("gyro_electronics_temperature", _NOW)[0])
 

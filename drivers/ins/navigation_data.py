@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.drivers.ins.bound_signals import BlockReader, bind_signals
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.epochs import EpochCounts, Epochs, find_epochs
@@ -14,8 +15,7 @@ from gyrobench.drivers.ins.frames import FrameBlock
 from gyrobench.drivers.ins.readout import Readout
 from gyrobench.drivers.ins.signal_map import SignalMap
 
-Float64 = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = IntArray
 
 _TEMPERATURES = ("gyro_optics_temperature", "gyro_electronics_temperature", "case_temperature")
 _SENSORS = (*(f"{name}.{axis}" for name in _TEMPERATURES[:2] for axis in "xyz"), _TEMPERATURES[2])
@@ -38,11 +38,11 @@ class Temperatures:
         electronics, case; 0 where there was only one.
     """
 
-    ins_time_s: Float64
-    optics_c: Float64
-    electronics_c: Float64
-    case_c: Float64
-    spread_k: Float64
+    ins_time_s: FloatArray
+    optics_c: FloatArray
+    electronics_c: FloatArray
+    case_c: FloatArray
+    spread_k: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +75,12 @@ class NavigationData:
         Frames with fewer bytes than the DBC says; left out.
     """
 
-    ins_time_s: Float64
-    timestamp_s: Float64
+    ins_time_s: FloatArray
+    timestamp_s: FloatArray
     row: Rows
-    segment: NDArray[np.int64]
-    velocity_enu_mps: Float64
-    attitude: Float64
+    segment: IntArray
+    velocity_enu_mps: FloatArray
+    attitude: FloatArray
     mode: NDArray[np.int8]
     alignment: NDArray[np.int8]
     temperatures: Temperatures
@@ -131,7 +131,7 @@ def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temp
     )
 
 
-def _spread(reader: BlockReader, readout: Readout, path: str, rows: Rows) -> Float64:
+def _spread(reader: BlockReader, readout: Readout, path: str, rows: Rows) -> FloatArray:
     """Largest difference (m,) between neighbouring readings of a sensor from one of the rows to the next."""
     spread = np.zeros(len(rows) + 1)
     if path in readout.signals:

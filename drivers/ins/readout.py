@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.drivers.ins.attitude import (
     EulerSequence,
     QuaternionFrames,
@@ -18,8 +19,7 @@ from gyrobench.drivers.ins.attitude import (
 from gyrobench.drivers.ins.bound_signals import BoundSignal
 from gyrobench.drivers.ins.signal_map import EulerMap, SignalMap
 
-Float64 = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = IntArray
 
 
 class InsMode(IntEnum):
@@ -45,7 +45,7 @@ class Alignment(IntEnum):
 class Reader(Protocol):
     """Where the values of bound signals come from."""
 
-    def held(self, bound: BoundSignal, rows: Rows) -> Float64:
+    def held(self, bound: BoundSignal, rows: Rows) -> FloatArray:
         """Last value that had arrived at each of those moments, NaN before the first."""
         ...
 
@@ -63,25 +63,25 @@ class Readout:
         self.signals = signals
         self._reader = reader
 
-    def value(self, path: str, rows: Rows) -> Float64:
+    def value(self, path: str, rows: Rows) -> FloatArray:
         """Read one quantity by its path, shape (n,)."""
         if path not in self.signals:
             return np.full(len(rows), np.nan)
         return self._reader.held(self.signals[path], rows)
 
-    def values(self, paths: Sequence[str], rows: Rows) -> Float64:
+    def values(self, paths: Sequence[str], rows: Rows) -> FloatArray:
         """Read several quantities side by side, shape (n, number of paths)."""
         return np.stack([self.value(path, rows) for path in paths], axis=-1)
 
-    def velocity_enu_mps(self, rows: Rows) -> Float64:
+    def velocity_enu_mps(self, rows: Rows) -> FloatArray:
         """Read the velocity, shape (n, 3)."""
         return self.values(("velocity_east", "velocity_north", "velocity_up"), rows)
 
-    def axes(self, name: str, rows: Rows) -> Float64:
+    def axes(self, name: str, rows: Rows) -> FloatArray:
         """Read a quantity of the three body axes, shape (n, 3)."""
         return self.values([f"{name}.{axis}" for axis in "xyz"], rows)
 
-    def time_s(self, rows: Rows) -> Float64:
+    def time_s(self, rows: Rows) -> FloatArray:
         """Read the clock of the INS, shape (n,)."""
         seconds = self.value("time_s", rows)
         return seconds + self.value("time_ns", rows) if "time_ns" in self.signals else seconds
@@ -109,7 +109,7 @@ class Readout:
         }
         return _coded(self.value("alignment", rows), codes, Alignment.NONE)
 
-    def attitude(self, rows: Rows) -> Float64:
+    def attitude(self, rows: Rows) -> FloatArray:
         """Read ``C_nb``, shape (n, 3, 3)."""
         if self.map.attitude.euler is not None:
             matrices = self._from_euler(self.map.attitude.euler, rows)
@@ -130,7 +130,7 @@ class Readout:
         )
         return _coded(self.value("attitude.euler.sequence", rows), codes, -1)
 
-    def _from_euler(self, euler: EulerMap, rows: Rows) -> Float64:
+    def _from_euler(self, euler: EulerMap, rows: Rows) -> FloatArray:
         roll, pitch, yaw = self.values([f"attitude.euler.{n}" for n in ("roll", "pitch", "yaw")], rows).T
         if euler.yaw_positive == "down":
             yaw = -yaw
@@ -141,13 +141,13 @@ class Readout:
             matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
         return matrices
 
-    def _from_quaternion(self, rows: Rows) -> Float64:
+    def _from_quaternion(self, rows: Rows) -> FloatArray:
         assert self.map.attitude.quaternion is not None  # noqa: S101 - the map has one of the two
         frames = QuaternionFrames(self.map.attitude.quaternion.frames)
         return quaternion_matrices(frames, *self.values([f"attitude.quaternion.{n}" for n in "wxyz"], rows).T)
 
 
-def _coded(values: Float64, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
+def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
     codes = np.full(len(values), other, np.int8)
     for code, raw in meanings.items():
         codes[np.isin(values, raw)] = code

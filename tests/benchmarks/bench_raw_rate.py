@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.raw_rate import RateRecording, up_down_pair
-from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
+from gyrobench.bench.navigation.earth import EARTH_RATE
 
 LN100 = Path(__file__).parents[3] / "shared" / "data" / "ln100"
 LATITUDE = np.deg2rad(51.0784)

@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from gyrobench.bench.bias.least_squares import compress, misfit, solve
 from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space import causes
 from gyrobench.bench.bias.state_space.bias_filter import DwellInformation
-from gyrobench.bench.navigation.earth import STANDARD_GRAVITY
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray
 from gyrobench.bench.navigation.positions import Position
-
-Array = NDArray[np.float64]
 
 #: Shared unknowns: accelerometer biases, accelerometer error matrix by rows (its diagonal, the
 #: scale factors, acts on Up alone and is not seen), rate North and Up fixed in the navigation
@@ -49,8 +46,8 @@ class DwellRows:
         Which body axis was vertical.
     """
 
-    rows: Array
-    data: Array
+    rows: FloatArray
+    data: FloatArray
     position: Position
 
     @classmethod
@@ -72,7 +69,7 @@ class DwellRows:
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
         return cls(*_informative(left[:, :-1], left[:, -1], sizes), position)
 
-    def for_joint_unknowns(self, number: int, dwells: int) -> Array:
+    def for_joint_unknowns(self, number: int, dwells: int) -> FloatArray:
         """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
         vertical = self.position.up_sign * STANDARD_GRAVITY * np.eye(3)[self.position.up_axis]
         result = np.zeros((len(self.rows), SHARED + 3 * dwells))
@@ -96,14 +93,14 @@ class JointFit:
         Test that the dwells agree on what they share.
     """
 
-    unknowns: Array
-    covariance: Array
+    unknowns: FloatArray
+    covariance: FloatArray
     chi2: float
     freedom: int
     p_value: float
 
 
-def declared_root(prior: PriorKnowledge, earth_rate: NDArray[np.float64]) -> Array:
+def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     """Prior root (23, 23) of what is shared, with the latitude as well known as declared."""
     single = causes.prior_root(prior, 0, earth_rate)
     matrix = prior.accelerometer_misalignment * (1.0 - np.eye(3))
@@ -113,20 +110,20 @@ def declared_root(prior: PriorKnowledge, earth_rate: NDArray[np.float64]) -> Arr
     )
 
 
-def north_free_root(prior: PriorKnowledge, earth_rate: NDArray[np.float64]) -> Array:
+def north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     """The same with any rate North; a rate Up stays in the biases of the vertical gyros."""
     root = declared_root(prior, earth_rate)
     root[NAVIGATION_RATE, NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
     return root
 
 
-def solve_alone(dwell: DwellRows, shared_root: Array) -> tuple[Array, Array]:
+def solve_alone(dwell: DwellRows, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
     unknowns, covariance = solve(*_system([dwell], shared_root))
     return unknowns[SHARED:], covariance[SHARED:, SHARED:]
 
 
-def solve_together(dwells: Sequence[DwellRows], shared_root: Array) -> JointFit:
+def solve_together(dwells: Sequence[DwellRows], shared_root: FloatArray) -> JointFit:
     """Solve for what the dwells share and for the biases of each."""
     rows, data, prior_root = _system(dwells, shared_root)
     unknowns, covariance = solve(rows, data, prior_root)
@@ -134,14 +131,16 @@ def solve_together(dwells: Sequence[DwellRows], shared_root: Array) -> JointFit:
     return JointFit(unknowns, covariance, left.chi2, left.freedom, left.p_value)
 
 
-def _system(dwells: Sequence[DwellRows], shared_root: Array) -> tuple[Array, Array, Array]:
+def _system(
+    dwells: Sequence[DwellRows], shared_root: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows, data and prior root of the joint problem."""
     rows = np.vstack([each.for_joint_unknowns(number, len(dwells)) for number, each in enumerate(dwells)])
     data = np.concatenate([each.data for each in dwells])
     return rows, data, np.asarray(block_diag(shared_root, _ANY_RATE * np.eye(3 * len(dwells))))
 
 
-def _informative(rows: Array, data: Array, sizes: Array) -> tuple[Array, Array]:
+def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows turned so that those go which tell nothing of unknowns of these sizes: they dilute a test."""
     directions, information, _ = np.linalg.svd(rows * sizes, full_matrices=False)
     turned = directions[:, information > _LEAST_INFORMATION].T

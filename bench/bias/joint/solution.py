@@ -18,7 +18,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from gyrobench.bench.bias.dwell import BiasEstimate
@@ -38,10 +37,9 @@ from gyrobench.bench.bias.joint.problem import (
 from gyrobench.bench.bias.joint.vertical_pairs import UpRate, VerticalPairs, up_rate
 from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space.bias_filter import DwellInformation
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS, Position
-
-Array = NDArray[np.float64]
 
 _NORTH = NAVIGATION_RATE.start
 #: Largest difference of a dwell's temperature from the mean of those that it is solved with, K.
@@ -104,11 +102,11 @@ class JointBiases:
         Dwell by dwell, (rad/s)^2.
     """
 
-    bias_radps: Array
-    covariance: Array
+    bias_radps: FloatArray
+    covariance: FloatArray
 
     @property
-    def sigma_radps(self) -> Array:
+    def sigma_radps(self) -> FloatArray:
         """Standard uncertainties, shape (m, 3)."""
         return np.sqrt(np.diagonal(self.covariance)).reshape(-1, 3)
 
@@ -155,23 +153,23 @@ class JointSolution:
         return not (self.fit.p_value < _LEAST_P and self.north_free_fit.p_value < _LEAST_P)
 
     @property
-    def gain(self) -> Array:
+    def gain(self) -> FloatArray:
         """Uncertainty dwell by dwell over the joint one, shape (m, 3)."""
         return self.single.sigma_radps / self.together.sigma_radps
 
     @property
-    def accelerometer_bias(self) -> tuple[Array, Array]:
+    def accelerometer_bias(self) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and their standard uncertainties, m/s^2, body axes."""
         return self._shared(ACCELEROMETER_BIAS)
 
     @property
-    def accelerometer_misalignment(self) -> tuple[Array, Array]:
+    def accelerometer_misalignment(self) -> tuple[FloatArray, FloatArray]:
         """Matrix (3, 3) and its standard uncertainties, rad; the diagonal is not seen and stays 0."""
         matrix, sigma = self._shared(ACCELEROMETER_MATRIX)
         return matrix.reshape(3, 3), sigma.reshape(3, 3)
 
     @property
-    def gyro_matrix(self) -> tuple[Array, Array]:
+    def gyro_matrix(self) -> tuple[FloatArray, FloatArray]:
         """Scale factor errors and misalignments (3, 3), and their standard uncertainties."""
         matrix, sigma = self._shared(GYRO_MATRIX)
         return matrix.reshape(3, 3), sigma.reshape(3, 3)
@@ -208,7 +206,7 @@ class JointSolution:
             left @ biases.covariance @ left.T + beyond * np.outer(response, response),
         )
 
-    def _shared(self, part: slice) -> tuple[Array, Array]:
+    def _shared(self, part: slice) -> tuple[FloatArray, FloatArray]:
         return self.fit.unknowns[part], np.sqrt(np.diagonal(self.fit.covariance)[part])
 
 
@@ -283,12 +281,12 @@ def _biases(fit: JointFit) -> JointBiases:
     return JointBiases(fit.unknowns[SHARED:].reshape(-1, 3), fit.covariance[SHARED:, SHARED:])
 
 
-def _side_by_side(singles: Sequence[tuple[Array, Array]]) -> JointBiases:
+def _side_by_side(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:
     biases, covariances = zip(*singles, strict=True)
     return JointBiases(np.vstack(biases), np.asarray(block_diag(*covariances)))
 
 
-def _vertical(dwells: Sequence[JointDwell]) -> NDArray[np.int64]:
+def _vertical(dwells: Sequence[JointDwell]) -> IntArray:
     """Index of each dwell's vertical gyro among all biases."""
     return np.array([3 * index + dwell.position.up_axis for index, dwell in enumerate(dwells)])
 

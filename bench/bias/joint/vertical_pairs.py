@@ -21,12 +21,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+
+Labels = IntArray
 
 #: Probability below which measurements contradict a hypothesis.
 LEAST_P_VALUE = 0.01
@@ -79,12 +79,12 @@ class VerticalPairs:
     """
 
     gyros: tuple[int, ...]
-    half_difference: Array
-    covariance: Array
+    half_difference: FloatArray
+    covariance: FloatArray
     weights: tuple[Mapping[int, float], ...]
     north_rate: float
     north_variance: float
-    north_covariance: Array
+    north_covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ class UpRate:
         return self.finding in (Finding.LATITUDE, Finding.NOT_CONTRADICTED)
 
 
-def up_rate(groups: Sequence[VerticalPairs], earth_rate: NDArray[np.float64]) -> UpRate:
+def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
     """Rate Up from the half-differences of one or several temperatures.
 
     Temperatures count as independent; what gyro scale factors have in common is far below the noise.
@@ -191,7 +191,7 @@ class _LatitudeError:
     telling: float
 
 
-def _scatter(values: Array, inverse: Array, labels: Labels) -> tuple[float, int]:
+def _scatter(values: FloatArray, inverse: FloatArray, labels: Labels) -> tuple[float, int]:
     """Chi-square about one mean for each label, and its freedom; ``inverse`` is that of the covariance."""
     design = (labels[:, np.newaxis] == np.unique(labels)).astype(float)
     weighted = inverse @ design
@@ -209,7 +209,9 @@ def _of_any(*p_values: float) -> float:
     return min(1.0, len(told) * min(told)) if told else math.nan
 
 
-def _north_and_up(groups: Sequence[VerticalPairs], up_parts: Sequence[Array]) -> tuple[Array, Array]:
+def _north_and_up(
+    groups: Sequence[VerticalPairs], up_parts: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
     """Rates North and Up (2,) and their covariance (2, 2); the weighted mean North of the groups."""
     north_parts = np.array([1.0 / group.north_variance for group in groups])
     north_parts /= north_parts.sum()
@@ -224,7 +226,7 @@ def _north_and_up(groups: Sequence[VerticalPairs], up_parts: Sequence[Array]) ->
     return rates, covariance
 
 
-def _latitude_error(rates: Array, covariance: Array, earth_rate: Array) -> _LatitudeError:
+def _latitude_error(rates: FloatArray, covariance: FloatArray, earth_rate: FloatArray) -> _LatitudeError:
     """Latitude error that explains rates North and Up best."""
     response = np.array([earth_rate[2], -earth_rate[1]])
     weighted = np.linalg.solve(covariance, response)
@@ -242,7 +244,7 @@ def _latitude_error(rates: Array, covariance: Array, earth_rate: Array) -> _Lati
     )
 
 
-def _dwell_weights(groups: Sequence[VerticalPairs], parts: Sequence[Array]) -> dict[int, float]:
+def _dwell_weights(groups: Sequence[VerticalPairs], parts: Sequence[FloatArray]) -> dict[int, float]:
     return {
         dwell: float(part * weight)
         for group, weights in zip(groups, parts, strict=True)

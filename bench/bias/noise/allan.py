@@ -32,9 +32,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 
 #: Terms of the noise, in the order of arrays: S^2, N^2, K^2.
@@ -72,18 +72,18 @@ class AllanVariance:
     """
 
     interval_s: float
-    factors: NDArray[np.int64]
-    variance: NDArray[np.float64]
-    counts: NDArray[np.int64]
+    factors: IntArray
+    variance: FloatArray
+    counts: IntArray
     lengths: tuple[int, ...]
 
     @property
-    def tau_s(self) -> NDArray[np.float64]:
+    def tau_s(self) -> FloatArray:
         """Averaging times."""
         return np.asarray(self.factors * self.interval_s, np.float64)
 
     @property
-    def deviation(self) -> NDArray[np.float64]:
+    def deviation(self) -> FloatArray:
         """Allan deviation, unit of the integral / s."""
         return np.asarray(np.sqrt(self.variance), np.float64)
 
@@ -111,21 +111,21 @@ class RateNoise:
         uncertainty; 0 where the model fits. It is in the covariance.
     """
 
-    terms: NDArray[np.float64]
-    unbounded: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    expected: NDArray[np.float64]
-    used: NDArray[np.bool_]
-    edf: NDArray[np.float64]
+    terms: FloatArray
+    unbounded: FloatArray
+    covariance: FloatArray
+    expected: FloatArray
+    used: BoolArray
+    edf: FloatArray
     misfit: float
 
     @property
-    def sigmas(self) -> NDArray[np.float64]:
+    def sigmas(self) -> FloatArray:
         """Standard uncertainty (3,) of each term."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def on_grid(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
     """Put samples on an even grid; what is missing is NaN there.
 
     Parameters
@@ -148,7 +148,7 @@ def on_grid(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[f
     return float((time_s[-1] - time_s[0]) / places[-1]), grid
 
 
-def allan_variance(stretches: Sequence[NDArray[np.float64]], interval_s: float) -> AllanVariance:
+def allan_variance(stretches: Sequence[FloatArray], interval_s: float) -> AllanVariance:
     """Overlapping Allan variance of a rate from its integral.
 
     Parameters
@@ -226,7 +226,7 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
     )
 
 
-def _squares(angle: NDArray[np.float64], factor: int) -> tuple[float, int]:
+def _squares(angle: FloatArray, factor: int) -> tuple[float, int]:
     """Sum of squares about their mean of the second differences, and their number."""
     if len(angle) < 2 * factor + 2:
         return 0.0, 0
@@ -236,11 +236,11 @@ def _squares(angle: NDArray[np.float64], factor: int) -> tuple[float, int]:
 
 
 def _solve(
-    design: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    errors: NDArray[np.float64],
-    used: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    design: FloatArray,
+    variance: FloatArray,
+    errors: FloatArray,
+    used: BoolArray,
+) -> tuple[FloatArray, FloatArray]:
     """Terms not below zero, and the matrix that gives the unbounded ones from the variances."""
     weight = 1.0 / np.sqrt(errors[used])
     weighted = design[used] * weight[:, np.newaxis]
@@ -250,10 +250,10 @@ def _solve(
 
 
 def _misfit(
-    variance: NDArray[np.float64],
-    model: NDArray[np.float64],
-    errors: NDArray[np.float64],
-    used: NDArray[np.bool_],
+    variance: FloatArray,
+    model: FloatArray,
+    errors: FloatArray,
+    used: BoolArray,
 ) -> float:
     """Common relative error that brings the squares of the residuals down to their number."""
     residual = ((variance - model) / model)[used] ** 2
@@ -268,7 +268,7 @@ def _misfit(
     return float(np.sqrt(high))
 
 
-def _check_enough(used: NDArray[np.bool_], allan: AllanVariance) -> None:
+def _check_enough(used: BoolArray, allan: AllanVariance) -> None:
     if np.count_nonzero(used) < _TERMS + _SPARE_TIMES:
         raise MeasurementError(
             f"{np.count_nonzero(used)} averaging times out of {allan.tau_s[0]:g} to {allan.tau_s[-1]:g} s "
@@ -288,8 +288,8 @@ class _Information:
         Quadratic form of the covariance in the terms.
     """
 
-    design: NDArray[np.float64]
-    products: NDArray[np.float64]
+    design: FloatArray
+    products: FloatArray
 
     @classmethod
     def of(cls, allan: AllanVariance) -> _Information:
@@ -301,7 +301,7 @@ class _Information:
         products = products * np.outer(thinned, thinned)[:, :, np.newaxis, np.newaxis]
         return cls(design * powers, products * np.outer(powers, powers))
 
-    def covariance(self, terms: NDArray[np.float64]) -> NDArray[np.float64]:
+    def covariance(self, terms: FloatArray) -> FloatArray:
         """Covariance (k, k) of the variances."""
         return np.asarray(self.products @ terms @ terms)
 
@@ -309,7 +309,7 @@ class _Information:
 @lru_cache(maxsize=64)
 def _information(
     factors: tuple[int, ...], lengths: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """Expectation (k, 3), covariance (k, k, 3, 3) and count (k,) of the differences at interval 1 s."""
     size = len(factors)
     different, repeats = np.unique(lengths, return_counts=True)
@@ -332,19 +332,19 @@ def _information(
     return design, products, full
 
 
-def _number(lengths: NDArray[np.int64], factor: NDArray[np.int64]) -> NDArray[np.int64]:
+def _number(lengths: IntArray, factor: IntArray) -> IntArray:
     """Second differences in stretches; a single one says nothing about its mean."""
     number = lengths - 2 * factor
     return np.asarray(np.where(number > 1, number, 0))
 
 
-def _pairs(first: NDArray[np.int64], second: NDArray[np.int64], lags: NDArray[np.int64]) -> NDArray[np.int64]:
+def _pairs(first: IntArray, second: IntArray, lags: IntArray) -> IntArray:
     """How often two series of the given lengths (s,) meet at each lag, (lags, s)."""
     lag = lags[:, np.newaxis]
     return np.asarray(np.maximum(np.minimum(first, second - lag) - np.maximum(0, -lag), 0))
 
 
-def _covariance_of_differences(factor: int, other: int, lags: NDArray[np.int64]) -> NDArray[np.float64]:
+def _covariance_of_differences(factor: int, other: int, lags: IntArray) -> FloatArray:
     """Covariance (3, lags) of second differences at two averaging times, for each term.
 
     From the generalised covariances of white noise, random walk and integrated random walk; they

@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from gyrobench.bench.bias.dwell import NavigationWindow
@@ -38,9 +37,15 @@ from gyrobench.bench.bias.noise.allan import (
     on_grid,
 )
 from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    UG_PER_SQRT_HZ_TO_SI,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
-from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.navigation.earth import MEAN_RADIUS
 from gyrobench.bench.navigation.positions import AXES
 
 #: One-sided 95 % point of the normal distribution.
@@ -137,7 +142,7 @@ class ChannelNoise:
     fit: RateNoise | None
 
     @property
-    def is_seen(self) -> NDArray[np.bool_]:
+    def is_seen(self) -> BoolArray:
         """Averaging times (k,) at which the output moves at all."""
         return np.asarray(self.allan.deviation * self.allan.tau_s > _ARITHMETIC)
 
@@ -356,7 +361,7 @@ def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> Noise
     )
 
 
-def _angles_and_velocities(window: NavigationWindow, gravity: float) -> NDArray[np.float64]:
+def _angles_and_velocities(window: NavigationWindow, gravity: float) -> FloatArray:
     """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
     rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
     velocity = window.velocity_enu_mps[:, :2]
@@ -365,7 +370,7 @@ def _angles_and_velocities(window: NavigationWindow, gravity: float) -> NDArray[
     return np.hstack([rotation @ window.C_nb[0], rotation[:, 2:], velocity + feedback])
 
 
-def _channel(stretches: list[NDArray[np.float64]], interval: float, step: float) -> ChannelNoise:
+def _channel(stretches: list[FloatArray], interval: float, step: float) -> ChannelNoise:
     allan = allan_variance(stretches, interval)
     is_coarse = np.sqrt(2.0 * allan.variance) * allan.tau_s < step
     if step == 0.0 or is_coarse[-1]:
@@ -389,13 +394,13 @@ def _common_interval(intervals: Sequence[float]) -> float:
     return float(np.mean(intervals))
 
 
-def _attitude_changes(window: NavigationWindow) -> NDArray[np.float64]:
+def _attitude_changes(window: NavigationWindow) -> FloatArray:
     """Angle between neighbouring epochs, (n - 1,)."""
     turns = window.C_nb[1:] @ np.swapaxes(window.C_nb[:-1], 1, 2)
     return np.asarray(np.linalg.norm(rotation_vector_enu(turns, np.eye(3)), axis=1))
 
 
-def _smallest(changes: Sequence[NDArray[np.float64]]) -> float:
+def _smallest(changes: Sequence[FloatArray]) -> float:
     """Smallest change that is not zero, but for a few freaks; 0 if there is none."""
     sizes = np.abs(np.concatenate([each.ravel() for each in changes]))
     sizes = sizes[sizes > _ARITHMETIC]

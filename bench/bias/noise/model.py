@@ -17,8 +17,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, MEAN_RADIUS, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,7 @@ class NoiseModel:
             float(np.hypot(heading_lsb_rad / np.sqrt(12.0), heading_output_rad)),
         )
 
-    def velocity_variance(
-        self, time: NDArray[np.float64], weights: NDArray[np.float64], gravity: float
-    ) -> NDArray[np.float64]:
+    def velocity_variance(self, time: FloatArray, weights: FloatArray, gravity: float) -> FloatArray:
         """Variance of weighted sums of one horizontal velocity.
 
         Parameters
@@ -104,20 +103,18 @@ class NoiseModel:
         )
         return np.asarray(walk + self.velocity_white**2 * (weights**2).sum(axis=0))
 
-    def heading_variance(
-        self, time: NDArray[np.float64], weights: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def heading_variance(self, time: FloatArray, weights: FloatArray) -> FloatArray:
         """Variance of weighted sums of the heading; parameters as for the velocity."""
         walk = np.diff(time) @ (self.angle_random_walk * _tails(time, weights, 0.0).real) ** 2
         return np.asarray(walk + self.heading_white**2 * (weights**2).sum(axis=0))
 
 
-def _middles(time: NDArray[np.float64]) -> NDArray[np.float64]:
+def _middles(time: FloatArray) -> FloatArray:
     """Where the noise of each interval is taken to act, (n - 1,)."""
     return 0.5 * (time[:-1] + time[1:])
 
 
-def _tails(time: NDArray[np.float64], weights: NDArray[np.float64], rate: float) -> NDArray[np.complex128]:
+def _tails(time: FloatArray, weights: FloatArray, rate: float) -> NDArray[np.complex128]:
     """``sum over t_k > s of w_k exp(i rate (t_k - s))`` for the middle s of each interval."""
     column = (slice(None),) + (None,) * (weights.ndim - 1)
     weighted = weights * np.exp(1j * rate * (time - time[0]))[column]

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.special import erfc
@@ -27,11 +26,10 @@ from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space import causes, whitening
 from gyrobench.bench.bias.state_space.fit_test import FitTest, fit_test
 from gyrobench.bench.bias.state_space.window_filter import WindowFilter
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +48,10 @@ class DwellInformation:
         ENU, rad/s.
     """
 
-    rows: Array
-    data: Array
-    bias_at_mean: Array
-    earth_rate: Array
+    rows: FloatArray
+    data: FloatArray
+    bias_at_mean: FloatArray
+    earth_rate: FloatArray
 
     @property
     def windows(self) -> int:
@@ -77,8 +75,8 @@ class StateSpaceEstimate(BiasEstimate):
         For the joint solution of several dwells.
     """
 
-    accelerometer_bias: Array
-    accelerometer_sigma: Array
+    accelerometer_bias: FloatArray
+    accelerometer_sigma: FloatArray
     fit: FitTest
     steady_p_value: float
     information: DwellInformation
@@ -101,11 +99,11 @@ class BiasFilter:
         self._site, self._noise, self._prior = site, noise, prior
         self._earth_rate = earth_rate_enu(site.latitude)
         self._windows: list[WindowFilter] = []
-        self._expansions: list[Array] = []
-        self._reference_c: Array | None = None
+        self._expansions: list[FloatArray] = []
+        self._reference_c: FloatArray | None = None
         self._last_k = np.zeros(3)
 
-    def begin_window(self, time_s: float, C_nb: NDArray[np.float64], turn: TurnPath | None = None) -> None:
+    def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
         """Begin a stretch of navigation at rest.
 
         Parameters
@@ -140,10 +138,10 @@ class BiasFilter:
 
     def add(
         self,
-        time_s: NDArray[np.float64],
-        velocity_en_mps: NDArray[np.float64],
-        C_nb: NDArray[np.float64],
-        gyro_c: NDArray[np.float64] | None = None,
+        time_s: FloatArray,
+        velocity_en_mps: FloatArray,
+        C_nb: FloatArray,
+        gyro_c: FloatArray | None = None,
     ) -> None:
         """Add the next epochs of the present window.
 
@@ -203,7 +201,7 @@ class BiasFilter:
         """Test whether the model explains what has been added, even a single window."""
         return self._fit_test(*self._solved(self.information()))
 
-    def _solved(self, information: DwellInformation) -> tuple[Array, Array]:
+    def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         prior_root = causes.prior_root(self._prior, len(self._windows), self._earth_rate)
         return solve(information.rows, information.data, prior_root)
 
@@ -220,12 +218,12 @@ class BiasFilter:
         away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
         return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
 
-    def _from_first(self, gyro_c: Array) -> Array:
+    def _from_first(self, gyro_c: FloatArray) -> FloatArray:
         if self._reference_c is None:
             self._reference_c = gyro_c[0].copy()
         return gyro_c - self._reference_c
 
-    def _through_turn(self, time_s: float, turn: TurnPath) -> tuple[Array, Array, Array]:
+    def _through_turn(self, time_s: float, turn: TurnPath) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What each unknown, the data and the noise made of the state when a turn ends at ``time_s``."""
         last = self._windows[-1]
         state = last.columns[:, : whitening.DATA] @ self._expansions[-1]
@@ -265,7 +263,7 @@ class BiasFilter:
             earth_rate=self._earth_rate,
         )
 
-    def _fit_test(self, unknowns: Array, covariance: Array) -> FitTest:
+    def _fit_test(self, unknowns: FloatArray, covariance: FloatArray) -> FitTest:
         blocks = [
             (time_s, total[:, whitening.DATA], _expanded(total, expansion, len(unknowns)))
             for window, expansion in zip(self._windows, self._expansions, strict=True)
@@ -293,7 +291,7 @@ def estimate_state_space(
     return bias_filter.estimate()
 
 
-def _expansion(state: Array, C_nb: Array, earth_rate: Array) -> Array:
+def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
     """What each column of a window (15) is of the unknowns (p), given its first state (6, p)."""
     count = state.shape[1]
     expansion = np.zeros((whitening.DATA, count))
@@ -304,7 +302,7 @@ def _expansion(state: Array, C_nb: Array, earth_rate: Array) -> Array:
     return expansion
 
 
-def _expanded(rows: Array, expansion: Array, count: int) -> Array:
+def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
     """Rows of a window (n, 16) for all unknowns of the dwell (n, count)."""
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : whitening.DATA] @ expansion

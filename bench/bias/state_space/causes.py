@@ -6,10 +6,9 @@ First those that other dwells can share, then for each window those of its own.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.prior import PriorKnowledge
-from gyrobench.bench.navigation.earth import STANDARD_GRAVITY
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray
 from gyrobench.bench.navigation.error_model import INPUTS
 
 #: Biases of the gyros and their slopes with temperature, accelerometer biases (body axes), rate
@@ -30,7 +29,7 @@ WIDE_GYRO_BIAS = 0.01
 _HEADING, _VELOCITY, _FIRST_ATTITUDE = 1.0, 10.0, 0.1
 
 
-def inputs(C_nb: NDArray[np.float64], rate_body: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
     """Input of the error model, (5, count), that a unit of each unknown makes.
 
     Parameters
@@ -53,7 +52,7 @@ def inputs(C_nb: NDArray[np.float64], rate_body: NDArray[np.float64], count: int
     return result
 
 
-def prior_root(prior: PriorKnowledge, windows: int, earth_rate: NDArray[np.float64]) -> NDArray[np.float64]:
+def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
     """Root ``L`` (p, p) of the unknowns' prior covariance ``L @ L.T``.
 
     What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so

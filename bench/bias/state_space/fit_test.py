@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gyrobench.bench.bias.least_squares import misfit
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +30,8 @@ class FitTest:
         Probability of at least this misfit if model and noise are true.
     """
 
-    time_s: NDArray[np.float64]
-    residuals: NDArray[np.float64]
+    time_s: FloatArray
+    residuals: FloatArray
     chi2: float
     freedom: int
     p_value: float
@@ -45,11 +43,11 @@ class FitTest:
 
 
 def fit_test(
-    time_s: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    responses: NDArray[np.float64],
-    unknowns: NDArray[np.float64],
-    covariance: NDArray[np.float64],
+    time_s: FloatArray,
+    sums: FloatArray,
+    responses: FloatArray,
+    unknowns: FloatArray,
+    covariance: FloatArray,
 ) -> FitTest:
     """Test the sums of innovations against an estimate made from the same data.
 

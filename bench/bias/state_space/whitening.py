@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Columns of a window: state at its start, constant inputs, a constant of the heading, inputs that
 #: follow the temperature of each gyro, the data.
@@ -22,16 +21,16 @@ COLUMNS = 16
 
 @numba.njit(cache=True)
 def whiten(
-    columns: Array,
-    covariance: Array,
-    measured: Array,
-    variances: Array,
-    transitions: Array,
-    responses: Array,
-    covariances: Array,
-    C_nb: Array,
-    temperatures: Array,
-) -> Array:
+    columns: FloatArray,
+    covariance: FloatArray,
+    measured: FloatArray,
+    variances: FloatArray,
+    transitions: FloatArray,
+    responses: FloatArray,
+    covariances: FloatArray,
+    C_nb: FloatArray,
+    temperatures: FloatArray,
+) -> FloatArray:
     """Filter the next epochs of one window; ``columns`` and ``covariance`` are changed in place.
 
     Parameters

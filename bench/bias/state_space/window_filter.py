@@ -7,16 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell import slots
 from gyrobench.bench.bias.least_squares import compress
 from gyrobench.bench.bias.noise.model import NoiseModel
 from gyrobench.bench.bias.state_space import whitening
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
-
-Array = NDArray[np.float64]
 
 #: Velocity and heading hold all that happened before, so epochs closer than this, s, would only
 #: average noise of the output.
@@ -30,7 +28,7 @@ _LEAST_WHITE = np.array([1e-7, 1e-7, 1e-10])
 
 @dataclass
 class _Block:
-    total: Array = field(default_factory=lambda: np.zeros((3, whitening.COLUMNS)))
+    total: FloatArray = field(default_factory=lambda: np.zeros((3, whitening.COLUMNS)))
     times_s: list[float] = field(default_factory=list)
 
 
@@ -64,7 +62,13 @@ class WindowFilter:
     """
 
     def __init__(
-        self, site: Site, noise: NoiseModel, time_s: float, C_nb: Array, known: Array, covariance: Array
+        self,
+        site: Site,
+        noise: NoiseModel,
+        time_s: float,
+        C_nb: FloatArray,
+        known: FloatArray,
+        covariance: FloatArray,
     ) -> None:
         self._site, self._noise = site, noise
         self._first_s = time_s
@@ -81,13 +85,15 @@ class WindowFilter:
         self.temperature_sum = np.zeros(3)
         self.epochs = 0
 
-    def choose(self, time_s: Array) -> NDArray[np.int64]:
+    def choose(self, time_s: FloatArray) -> IntArray:
         """Choose the first epoch of each second that has none yet; indices."""
         numbers = slots(time_s, self._first_s, EPOCH_S)
         last = -1 if math.isnan(self.last_s) else slots(np.array([self.last_s]), self._first_s, EPOCH_S)[0]
         return np.flatnonzero(numbers > np.maximum.accumulate(np.append(last, numbers[:-1])))
 
-    def add(self, time_s: Array, velocity_en_mps: Array, C_nb: Array, temperatures: Array) -> None:
+    def add(
+        self, time_s: FloatArray, velocity_en_mps: FloatArray, C_nb: FloatArray, temperatures: FloatArray
+    ) -> None:
         """Filter the next epochs (n,); temperatures (n, 3) count from where the bias slopes do, K."""
         steps = integrate(
             self._site,
@@ -113,13 +119,13 @@ class WindowFilter:
         self.temperature_sum += temperatures.sum(axis=0)
         self.epochs += len(time_s)
 
-    def blocks(self) -> Iterator[tuple[float, Array]]:
+    def blocks(self) -> Iterator[tuple[float, FloatArray]]:
         """Middle of each minute, and the sum of its rows (3, 16) with unit variance."""
         for block in self._blocks.values():
             times_s = block.times_s
             yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
 
-    def _sum_up(self, time_s: Array, rows: Array) -> None:
+    def _sum_up(self, time_s: FloatArray, rows: FloatArray) -> None:
         numbers = slots(time_s, self._first_s, BLOCK_S)
         for number in np.unique(numbers).tolist():
             block = self._blocks.setdefault(number, _Block())

@@ -12,7 +12,7 @@ from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.verification.estimators import KnownAccelerometers
 from gyrobench.bench.bias.verification.temperature_curve import TemperatureCurve
 from gyrobench.bench.bias.weighted_mean import weighted_mean
-from gyrobench.bench.navigation.earth import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K.

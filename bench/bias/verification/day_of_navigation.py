@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -75,7 +75,7 @@ def day_of_navigation(
     return DayOfNavigation(error, float(distances_m.max()) / NAUTICAL_MILE_M)
 
 
-def _mean(rows: list[DwellRow]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _mean(rows: list[DwellRow]) -> tuple[FloatArray, FloatArray]:
     """Bias of each gyro in one position and its standard uncertainty, deg/h."""
     means = [
         weighted_mean([row.bias_dph[axis] for row in rows], [row.sigma_dph[axis] for row in rows])
@@ -85,7 +85,7 @@ def _mean(rows: list[DwellRow]) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 @lru_cache(maxsize=4)
-def _responses(site: Site, scheme: RotationScheme) -> NDArray[np.float64]:
+def _responses(site: Site, scheme: RotationScheme) -> FloatArray:
     """Way East and North, m per deg/h, for each gyro in each position: shape (18, 2, n)."""
     responses = []
     for name in POSITIONS:

@@ -20,7 +20,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.least_squares import solve
@@ -30,12 +29,11 @@ from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space import causes
 from gyrobench.bench.bias.state_space.bias_filter import BiasFilter
 from gyrobench.bench.bias.state_space.fit_test import FitTest
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu
-from gyrobench.bench.navigation.earth import RADPS_TO_DPH, earth_rate_enu
+from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
-
-Array = NDArray[np.float64]
 
 _EAST, _NORTH = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
@@ -77,15 +75,15 @@ class KnownAccelerometers:
         Values and standard uncertainties.
     """
 
-    bias: Array
-    sigma: Array
+    bias: FloatArray
+    sigma: FloatArray
 
     @classmethod
     def unknown(cls, prior: PriorKnowledge) -> KnownAccelerometers:
         """Zero with the uncertainty of prior knowledge."""
         return cls(np.zeros(3), np.full(3, prior.accelerometer_bias))
 
-    def along(self, direction: Array) -> tuple[float, float]:
+    def along(self, direction: FloatArray) -> tuple[float, float]:
         """Bias and standard uncertainty along a unit vector (3,) in body axes."""
         return float(direction @ self.bias), float(np.linalg.norm(direction * self.sigma))
 
@@ -222,13 +220,13 @@ def _heading_error(dwell: Dwell) -> float:
 
 
 def _aligned_prior(
-    C_nb: Array,
+    C_nb: FloatArray,
     align_s: float,
     site: Site,
     noise: NoiseModel,
     prior: PriorKnowledge,
     accelerometers: KnownAccelerometers,
-) -> tuple[Array, Array]:
+) -> tuple[FloatArray, FloatArray]:
     """Mean (p,) and root (p, p) of the covariance of the unknowns after an alignment."""
     earth_rate = earth_rate_enu(site.latitude)
     level = noise.velocity_random_walk / site.gravity / math.sqrt(align_s)
@@ -244,7 +242,7 @@ def _aligned_prior(
     return mean + tie @ mean, root + tie @ root
 
 
-def _aligned_attitude(C_nb: Array, earth_rate: Array, gravity: float, count: int) -> Array:
+def _aligned_attitude(C_nb: FloatArray, earth_rate: FloatArray, gravity: float, count: int) -> FloatArray:
     """First attitude error (3, count) that a unit of each unknown makes: level, gyrocompassed."""
     _, rate_n, rate_u = earth_rate
     driven = causes.inputs(C_nb, C_nb.T @ earth_rate, count)
@@ -253,7 +251,7 @@ def _aligned_attitude(C_nb: Array, earth_rate: Array, gravity: float, count: int
 
 
 def _without_accelerometer(
-    direction: Array, shown: float, sigma: float, site: Site, accelerometers: KnownAccelerometers
+    direction: FloatArray, shown: float, sigma: float, site: Site, accelerometers: KnownAccelerometers
 ) -> AxisBias:
     """Add what the accelerometer bias along ``direction`` takes from the bias that is shown."""
     factor = earth_rate_enu(site.latitude)[2] / site.gravity
@@ -261,6 +259,6 @@ def _without_accelerometer(
     return _axis_bias(direction, shown + factor * hidden, math.hypot(sigma, factor * spread))
 
 
-def _axis_bias(direction: Array, bias: float, sigma: float) -> AxisBias:
+def _axis_bias(direction: FloatArray, bias: float, sigma: float) -> AxisBias:
     x, y, z = (float(value) for value in direction)
     return AxisBias((x, y, z), bias, sigma)

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: How far beyond the outermost temperature that was measured a curve goes, K.
 REACH_K = 2.0
@@ -73,13 +73,13 @@ class TemperatureCurve:
         triples = [slice(first, first + 3) for first in firsts]
         return max(self._beyond_noise(triple, _divided_difference(nodes[triple])) for triple in triples)
 
-    def _beyond_noise(self, nodes: slice, weights: NDArray[np.float64]) -> float:
+    def _beyond_noise(self, nodes: slice, weights: FloatArray) -> float:
         """Size of a weighted sum of values, less what their noise adds to it."""
         total, noise = weights @ self._value[nodes], np.linalg.norm(weights * self._sigma[nodes])
         return math.sqrt(max(float(total**2 - noise**2), 0.0))
 
 
-def _divided_difference(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _divided_difference(nodes: FloatArray) -> FloatArray:
     """Weights of three values in their second divided difference."""
     apart = nodes[:, np.newaxis] - nodes + np.eye(3)
     return np.asarray(1.0 / apart.prod(axis=1))

@@ -17,7 +17,6 @@ from scipy.special import expit
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import (
     Effect,
-    FloatArray,
     Form,
     Parameter,
     above_optics_c,
@@ -25,6 +24,7 @@ from gyrobench.bench.closure.effects.effect import (
     needs_electronics,
     needs_positions,
 )
+from gyrobench.bench.foundations.arrays import FloatArray
 
 _ONSET = (
     Parameter("onset_c", -20.0, 80.0, fixed(10.0, 30.0, 50.0)),

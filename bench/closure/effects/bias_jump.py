@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:

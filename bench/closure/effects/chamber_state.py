@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.foundations.arrays import FloatArray
 
 _LEAST_SLOPE_C = 1e-4
 

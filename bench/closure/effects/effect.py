@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.campaign import Campaign
-
-FloatArray = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, needs_positions
+from gyrobench.bench.closure.effects.effect import Effect, Form, needs_positions
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:

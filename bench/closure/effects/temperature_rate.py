@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form
+from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, above_optics_c, needs_electronics
+from gyrobench.bench.closure.effects.effect import Effect, Form, above_optics_c, needs_electronics
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:

@@ -6,7 +6,8 @@ import numba
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 @numba.njit(cache=True)

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArray:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form
+from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.foundations.arrays import FloatArray
 
 _S_PER_DAY = 86_400.0
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, FloatArray, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _decay_integral(time_s: FloatArray, on_s: float, off_s: float, tau_s: float) -> FloatArray:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from gyrobench.bench.report.closure.style import BAND_COLOUR, draw_dwells
 from gyrobench.bench.report.style import house_style, new_figure, say_empty
 from gyrobench.bench.report.wording import BiasScale
-
-FloatArray = NDArray[np.float64]
 
 _S_PER_H = 3600.0
 
@@ -86,7 +84,7 @@ def _draw(
     left_dph: FloatArray,
     noise_dph: float,
     scale: BiasScale,
-    searched: NDArray[np.bool_],
+    searched: BoolArray,
     gyro: str,
 ) -> None:
     values = (left_dph + main.bias_dph) * scale.factor

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
@@ -19,8 +19,6 @@ from gyrobench.bench.report.closure.residuals import (
 from gyrobench.bench.report.closure.style import AFTER_COLOUR, BEFORE_COLOUR, NOISE_COLOUR
 from gyrobench.bench.report.style import house_style, new_figure
 from gyrobench.bench.report.wording import BiasScale
-
-BoolArray = NDArray[np.bool_]
 
 _BINS_C = (5.0, 10.0, 20.0, 50.0)
 _MOST_BINS = 12

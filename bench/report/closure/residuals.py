@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrobench.bench.closure.candidate import tried
@@ -11,10 +10,9 @@ from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure
 from gyrobench.bench.closure.confirmation import measured_minus
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.report.wording import BiasScale
-
-FloatArray = NDArray[np.float64]
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.report.style import GYRO_STYLES
-
-FloatArray = NDArray[np.float64]
 
 #: Bars before and after; candidates that were found, are tied, or neither.
 BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"
@@ -21,7 +18,7 @@ def draw_dwells(
     axes: Axes,
     along: FloatArray,
     values: FloatArray,
-    searched: NDArray[np.bool_],
+    searched: BoolArray,
     gyro: str,
     size: float = 2.6,
 ) -> None:

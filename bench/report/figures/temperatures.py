@@ -18,9 +18,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
@@ -34,7 +34,7 @@ from gyrobench.bench.report.style import (
 )
 
 #: Column name to values, as :func:`gyrobench.bench.runs.telemetry.read_telemetry` gives them.
-Readings = Mapping[str, NDArray[np.float64]]
+Readings = Mapping[str, FloatArray]
 
 _SHORT_RUN_S = 7200.0
 _SHORTEST_AXIS_S = 60.0

@@ -15,8 +15,8 @@ import struct
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
@@ -80,7 +80,7 @@ class SbgFormat:
         return _IMU_INFO.pack(stamp_us, _IMU_IS_WELL, centidegrees)
 
 
-def _forward_right_down(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _forward_right_down(quaternions: FloatArray) -> FloatArray:
     """Quaternions (n, 4) of forward-right-down to North-East-Down, from right-forward-up to East-North-Up."""
     w, x, y, z = quaternions.T
     return np.stack([w, y, x, -z], axis=-1)

@@ -18,9 +18,8 @@ from enum import IntEnum
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 
 class Number(IntEnum):
@@ -59,7 +58,7 @@ _RECORD_EVERY_S = 10
 _FILTER_S = 120.0
 
 
-def unloaded_numbers() -> Array:
+def unloaded_numbers() -> FloatArray:
     """A table (3, 28) that subtracts nothing."""
     numbers = np.zeros((3, NUMBERS))
     for number, value in _UNLOADED.items():
@@ -67,7 +66,7 @@ def unloaded_numbers() -> Array:
     return numbers
 
 
-def checksum(numbers: Array) -> int:
+def checksum(numbers: FloatArray) -> int:
     """CRC-32 of a table as little-endian 32-bit floats, gyro by gyro."""
     return zlib.crc32(numbers.astype("<f4").tobytes())
 
@@ -88,11 +87,11 @@ class ThermalSense:
     def __init__(self) -> None:
         self.optics_c = np.zeros(3)
         self.electronics_c = np.zeros(3)
-        self.record_c: list[Array] = []
+        self.record_c: list[FloatArray] = []
         self.seconds = 0
         self._filtered_c = np.zeros((2, 3))
 
-    def read(self, optics_c: Array, electronics_c: Array) -> None:
+    def read(self, optics_c: FloatArray, electronics_c: FloatArray) -> None:
         """Take the readings of one more second."""
         self.optics_c, self.electronics_c = optics_c, electronics_c
         if self.seconds == 0:
@@ -103,7 +102,7 @@ class ThermalSense:
         _filter(self._filtered_c, optics_c)
 
     @property
-    def rate_c_per_h(self) -> Array:
+    def rate_c_per_h(self) -> FloatArray:
         """Rate of each gyro's optics, some minutes late, shape (3,)."""
         return np.asarray((self._filtered_c[0] - self._filtered_c[1]) * (3600.0 / _FILTER_S))
 
@@ -126,7 +125,7 @@ class Compensation:
         Of the table.
     """
 
-    def __init__(self, numbers: Array, sense: ThermalSense, up_body: Array) -> None:
+    def __init__(self, numbers: FloatArray, sense: ThermalSense, up_body: FloatArray) -> None:
         self.checksum = checksum(numbers)
         self._numbers = numbers.copy()
         first_c = sense.record_c[0] if sense.record_c else sense.optics_c
@@ -135,7 +134,7 @@ class Compensation:
             _follow(self._play_c, optics_c, self._numbers)
         self.update(sense, up_body)
 
-    def update(self, sense: ThermalSense, up_body: Array) -> None:
+    def update(self, sense: ThermalSense, up_body: FloatArray) -> None:
         """Work out what is subtracted from now on.
 
         Parameters
@@ -151,7 +150,7 @@ class Compensation:
 
 
 @numba.njit(cache=True)
-def _filter(filtered_c: Array, optics_c: Array) -> None:
+def _filter(filtered_c: FloatArray, optics_c: FloatArray) -> None:
     for i in range(3):
         filtered_c[1, i] += (filtered_c[0, i] - filtered_c[1, i]) / _FILTER_S
         filtered_c[0, i] += (optics_c[i] - filtered_c[0, i]) / _FILTER_S
@@ -163,7 +162,7 @@ def _held(value: float, low: float, high: float) -> float:
 
 
 @numba.njit(cache=True)
-def _follow(play_c: Array, optics_c: Array, numbers: Array) -> None:
+def _follow(play_c: FloatArray, optics_c: FloatArray, numbers: FloatArray) -> None:
     for i in range(3):
         row = numbers[i]
         at_c, slack_c = _held(optics_c[i], row[Number.LOW_C], row[Number.HIGH_C]), abs(row[Number.HALF_WIDTH])
@@ -172,9 +171,10 @@ def _follow(play_c: Array, optics_c: Array, numbers: Array) -> None:
 
 @numba.njit(cache=True)
 def _bias_dph(
-    numbers: Array, optics_c: Array, electronics_c: Array, rate_c_per_h: Array, up_body: Array,
-    on_s: float, play_c: Array,
-) -> Array:  # fmt: skip
+    numbers: FloatArray, optics_c: FloatArray, electronics_c: FloatArray, rate_c_per_h: FloatArray,
+    up_body: FloatArray,
+    on_s: float, play_c: FloatArray,
+) -> FloatArray:  # fmt: skip
     bias = np.zeros(3)
     for i in range(3):
         row = numbers[i]

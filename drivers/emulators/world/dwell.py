@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     gyrocompass,
@@ -23,8 +23,6 @@ from gyrobench.drivers.emulators.world.strapdown import (
     table_attitude,
     true_increments,
 )
-
-Array = NDArray[np.float64]
 
 _REST_STEP_S = 0.1
 _TURN_STEP_S = 0.01
@@ -47,24 +45,24 @@ class Sensors:
         Time since the first navigation began (n,) to what is added to the gyro bias then (n, 3).
     """
 
-    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
-    accelerometer_bias: Array = field(default_factory=lambda: np.zeros(3))
-    gyro_matrix: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    accelerometer_matrix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    accelerometer_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    gyro_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    accelerometer_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     angle_random_walk: float = 0.0
     velocity_random_walk: float = 0.0
-    gyro_bias_change: Callable[[Array], Array] | None = None
+    gyro_bias_change: Callable[[FloatArray], FloatArray] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
     """A two-axis table that carries the unit; unit vectors in ENU and attitude at zero angles."""
 
-    outer_axis: Array
-    inner_axis: Array
-    mounting: Array
+    outer_axis: FloatArray
+    inner_axis: FloatArray
+    mounting: FloatArray
 
-    def attitude(self, outer: float, inner: float) -> Array:
+    def attitude(self, outer: float, inner: float) -> FloatArray:
         """True ``C_nb`` (3, 3) at axis angles in rad."""
         return np.asarray(table_attitude(self.outer_axis, self.inner_axis, self.mounting, outer, inner))
 
@@ -83,9 +81,9 @@ class Rest:
         Attitude that it computes.
     """
 
-    time_s: Array
-    velocity_en_mps: Array
-    C_nb: Array
+    time_s: FloatArray
+    velocity_en_mps: FloatArray
+    C_nb: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,13 +164,13 @@ class _Ins:
         if settling:
             self._navigated(*_resting(end, settling), _REST_STEP_S, settling)
 
-    def _navigated(self, outer: Array, inner: Array, step_s: float, every: int) -> Array:
+    def _navigated(self, outer: FloatArray, inner: FloatArray, step_s: float, every: int) -> FloatArray:
         rotation, velocity = self._sensed(outer, inner, step_s)
         return np.asarray(
             navigate(self._state, rotation, velocity, step_s, self._scenario.height, every - 1, every)
         )
 
-    def _sensed(self, outer: Array, inner: Array, step_s: float) -> tuple[Array, Array]:
+    def _sensed(self, outer: FloatArray, inner: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
         table, sensors, count = self._scenario.table, self._sensors, len(outer) - 1
         rotation, velocity = true_increments(
             table.outer_axis, table.inner_axis, table.mounting, outer, inner,
@@ -193,6 +191,6 @@ class _Ins:
         )
 
 
-def _resting(stop: tuple[float, float], count: int) -> tuple[Array, Array]:
+def _resting(stop: tuple[float, float], count: int) -> tuple[FloatArray, FloatArray]:
     outer, inner = stop
     return np.full(count + 1, outer), np.full(count + 1, inner)

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.drivers.emulators.world.compensation import Compensation, ThermalSense, unloaded_numbers
 from gyrobench.drivers.emulators.world.document import InsBehaviour
 from gyrobench.drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, matrix_of, navigate
-
-Array = NDArray[np.float64]
 
 #: Samples of the inertial sensors in a second.
 SAMPLE_RATE_HZ = 100
@@ -57,8 +55,8 @@ class Epochs:
         Quaternion body to ENU, velocity east and north, latitude, longitude.
     """
 
-    sample: NDArray[np.int64]
-    states: Array
+    sample: IntArray
+    states: FloatArray
     mode: Mode
     alignment: Alignment
 
@@ -150,7 +148,7 @@ class InertialUnit:
         """Use what is loaded now; what is loaded later waits for the next call."""
         self.compensation = Compensation(self.loaded, self._temperatures, self._up_body)
 
-    def sense_temperatures(self, optics_c: Array, electronics_c: Array) -> None:
+    def sense_temperatures(self, optics_c: FloatArray, electronics_c: FloatArray) -> None:
         """Take the readings of the gyros' temperature sensors, shape (3,), at each whole second.
 
         The compensation goes by them and by where Up is in the body: as navigated, or in
@@ -164,7 +162,7 @@ class InertialUnit:
         if self.compensation is not None:
             self.compensation.update(self._temperatures, self._up_body)
 
-    def advance(self, first_sample: int, rotation: Array, velocity: Array) -> Epochs | None:
+    def advance(self, first_sample: int, rotation: FloatArray, velocity: FloatArray) -> Epochs | None:
         """Take the next sensor samples, none of them beyond the next whole second.
 
         Parameters

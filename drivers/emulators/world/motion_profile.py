@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-Array = NDArray[np.float64]
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Settling follows x^3 exp(-x), x in time constants: smooth at its start, greatest at x = 3.
 _SETTLING_PEAK = 27.0 * math.exp(-3.0)
@@ -75,22 +74,22 @@ class Settling:
         """Time from the end of the motion to complete rest."""
         return _SETTLING_TIME_CONSTANTS * self.time_constant_s if self.size_deg else 0.0
 
-    def position_deg(self, time_s: Array) -> Array:
+    def position_deg(self, time_s: FloatArray) -> FloatArray:
         """Offset at times since the end of the motion; zero before and after settling."""
         x, scale = self._scaled(time_s)
         return scale * x**3
 
-    def rate_dps(self, time_s: Array) -> Array:
+    def rate_dps(self, time_s: FloatArray) -> FloatArray:
         """Return its time derivative."""
         x, scale = self._scaled(time_s)
         return scale * (3.0 - x) * x**2 / self.time_constant_s
 
-    def acceleration_dps2(self, time_s: Array) -> Array:
+    def acceleration_dps2(self, time_s: FloatArray) -> FloatArray:
         """Return its second time derivative."""
         x, scale = self._scaled(time_s)
         return scale * (6.0 - 6.0 * x + x**2) * x / self.time_constant_s**2
 
-    def _scaled(self, time_s: Array) -> tuple[Array, Array]:
+    def _scaled(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = np.where((time_s > 0.0) & (time_s < self.duration_s), time_s, 0.0) / self.time_constant_s
         return x, self.size_deg * np.exp(-x) / _SETTLING_PEAK
 
@@ -210,18 +209,20 @@ class Motion:
             state.acceleration_dps2 + float(self._settling.acceleration_dps2(since_s)),
         )
 
-    def positions_deg(self, time_s: Array) -> Array:
+    def positions_deg(self, time_s: FloatArray) -> FloatArray:
         """Position at each time, none before the start."""
         t, position, rate, acceleration, jerk = self._pieces_at(time_s)
         profile_deg = position + t * (rate + t * (acceleration / 2.0 + t * jerk / 6.0))
         return profile_deg + self._settling.position_deg(time_s - self.end_s)
 
-    def rates_dps(self, time_s: Array) -> Array:
+    def rates_dps(self, time_s: FloatArray) -> FloatArray:
         """Rate at each time, none before the start."""
         t, _, rate, acceleration, jerk = self._pieces_at(time_s)
         return rate + t * (acceleration + t * jerk / 2.0) + self._settling.rate_dps(time_s - self.end_s)
 
-    def _pieces_at(self, time_s: Array) -> tuple[Array, Array, Array, Array, Array]:
+    def _pieces_at(
+        self, time_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Time since the piece's start, its start state (three arrays) and its jerk, at each time."""
         times_s = np.array(self._times_s)
         index = np.maximum(np.searchsorted(times_s, time_s, side="right") - 1, 0)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.document import (
     AccelerometerErrors,
     GyroErrors,
@@ -16,8 +16,6 @@ from gyrobench.drivers.emulators.world.document import (
     PerAxis,
     PerPair,
 )
-
-Array = NDArray[np.float64]
 
 DPH = math.radians(1.0) / 3600.0
 ARCSEC = math.radians(1.0) / 3600.0
@@ -40,11 +38,11 @@ class TriadErrors:
         Size of one output pulse; 0 for none.
     """
 
-    polynomials: Array
+    polynomials: FloatArray
     random_walk: float
     pulse: float
 
-    def at(self, temperature_c: Array) -> tuple[Array, Array]:
+    def at(self, temperature_c: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and error matrix (3, 3), each sensor at its own temperature minus reference."""
         bias, matrix = _evaluated(self.polynomials, temperature_c)
         return bias, matrix
@@ -68,7 +66,7 @@ def accelerometer_errors(errors: AccelerometerErrors) -> TriadErrors:
     )
 
 
-def _polynomials(bias: PerAxis, unit: float, scale_ppm: PerAxis, misalignment_arcsec: PerPair) -> Array:
+def _polynomials(bias: PerAxis, unit: float, scale_ppm: PerAxis, misalignment_arcsec: PerPair) -> FloatArray:
     columns = np.zeros((_DEGREES, 12))
     for i, axis in enumerate("xyz"):
         _fill(columns[:, i], getattr(bias, axis), unit)
@@ -81,13 +79,13 @@ def _polynomials(bias: PerAxis, unit: float, scale_ppm: PerAxis, misalignment_ar
     return columns
 
 
-def _fill(column: Array, value: OverTemperature, unit: float) -> None:
+def _fill(column: FloatArray, value: OverTemperature, unit: float) -> None:
     coefficients = value if isinstance(value, list) else [value]
     column[: len(coefficients)] = np.array(coefficients) * unit
 
 
 @numba.njit(cache=True)
-def _evaluated(polynomials: Array, temperature_c: Array) -> tuple[Array, Array]:
+def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> tuple[FloatArray, FloatArray]:
     values = np.zeros(12)
     for column in range(12):
         sensor = column if column < 3 else (column - 3) // 3

@@ -12,11 +12,9 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity, principal_radii
-
-Array = NDArray[np.float64]
 
 #: Layout of the navigation state: quaternion body to ENU (w, x, y, z), velocity east and north
 #: in m/s, latitude and longitude in rad.
@@ -24,7 +22,7 @@ STATE_SIZE = 8
 
 
 @numba.njit(cache=True)
-def _axis_rotation(axis: Array, angle: float) -> Array:
+def _axis_rotation(axis: FloatArray, angle: float) -> FloatArray:
     c, s = math.cos(angle), math.sin(angle)
     x, y, z = axis
     return np.array(
@@ -38,14 +36,14 @@ def _axis_rotation(axis: Array, angle: float) -> Array:
 
 @numba.njit(cache=True)
 def table_attitude(
-    outer_axis: Array, inner_axis: Array, mounting: Array, outer: float, inner: float
-) -> Array:
+    outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: float, inner: float
+) -> FloatArray:
     """True ``C_nb`` (3, 3) of the unit on the table at two axis angles in rad."""
     return _axis_rotation(outer_axis, outer) @ _axis_rotation(inner_axis, inner) @ mounting
 
 
 @numba.njit(cache=True)
-def _rotation_vector(C: Array) -> Array:
+def _rotation_vector(C: FloatArray) -> FloatArray:
     half = 0.5 * np.array((C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]))
     sine = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
     if sine < 1e-12:
@@ -55,9 +53,10 @@ def _rotation_vector(C: Array) -> Array:
 
 @numba.njit(cache=True)
 def true_increments(
-    outer_axis: Array, inner_axis: Array, mounting: Array, outer: Array, inner: Array,
+    outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: FloatArray,
+    inner: FloatArray,
     latitude: float, height: float, dt: float,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """What ideal sensors at the table's centre feel.
 
     Parameters
@@ -97,8 +96,14 @@ def true_increments(
 
 @numba.njit(cache=True)
 def sense(
-    true: Array, error_matrix: Array, bias: Array, noise: Array, dt: float, pulse: float, remainder: Array
-) -> Array:
+    true: FloatArray,
+    error_matrix: FloatArray,
+    bias: FloatArray,
+    noise: FloatArray,
+    dt: float,
+    pulse: float,
+    remainder: FloatArray,
+) -> FloatArray:
     """Sensor output for true increments, the paper's (1) or (2) integrated over each sample.
 
     Parameters
@@ -129,7 +134,7 @@ def sense(
 
 
 @numba.njit(cache=True)
-def _times(a: Array, b: Array) -> Array:
+def _times(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.array(
         (
             a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -141,7 +146,7 @@ def _times(a: Array, b: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def _quaternion_of(v0: float, v1: float, v2: float) -> Array:
+def _quaternion_of(v0: float, v1: float, v2: float) -> FloatArray:
     square = v0 * v0 + v1 * v1 + v2 * v2
     if square < 1e-6:  # series: exact to double precision for angles below 1 mrad
         scale = 0.5 - square / 48.0
@@ -152,7 +157,7 @@ def _quaternion_of(v0: float, v1: float, v2: float) -> Array:
 
 
 @numba.njit(cache=True)
-def matrix_of(q: Array) -> Array:
+def matrix_of(q: FloatArray) -> FloatArray:
     """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return np.array(
@@ -165,7 +170,7 @@ def matrix_of(q: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def add_up(increments: Array, total: Array) -> None:
+def add_up(increments: FloatArray, total: FloatArray) -> None:
     """Add increments (n, 3) to their ``total`` (3,), one by one: equal to the bit however they are cut."""
     for k in range(increments.shape[0]):
         for i in range(3):
@@ -173,7 +178,7 @@ def add_up(increments: Array, total: Array) -> None:
 
 
 @numba.njit(cache=True)
-def gyrocompass(rotation: Array, velocity: Array) -> Array:
+def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
     """Attitude from rotation and velocity summed up at rest.
 
     Parameters
@@ -204,7 +209,7 @@ def gyrocompass(rotation: Array, velocity: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def _quaternion_of_matrix(C: Array) -> Array:
+def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
     squares = np.array(
         (
             1.0 + C[0, 0] + C[1, 1] + C[2, 2],
@@ -227,8 +232,14 @@ def _quaternion_of_matrix(C: Array) -> Array:
 
 @numba.njit(cache=True)
 def navigate(
-    state: Array, rotation: Array, velocity: Array, dt: float, height: float, first: int, every: int
-) -> Array:
+    state: FloatArray,
+    rotation: FloatArray,
+    velocity: FloatArray,
+    dt: float,
+    height: float,
+    first: int,
+    every: int,
+) -> FloatArray:
     """Strapdown navigation at fixed altitude; ``state`` is changed in place.
 
     Parameters
@@ -293,7 +304,7 @@ def navigate(
 
 
 @numba.njit(cache=True)
-def euler_angles(C: Array, pitch_first: bool) -> tuple[float, float, float]:
+def euler_angles(C: FloatArray, pitch_first: bool) -> tuple[float, float, float]:
     """Roll, pitch and heading (clockwise from north) in rad of one attitude.
 
     Sequence RPY(321), ``C = Rz(yaw) Rx(pitch) Ry(roll)``, or with ``pitch_first`` PRY(231),
@@ -307,7 +318,7 @@ def euler_angles(C: Array, pitch_first: bool) -> tuple[float, float, float]:
 
 
 @numba.njit(cache=True)
-def euler_output(states: Array, pitch_first: bool) -> Array:
+def euler_output(states: FloatArray, pitch_first: bool) -> FloatArray:
     """Velocity and Euler angles of navigation states.
 
     Parameters

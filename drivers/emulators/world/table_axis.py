@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.motion_profile import (
     AxisLimits,
     AxisState,
@@ -23,8 +23,6 @@ from gyrobench.drivers.emulators.world.motion_profile import (
     move,
     rest_position,
 )
-
-Array = NDArray[np.float64]
 
 _ARCSEC_DEG = 1.0 / 3600.0
 #: How much harder than the servo an obstacle brakes.
@@ -181,13 +179,13 @@ class TableAxis:
             return motion.at(now_s).position_deg - motion.last_state.position_deg
         return 0.0
 
-    def position_deg(self, time_s: Array) -> Array:
+    def position_deg(self, time_s: FloatArray) -> FloatArray:
         """Return the true angle at each time, not wrapped; any shape."""
         if time_s.size and time_s.min() >= self._motions[-1].still_from_s:
             return np.full(time_s.shape, self._rest_angle_deg)
         return self._true_angle(self._select(Motion.positions_deg, time_s))
 
-    def rate_dps(self, time_s: Array) -> Array:
+    def rate_dps(self, time_s: FloatArray) -> FloatArray:
         """Return the true rate at each time; any shape."""
         first, second = self._error_arguments(self._select(Motion.positions_deg, time_s))
         slope = math.radians(self._error_deg) * (np.cos(first) + np.cos(second))
@@ -229,7 +227,7 @@ class TableAxis:
             self.parameters.settling_time_constant_s,
         )
 
-    def _select(self, evaluate: Callable[[Motion, Array], Array], time_s: Array) -> Array:
+    def _select(self, evaluate: Callable[[Motion, FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
         """Evaluate for each time the motion that was under way then."""
         values = evaluate(self._motions[-1], time_s)
         for earlier, later in zip(self._motions[-2::-1], self._motions[:0:-1], strict=True):
@@ -243,10 +241,10 @@ class TableAxis:
     def _error_deg(self) -> float:
         return self.parameters.position_error_arcsec * _ARCSEC_DEG / 1.5
 
-    def _error_arguments(self, encoder_deg: Array) -> tuple[Array, Array]:
+    def _error_arguments(self, encoder_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         first_deg, second_deg = self.parameters.position_error_phases_deg
         return np.deg2rad(encoder_deg + first_deg), np.deg2rad(2.0 * encoder_deg + second_deg)
 
-    def _true_angle(self, encoder_deg: Array) -> Array:
+    def _true_angle(self, encoder_deg: FloatArray) -> FloatArray:
         first, second = self._error_arguments(encoder_deg)
         return encoder_deg + self._error_deg * (np.sin(first) + 0.5 * np.sin(second))

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.document import GyroThermal, Thermal
-
-Array = NDArray[np.float64]
 
 
 class ThermalNetwork:
@@ -51,16 +49,16 @@ class ThermalNetwork:
         return float(self.nodes_c[0])
 
     @property
-    def optics_c(self) -> Array:
+    def optics_c(self) -> FloatArray:
         """Temperature of each gyro's optics, shape (3,)."""
         return self.nodes_c[1:4]
 
     @property
-    def electronics_c(self) -> Array:
+    def electronics_c(self) -> FloatArray:
         """Temperature of each gyro's electronics, shape (3,)."""
         return self.nodes_c[4:7]
 
-    def step(self, dt_s: float, air_c: float, up_body: Array) -> None:
+    def step(self, dt_s: float, air_c: float, up_body: FloatArray) -> None:
         """Go on by ``dt_s`` (a second or so) in air of that temperature; ``up_body`` (3,) is Up."""
         before_c = self.optics_c.copy()
         _step(self.nodes_c, self.convected_w, self._case, self._gyro, self._paths, up_body, air_c,
@@ -84,7 +82,8 @@ def _row(gyro: GyroThermal) -> list[float]:
 
 @numba.njit(cache=True)
 def _step(
-    nodes: Array, convected: Array, case: Array, gyro: Array, paths: Array, up: Array,
+    nodes: FloatArray, convected: FloatArray, case: FloatArray, gyro: FloatArray, paths: FloatArray,
+    up: FloatArray,
     air_c: float, power: float, dt: float,
 ) -> None:  # fmt: skip
     case_c = nodes[0]

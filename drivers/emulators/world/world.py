@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
 from gyrobench.drivers.emulators.world.document import TableGeometry, WorldFile
 from gyrobench.drivers.emulators.world.effects.effect import Conditions
@@ -24,8 +24,6 @@ from gyrobench.drivers.emulators.world.sensor_errors import (
 from gyrobench.drivers.emulators.world.strapdown import sense, table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
-
-Array = NDArray[np.float64]
 
 OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
@@ -87,8 +85,8 @@ class World:
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
         self._remainders = np.zeros((2, 3))
-        self._resting: tuple[Array, Array, Array] | None = None
-        self._errors_now: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
+        self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._errors_now: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
         self._undeclared_dph = self._undeclared.added_dph(self._conditions(self.attitude()[2]))
 
@@ -102,20 +100,20 @@ class World:
         self._feel(self.attitude()[2])
         self.unit.power(on)
 
-    def temperatures_c(self) -> Array:
+    def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
         noise = self._random.standard_normal(7)
         return self._as_read(self.thermal.nodes_c + self.file.thermal.sensor_noise_c * noise)
 
-    def true_gyro_bias(self) -> Array:
+    def true_gyro_bias(self) -> FloatArray:
         """The gyro biases at this moment in rad/s, shape (3,): the truth that tests compare with."""
         return self._gyro_bias()[0]
 
-    def undeclared_bias(self) -> Array:
+    def undeclared_bias(self) -> FloatArray:
         """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
         return self._undeclared_dph * DPH
 
-    def attitude(self) -> Array:
+    def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
         time_s = np.array([self._sample * _DT_S])
         outer, inner = (np.radians(self.axes[n].position_deg(time_s))[0] for n in (OUTER, INNER))
@@ -147,17 +145,17 @@ class World:
             read_c = self._as_read(read_c)
             self.unit.sense_temperatures(read_c[1:4], read_c[4:])
 
-    def _as_read(self, nodes_c: Array) -> Array:
+    def _as_read(self, nodes_c: FloatArray) -> FloatArray:
         for place, reading_c in self.broken_sensors.items():
             nodes_c[place] = reading_c
         return nodes_c
 
-    def _feel(self, up_body: Array) -> None:
+    def _feel(self, up_body: FloatArray) -> None:
         """Let the undeclared effects act for the second that begins; the sensors' errors are new then."""
         self._undeclared_dph = self._undeclared.added_dph(self._conditions(up_body))
         self._errors_now = None
 
-    def _conditions(self, up_body: Array) -> Conditions:
+    def _conditions(self, up_body: FloatArray) -> Conditions:
         on_s = (self._sample - self._powered_on_sample) * _DT_S
         return Conditions(
             time_s=self._sample * _DT_S,
@@ -181,7 +179,9 @@ class World:
         if epochs is not None and len(epochs.sample) and self.on_epochs:
             self.on_epochs(epochs)
 
-    def _measured(self, count: int, resting: tuple[Array, Array, Array] | None) -> tuple[Array, Array]:
+    def _measured(
+        self, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
+    ) -> tuple[FloatArray, FloatArray]:
         rotation, velocity = self._felt(count) if resting is None else (each[:count] for each in resting[:2])
         # Drawn sample by sample, so that a stretch of time has the same noise however it is cut.
         noise = self._random.standard_normal((count, 2, 3)) * math.sqrt(_DT_S)
@@ -195,7 +195,7 @@ class World:
             _sensed(velocity, accelerometer, noise[:, 1], self._accelerometer, self._remainders[1]),
         )
 
-    def _at_rest(self) -> tuple[Array, Array, Array] | None:
+    def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """What is felt in a second, and Up in body axes, while the table rests; None while it moves."""
         if any(axis.is_moving(self._sample * _DT_S) for axis in self.axes.values()):
             self._resting = None
@@ -203,7 +203,7 @@ class World:
             self._resting = (*self._felt(SAMPLE_RATE_HZ), self.attitude()[2])
         return self._resting
 
-    def _felt(self, count: int) -> tuple[Array, Array]:
+    def _felt(self, count: int) -> tuple[FloatArray, FloatArray]:
         edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
         outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
         geometry = self._geometry
@@ -213,11 +213,11 @@ class World:
         )  # fmt: skip
         return rotation, velocity
 
-    def _sensor_errors(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def _sensor_errors(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         case_c = np.full(3, self.thermal.case_c - self.file.reference_temperature_c)
         return self._gyro_bias(), self._accelerometer.at(case_c)
 
-    def _gyro_bias(self) -> tuple[Array, Array]:
+    def _gyro_bias(self) -> tuple[FloatArray, FloatArray]:
         bias, matrix = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
         return bias + self._power_on_bias + self.undeclared_bias(), matrix
 
@@ -227,10 +227,10 @@ class _Geometry:
 
     def __init__(self, table: TableGeometry) -> None:
         tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()
-        self.outer_axis: Array = tilt @ np.array(_OUTER_AXES[table.outer_axis])
-        self.inner_axis: Array = tilt @ np.array(_INNER_AXES[table.outer_axis])
+        self.outer_axis: FloatArray = tilt @ np.array(_OUTER_AXES[table.outer_axis])
+        self.inner_axis: FloatArray = tilt @ np.array(_INNER_AXES[table.outer_axis])
         error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
-        self.mounting: Array = np.ascontiguousarray(tilt @ error)
+        self.mounting: FloatArray = np.ascontiguousarray(tilt @ error)
 
 
 def _axis_parameters(table: TableGeometry) -> AxisParameters:
@@ -243,11 +243,11 @@ def _axis_parameters(table: TableGeometry) -> AxisParameters:
 
 
 def _sensed(
-    true: Array,
-    errors: tuple[Array, Array],
-    noise: Array,
+    true: FloatArray,
+    errors: tuple[FloatArray, FloatArray],
+    noise: FloatArray,
     triad: TriadErrors,
-    remainder: Array,
-) -> Array:
+    remainder: FloatArray,
+) -> FloatArray:
     bias, matrix = errors
     return np.asarray(sense(true, matrix, bias, noise * triad.random_walk, _DT_S, triad.pulse, remainder))

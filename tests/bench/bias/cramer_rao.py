@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     gyrocompass,
@@ -23,8 +23,6 @@ from gyrobench.drivers.emulators.world.strapdown import (
     sense,
     true_increments,
 )
-
-Array = NDArray[np.float64]
 
 _EAST, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Sizes of the changes: far above rounding, far below what would not be linear.
@@ -37,8 +35,8 @@ _NOTHING = np.zeros((3, 3))
 class _Segment:
     """Rest or turn: true increments (n, 3) in body axes, and their step in s."""
 
-    rotation: Array
-    velocity: Array
+    rotation: FloatArray
+    velocity: FloatArray
     step_s: float
 
 
@@ -58,8 +56,8 @@ class CramerRao:
     window_s: float = 600.0
     turn_s: float = 25.0
     epoch_s: float = 1.0
-    by_gyro_noise: Array = field(init=False)
-    by_accelerometer_noise: Array = field(init=False)
+    by_gyro_noise: FloatArray = field(init=False)
+    by_accelerometer_noise: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         self._latitude = np.radians(self.latitude_deg)
@@ -75,7 +73,7 @@ class CramerRao:
 
     def bias_sigma(
         self, noise: NoiseModel, *, velocity_jump: bool, accelerometer_bias: float = 1e-2
-    ) -> Array:
+    ) -> FloatArray:
         """Bound (6,) of the standard uncertainty of the biases of gyros, rad/s, and accelerometers, m/s^2.
 
         Parameters
@@ -111,7 +109,7 @@ class CramerRao:
             )
             yield _Segment(rotation, velocity, step_s)
 
-    def _start(self) -> Array:
+    def _start(self) -> FloatArray:
         first = self._segments[0]
         state = np.zeros(STATE_SIZE)
         state[:4] = gyrocompass(first.rotation.sum(axis=0), first.velocity.sum(axis=0))
@@ -119,9 +117,9 @@ class CramerRao:
         return state
 
     def _run(
-        self, state: Array, first: int, bias: Array | None = None, jump: Array | None = None,
+        self, state: FloatArray, first: int, bias: FloatArray | None = None, jump: FloatArray | None = None,
         impulse: tuple[int, int, float] | None = None,
-    ) -> Array:  # fmt: skip
+    ) -> FloatArray:  # fmt: skip
         """States (n - first + 1, 8) from sample ``first`` on.
 
         ``bias`` (6,) acts all the time, ``jump`` (2,) on the velocity at the end of the turn, and
@@ -149,20 +147,20 @@ class CramerRao:
             states.append(navigate(state, *increments, segment.step_s, 0.0, 0, 1))
         return np.vstack(states)
 
-    def _output(self, states: Array) -> Array:
+    def _output(self, states: FloatArray) -> FloatArray:
         """Velocity East and North, sine and cosine of the heading, at the epochs among the last states."""
         total = self._edges[-1] + 1
         kept = np.flatnonzero(self._is_epoch()[total - len(states) :])
         w, x, y, z, east, north = states[kept, :6].T
         return np.column_stack([east, north, 2.0 * (x * y + w * z), w * w + x * x - y * y - z * z])
 
-    def _is_epoch(self) -> NDArray[np.bool_]:
+    def _is_epoch(self) -> BoolArray:
         result = np.zeros(self._edges[-1] + 1, dtype=bool)
         result[: self._edges[1] + 1] = True
         result[self._edges[2] :] = True
         return result
 
-    def _change(self, states: Array) -> Array:
+    def _change(self, states: FloatArray) -> FloatArray:
         """What the output (m,) differs from the nominal one; nothing before the states begin."""
         output = self._output(states)
         nominal = self._nominal[-len(output) :]
@@ -172,7 +170,7 @@ class CramerRao:
         change[-len(output) :] = np.column_stack([output[:, :2] - nominal[:, :2], heading])
         return change.ravel()
 
-    def _noise_responses(self, sensor: int) -> Array:
+    def _noise_responses(self, sensor: int) -> FloatArray:
         size = (_RAD, _MPS)[sensor]
         rows = []
         for number, segment in enumerate(self._segments):
@@ -182,7 +180,7 @@ class CramerRao:
                     rows.append(self._change(states) * (np.sqrt(segment.step_s) / size))
         return np.array(rows)
 
-    def _unknown_responses(self) -> Array:
+    def _unknown_responses(self) -> FloatArray:
         """Columns of gyro biases, accelerometer biases, initial errors, headings, velocity jump."""
         start, pair = self._start(), np.eye(2)
         runs = [(self._run(start, 0, _RADPS * unit), _RADPS) for unit in np.eye(6)[:3]]
@@ -195,14 +193,14 @@ class CramerRao:
         return np.array([*columns[:-2], *heading.reshape(2, -1), *columns[-2:]]).T
 
 
-def _moving(state: Array, direction: Array) -> Array:
+def _moving(state: FloatArray, direction: FloatArray) -> FloatArray:
     """The state with some velocity East or North."""
     moving = state.copy()
     moving[4:6] += _MPS * direction
     return moving
 
 
-def _tilted(state: Array, axis: Array) -> Array:
+def _tilted(state: FloatArray, axis: FloatArray) -> FloatArray:
     """The state after a small turn about East, North or Up."""
     half = 0.5 * _RAD * axis
     w, vector = state[0], state[1:4]

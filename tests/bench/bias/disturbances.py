@@ -10,14 +10,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.emulators.world.earth import EARTH_RATE
 from tests.bench.bias.emulated_dwells import DPH, LATITUDE_DEG
 
-Array = NDArray[np.float64]
-Change = Callable[[Array], Array]
+Change = Callable[[FloatArray], FloatArray]
 
 
 def heading_error(position: str, heading_deg: float, latitude_deg: float = LATITUDE_DEG) -> Change:
@@ -47,6 +46,6 @@ def navigation_rate(position: str, rate_enu_dph: Any, turn_middle_s: float = 612
     return lambda time_s: np.where(time_s[:, None] < turn_middle_s, before @ rate, after @ rate)
 
 
-def warming(slope_dph_per_c: Any, warmth_c: Callable[[Array], Array]) -> Change:
+def warming(slope_dph_per_c: Any, warmth_c: Callable[[FloatArray], FloatArray]) -> Change:
     """The biases follow a temperature (n,) that is told for each time (n,)."""
     return lambda time_s: np.multiply.outer(warmth_c(time_s), np.asarray(slope_dph_per_c) * DPH)

@@ -7,19 +7,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise.model import NoiseModel
 from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.drivers.emulators.world.dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
-
-Array = NDArray[np.float64]
 
 DPH = np.pi / 180.0 / 3600.0
 UG = 9.80665e-6
@@ -59,7 +57,7 @@ def emulate(
     random: np.random.Generator | None = None,
     stops_deg: tuple[float, ...] = (0.0, 180.0),
     outer_level: bool = False,
-    gyro_c: Callable[[Array], Array] | None = None,
+    gyro_c: Callable[[FloatArray], FloatArray] | None = None,
     lsb: tuple[float, float] = (0.0, 0.0),
     latitude_deg: float = LATITUDE_DEG,
     latitude_error_arcmin: float = 0.0,
@@ -112,7 +110,7 @@ def _table(
     return Table(EAST, UP, np.eye(3)), [(np.radians(outer), np.radians(inner)) for outer, inner in angles]
 
 
-def _path(table: Table, start: tuple[float, float], end: tuple[float, float]) -> Array:
+def _path(table: Table, start: tuple[float, float], end: tuple[float, float]) -> FloatArray:
     return np.array(
         [
             table.attitude(*(a + (b - a) * share for a, b in zip(start, end, strict=True)))
@@ -126,7 +124,7 @@ def _window(
     rest: Rest,
     noise: NoiseModel | None,
     random: np.random.Generator | None,
-    gyro_c: Callable[[Array], Array] | None,
+    gyro_c: Callable[[FloatArray], FloatArray] | None,
     lsb: tuple[float, float],
 ) -> NavigationWindow:
     velocity = np.column_stack([rest.velocity_en_mps, np.zeros(len(rest.time_s))])
@@ -141,12 +139,12 @@ def _window(
     return NavigationWindow(rest.time_s, velocity, attitude, None if gyro_c is None else gyro_c(rest.time_s))
 
 
-def turned_about_up(C_nb: Array, angle: Array) -> Array:
+def turned_about_up(C_nb: FloatArray, angle: FloatArray) -> FloatArray:
     """Attitudes (n, 3, 3) turned about Up by angles (n,)."""
     return np.asarray(Rotation.from_rotvec(np.multiply.outer(angle, UP)).as_matrix() @ C_nb)
 
 
-def _rounded(C_nb: Array, lsb: float, pitch_first: bool) -> Array:
+def _rounded(C_nb: FloatArray, lsb: float, pitch_first: bool) -> FloatArray:
     """Attitudes after rounding of the Euler angles that are regular there."""
     roll, pitch, yaw = (np.rint((euler_pry231 if pitch_first else euler_rpy321)(C_nb) / lsb) * lsb).T
     if pitch_first:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrobench.bench.bias.joint.solution import JointDwell
 from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
-
-Array = NDArray[np.float64]
 
 ARCSEC = np.pi / 180.0 / 3600.0
 ARCMIN = 60.0 * ARCSEC
@@ -25,13 +23,13 @@ ALL = tuple(POSITIONS)
 class Unit:
     """An INS and what nobody declared of it; biases in deg/h by position, accelerometers in ug."""
 
-    bias_dph: dict[str, Array]
-    accelerometer_ug: Array = field(default_factory=lambda: np.array([70.0, -60.0, 80.0]))
-    accelerometer_matrix: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    gyro_matrix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    bias_dph: dict[str, FloatArray]
+    accelerometer_ug: FloatArray = field(default_factory=lambda: np.array([70.0, -60.0, 80.0]))
+    accelerometer_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    gyro_matrix: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     latitude_error_arcmin: float = 0.0
 
-    def true_bias_dph(self, positions: tuple[str, ...] = ALL) -> Array:
+    def true_bias_dph(self, positions: tuple[str, ...] = ALL) -> FloatArray:
         return np.array([self.bias_dph[name] for name in positions])
 
 
@@ -51,7 +49,7 @@ def any_unit(random: np.random.Generator, **fields: float) -> Unit:
     )
 
 
-def follow_gravity(unit: Unit, change_dph: Array) -> Unit:
+def follow_gravity(unit: Unit, change_dph: FloatArray) -> Unit:
     """Add to each gyro's bias when it points up, and take away when it points down."""
     bias = {name: values.copy() for name, values in unit.bias_dph.items()}
     for name, values in bias.items():
@@ -101,6 +99,6 @@ def _measured(
     return JointDwell(number, position, estimate.information, 1, chamber_set_c, (25.0, 25.0, 25.0))
 
 
-def is_vertical(positions: tuple[str, ...] = ALL) -> NDArray[np.bool_]:
+def is_vertical(positions: tuple[str, ...] = ALL) -> BoolArray:
     """Which gyro of each dwell is vertical, (m, 3)."""
     return np.array([np.arange(3) == POSITIONS[name].up_axis for name in positions])

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pyins._numba_integrate import integrate  # the public Integrator warns with pandas 3
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.bench.navigation.attitude import UP, rotation_matrix
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS, earth_rate_enu, gravity
+from gyrobench.bench.navigation.earth import earth_rate_enu, gravity
 from gyrobench.bench.navigation.positions import POSITIONS
 
 LATITUDE = np.deg2rad(36.4)
@@ -36,7 +36,7 @@ class RestingIns:
     latitude: float = LATITUDE
 
 
-def aligned_error_enu(ins: RestingIns) -> NDArray[np.float64]:
+def aligned_error_enu(ins: RestingIns) -> FloatArray:
     """Misalignment phi of an INS that levelled and gyrocompassed with its sensors' biases."""
     C_nb = POSITIONS[ins.position].C_nb()
     gyro = C_nb @ np.array(ins.gyro_bias_dph) * DPH_TO_RADPS
@@ -48,8 +48,8 @@ def aligned_error_enu(ins: RestingIns) -> NDArray[np.float64]:
 
 
 def measured_increments(
-    ins: RestingIns, rate_up: float, C_nb: NDArray[np.float64], drifted: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ins: RestingIns, rate_up: float, C_nb: FloatArray, drifted: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Angle and velocity increments (n, 3) of sensors that turn about Up at a steady rate (rad/s).
 
     ``drifted`` (n,) is the part of the accelerometers' drift that is there already.
@@ -57,7 +57,7 @@ def measured_increments(
     step, count = ins.step_s, len(drifted)
     rate_enu = earth_rate_enu(ins.latitude) + rate_up * UP
 
-    def rate_body(time: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rate_body(time: FloatArray) -> FloatArray:
         turned = Rotation.from_rotvec(rate_up * time[:, np.newaxis] * UP)
         return turned.inv().apply(rate_enu) @ C_nb
 

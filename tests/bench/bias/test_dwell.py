@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP, rotation_matrix
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS
 from gyrobench.bench.navigation.positions import POSITIONS
 
 TIME = np.arange(0.0, 61.0)

@@ -5,9 +5,10 @@ import pytest
 
 from gyrobench.bench.bias.noise.model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS, RADPS_TO_DPH, gravity
+from gyrobench.bench.navigation.earth import gravity
 from gyrobench.bench.navigation.positions import POSITIONS
 
 GRAVITY = gravity(np.deg2rad(36.4))

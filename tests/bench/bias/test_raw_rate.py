@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.raw_rate import RateRecording, estimate_attitudes, estimate_rate, up_down_pair
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrix
-from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, DPH
 from gyrobench.drivers.emulators.world.strapdown import sense, true_increments

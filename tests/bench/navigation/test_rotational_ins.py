@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS, EARTH_RATE, curvature_radii
+from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.rotational_ins import (

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
+from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.sensor_log.log_import import import_logs
 
 DATA = Path(__file__).parents[4] / "shared" / "data"

@@ -4,12 +4,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.ins.compensation import Compensation
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +26,14 @@ class Conditions:
         Time since the unit was switched on.
     """
 
-    optics_c: Float64
-    board_c: Float64
-    rate_c_per_h: Float64
-    up_body: Float64
-    since_power_on_s: Float64
+    optics_c: FloatArray
+    board_c: FloatArray
+    rate_c_per_h: FloatArray
+    up_body: FloatArray
+    since_power_on_s: FloatArray
 
 
-def compensated_dph(compensation: Compensation, conditions: Conditions) -> Float64:
+def compensated_dph(compensation: Compensation, conditions: Conditions) -> FloatArray:
     """Bias that is subtracted, shape (n, 3); the play begins with the first row."""
     T = np.clip(conditions.optics_c, compensation.low_c, compensation.high_c)
     hotter_k = np.clip(
@@ -62,7 +60,7 @@ def compensated_dph(compensation: Compensation, conditions: Conditions) -> Float
     )
 
 
-def play(values: Float64, half_width: Float64) -> Float64:
+def play(values: FloatArray, half_width: FloatArray) -> FloatArray:
     """Follow a course with slack: what a pointer does that has play on either side.
 
     Parameters

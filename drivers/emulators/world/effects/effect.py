@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +33,16 @@ class Conditions:
 
     time_s: float
     since_power_on_s: float | None
-    optics_c: Array
-    electronics_c: Array
-    optics_rate_c_per_h: Array
-    convected_w: Array
-    up_body: Array
+    optics_c: FloatArray
+    electronics_c: FloatArray
+    optics_rate_c_per_h: FloatArray
+    convected_w: FloatArray
+    up_body: FloatArray
     compressor_duty: float
 
 
 #: Called once a second in the order of time: what an effect adds to the biases, deg/h, shape (3,).
-BiasOverTime = Callable[[Conditions], Array]
+BiasOverTime = Callable[[Conditions], FloatArray]
 
 
 class Effect(StrictModel):
@@ -56,6 +52,6 @@ class Effect(StrictModel):
         """Let the effect begin, with whatever it remembers; one without a memory just adds its bias."""
         return self.added_dph
 
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         """What the effect adds to the biases under such conditions, shape (3,)."""
         raise NotImplementedError(f"{type(self).__name__} has neither a bias to add nor a beginning")

@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.effects.effect import Conditions, Effect
 from gyrobench.drivers.emulators.world.quantities import NotNegative, Positive, Vector
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
@@ -23,7 +24,7 @@ class WarmUp(Effect):
     time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         if now.since_power_on_s is None:
             return np.zeros(3)
         return np.array(self.bias_dph) * math.exp(-now.since_power_on_s / self.time_constant_s)
@@ -36,7 +37,7 @@ class TimeDrift(Effect):
     drift_dph_per_day: Vector = Field(description="drift of each gyro, deg/h per day")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.drift_dph_per_day) * now.time_s / _DAY_S
 
 
@@ -48,7 +49,7 @@ class BiasJump(Effect):
     at_h: NotNegative = Field(description="when, from the beginning of the world, h")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * (now.time_s >= self.at_h * _HOUR_S)
 
 
@@ -61,6 +62,6 @@ class SupplyRipple(Effect):
     phase_deg: float = Field(default=0.0, description="phase at the beginning, deg")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         phase = math.tau * now.time_s / (self.period_h * _HOUR_S) + math.radians(self.phase_deg)
         return np.array(self.amplitude_dph) * math.sin(phase)

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.world.effects.effect import Array, BiasOverTime, Conditions, Effect
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.effects.effect import BiasOverTime, Conditions, Effect
 from gyrobench.drivers.emulators.world.quantities import Positive, Vector
 
 
@@ -31,12 +32,12 @@ class ThermalHysteresis(Effect):
 class _Play:
     """The play operator, without stress at the first temperature that it sees."""
 
-    def __init__(self, half_width_c: float, sensitivity_dph_per_c: Array) -> None:
+    def __init__(self, half_width_c: float, sensitivity_dph_per_c: FloatArray) -> None:
         self._half_width_c = half_width_c
         self._sensitivity_dph_per_c = sensitivity_dph_per_c
-        self._follower_c: Array | None = None
+        self._follower_c: FloatArray | None = None
 
-    def __call__(self, now: Conditions) -> Array:
+    def __call__(self, now: Conditions) -> FloatArray:
         before_c = now.optics_c if self._follower_c is None else self._follower_c
         low_c, high_c = now.optics_c - self._half_width_c, now.optics_c + self._half_width_c
         self._follower_c = np.minimum(np.maximum(before_c, low_c), high_c)

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import AfterValidator, Field
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.effects.effect import Conditions, Effect
 from gyrobench.drivers.emulators.world.quantities import Positive, Vector
 
 
@@ -25,7 +26,7 @@ class ModeHop(Effect):
     reset_every_c: Positive = Field(description="kelvin between changes of mode")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         mode = np.floor((now.optics_c - self.first_reset_c) / self.reset_every_c)
         return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
 
@@ -54,7 +55,7 @@ class DitherCrossing(Effect):
     )
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         pair = ["xyz".index(gyro) for gyro in self.gyros]
         detuning = (now.optics_c[pair].mean() - self.crossing_c) / self.half_width_c
         added_dph = np.zeros(3)

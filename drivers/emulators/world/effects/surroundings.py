@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.effects.effect import Conditions, Effect
 from gyrobench.drivers.emulators.world.quantities import Matrix, Vector
 
 
@@ -35,7 +36,7 @@ class GSensitivity(Effect):
     )
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         sensitivity = np.array(self.sensitivity_dph_per_g)
         return np.asarray((np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity) @ now.up_body)
 
@@ -47,5 +48,5 @@ class ChamberState(Effect):
     bias_dph: Vector = Field(description="bias of each gyro while the compressor runs, deg/h")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * now.compressor_duty

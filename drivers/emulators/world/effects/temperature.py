@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.effects.effect import Conditions, Effect
 from gyrobench.drivers.emulators.world.quantities import Positive, Vector
 
 
@@ -21,7 +22,7 @@ class TemperatureRate(Effect):
     )
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
 
 
@@ -34,7 +35,7 @@ class ThermalGradient(Effect):
     )
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c) * (now.electronics_c - now.optics_c)
 
 
@@ -53,7 +54,7 @@ class AttitudeThermal(Effect):
     onset_width_c: Positive = Field(default=2.0, description="width of the onset, K")
 
     @override
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         below = (self.onset_c - now.optics_c) / self.onset_width_c
         onset = np.logaddexp(0.0, below) * self.onset_width_c / self.onset_c
         return np.asarray(np.array(self.sensitivity_dph_per_w) * now.convected_w * onset)

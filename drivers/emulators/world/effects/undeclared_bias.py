@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from gyrobench.drivers.emulators.world.effects.effect import Array, Conditions, Effect
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.effects.effect import Conditions, Effect
 from gyrobench.drivers.emulators.world.effects.elapsed_time import BiasJump, SupplyRipple, TimeDrift, WarmUp
 from gyrobench.drivers.emulators.world.effects.hysteresis import ThermalHysteresis
 from gyrobench.drivers.emulators.world.effects.ring import DitherCrossing, ModeHop
@@ -49,6 +50,6 @@ class UndeclaredBias:
     def __init__(self, effects: Sequence[Effect]) -> None:
         self._effects = [effect.begin() for effect in effects]
 
-    def added_dph(self, now: Conditions) -> Array:
+    def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (3,); to be called once a second in the order of time."""
         return np.sum([effect(now) for effect in self._effects], axis=0) if self._effects else np.zeros(3)

@@ -9,8 +9,9 @@ from gyrobench.bench.bias.joint.solution import JointDwell, group_stops, pooled_
 from gyrobench.bench.bias.joint.vertical_pairs import Finding
 from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import EARTH_RATE, RADPS_TO_DPH
+from gyrobench.bench.navigation.earth import EARTH_RATE
 from tests.bench.bias.emulated_dwells import DPH, LATITUDE_DEG, UG, emulate, sensors, site
 from tests.bench.bias.emulated_groups import (
     ALL,

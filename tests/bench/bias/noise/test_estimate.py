@@ -7,8 +7,8 @@ from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise.estimate import compare_noise, estimate_noise
 from gyrobench.bench.bias.noise.model import NoiseModel
 from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.emulators.world.earth import normal_gravity
 from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G

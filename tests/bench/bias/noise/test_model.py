@@ -6,8 +6,9 @@ from scipy.linalg import expm
 
 from gyrobench.bench.bias.noise.model import NoiseModel
 from gyrobench.bench.bias.paper import PolynomialTrend
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import MEAN_RADIUS, RADPS_TO_DPH, earth_rate_enu, gravity
+from gyrobench.bench.navigation.earth import MEAN_RADIUS, earth_rate_enu, gravity
 
 LATITUDE = np.deg2rad(36.4)
 GRAVITY = gravity(LATITUDE)

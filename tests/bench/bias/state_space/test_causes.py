@@ -3,7 +3,8 @@ import pytest
 
 from gyrobench.bench.bias.prior import PriorKnowledge
 from gyrobench.bench.bias.state_space import causes
-from gyrobench.bench.navigation.earth import DPH_TO_RADPS, STANDARD_GRAVITY, earth_rate_enu
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
+from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.positions import POSITIONS
 
 LATITUDE = np.radians(36.4)

@@ -8,8 +8,8 @@ import pytest
 
 from gyrobench.bench.bias.joint.solution import pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
-from gyrobench.bench.navigation.earth import RADPS_TO_DPH
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
     JointStopRow,

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise.estimate import estimate_noise
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
-from gyrobench.bench.navigation.earth import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.runs.tables.noise_file import read_noise, write_noise
 
 EPOCHS, INTERVAL_S = 1200, 0.25

@@ -1,0 +1,24 @@
+"""Types of numpy arrays, and the factors between the units of the field and SI."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Real numbers; NaN where a value is missing.
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+#: Gravity by definition, m/s^2: the g of specifications in ug.
+STANDARD_GRAVITY = 9.80665
+#: One degree per hour in rad/s.
+DPH_TO_RADPS = np.pi / 180.0 / 3600.0
+#: One rad/s in degrees per hour.
+RADPS_TO_DPH = 1.0 / DPH_TO_RADPS
+#: One degree per root hour (angle random walk) in rad/sqrt(s).
+DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
+#: One ug (accelerometer bias) in m/s^2.
+UG_TO_MPS2 = 1e-6 * STANDARD_GRAVITY
+#: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
+UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
