@@ -1,7 +1,6 @@
 """A small thermal network of each gyro, fitted to the temperatures that the dwells hold.
 
 Optics at T are warmed by the electronics at B and lose heat to the case; convection makes the flow
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from the electronics depend on the direction of gravity below an onset temperature::
 
     q = (B - T) (1 + s(T) a . Up)         s(T) = 1 / (1 + exp((T - onset) / width))
