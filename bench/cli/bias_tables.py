@@ -9,14 +9,14 @@ if TYPE_CHECKING:
 
     from gyrobench.bench.bias.bins import BiasBin
     from gyrobench.bench.bias.verdicts import Acceptance
-    from gyrobench.bench.runs.tables.verification_table import VerificationRow
+    from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 
 def print_biases(
-    console: Console, bins: list[BiasBin], verification: list[VerificationRow], acceptance: Acceptance
+    console: Console, bins: list[BiasBin], verification: list[CalibrationCheckRow], acceptance: Acceptance
 ) -> None:
     """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
-    from gyrobench.bench.bias.equality import compare_positions
+    from gyrobench.bench.bias.bins import compare_positions
     from gyrobench.bench.report.terminal.acceptance import acceptance_summary
     from gyrobench.bench.report.terminal.tables import bins_table
     from gyrobench.bench.report.verification.terminal import verification_table

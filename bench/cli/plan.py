@@ -89,7 +89,7 @@ def _print_separability(job: Job, target_dph: float) -> None:
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.separability import searched_dwells, separability
     from gyrobench.bench.closure.separability_advice import advise
-    from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
+    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
     from gyrobench.bench.report.figures import save_figure
     from gyrobench.bench.report.figures.separability import separability_figure
     from gyrobench.bench.report.terminal.separability import separability_summary

@@ -31,7 +31,7 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
         console.print(safe_state, soft_wrap=True)
     report = write_report(folder)
     results = outcome.results
-    print_biases(console, results.bins, results.verification, results.acceptance)
+    print_biases(console, results.bins, results.calibration_check, results.acceptance)
     console.print(durations_table(outcome.took_s))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

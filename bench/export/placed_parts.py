@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import can
 
-from gyrobench.bench.dwells.replay import finished_marks
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc

@@ -10,8 +10,8 @@ from typing import Any
 
 from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import read_held_out_cycles
-from gyrobench.bench.dwells.campaign import read_campaign
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.export.can_blf import write_blf
 from gyrobench.bench.export.compensation import compensation_files, export_compensation
 from gyrobench.bench.export.destination import Destination

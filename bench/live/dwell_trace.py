@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.live.picture import MOST_ESTIMATES, MOST_IN_WINDOW
 from gyrobench.bench.live.picture_parts import DwellNow, LiveBias, WindowTrace

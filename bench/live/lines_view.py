@@ -7,8 +7,8 @@ from rich.padding import Padding
 from rich.status import Status
 from rich.text import Text
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.foundations.text import counted

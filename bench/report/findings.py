@@ -6,10 +6,9 @@ import math
 from collections.abc import Iterable, Sequence
 from statistics import median
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import PositionComparison
-from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import position_label
 from gyrobench.bench.report.wording import dph_with_sigma, p_text, temperature_ranges

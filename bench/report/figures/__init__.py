@@ -10,9 +10,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import compare_positions
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.navigation.positions import AXES

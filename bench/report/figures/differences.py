@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.equality import PositionComparison
+from gyrobench.bench.bias.bins import PositionComparison
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.findings import SIGNIFICANCE, differing
 from gyrobench.bench.report.style import GYRO_STYLES, house_style, mark_paper_limit, new_figure, say_empty

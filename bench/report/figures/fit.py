@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.uniformity import uniformity_band
+from gyrobench.bench.bias.statistics import uniformity_band
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.findings import SIGNIFICANCE
 from gyrobench.bench.report.style import POSITION_STYLES, house_style, new_figure, say_empty

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.content import RunContent

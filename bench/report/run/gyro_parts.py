@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.findings import agreement_sentence, differing, equality_sentence, scatter_sentence

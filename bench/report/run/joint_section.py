@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrobench.bench.bias.joint.vertical_pairs import Finding
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.report.page.sections import Section, SectionTable
 from gyrobench.bench.report.wording import p_text

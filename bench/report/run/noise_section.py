@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate, compare_noise
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, compare_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.report.figures.noise import noise_figure
 from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
 

@@ -17,7 +17,7 @@ from gyrobench.bench.report.verification.section import (
     verification_scale,
     verification_sentence,
 )
-from gyrobench.bench.runs.tables.verification_table import VerificationRow
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _HEADERS = ("position", "gyro", "seen in", "°C", "bias", "slope", "calibrated", "diff")
 _WORDS = 3
@@ -28,7 +28,7 @@ _LEGEND = (
 )
 
 
-def verification_table(rows: Sequence[VerificationRow]) -> RenderableType:
+def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
     """Biases that a verification shows beside the calibrated ones, and what that says."""
     if not rows:
         return Text("Nothing was verified.")

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.dwells.dwell import misfit_text
+from gyrobench.bench.dwells.dwell import measurement_setup, misfit_text
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
-from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.document import load_procedure

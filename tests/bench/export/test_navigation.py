@@ -3,8 +3,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.export.run_export import export_run
 from gyrobench.bench.export.wanted import Format, Wanted, What
 from gyrobench.bench.foundations.errors import RunFolderError

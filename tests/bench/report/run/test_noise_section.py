@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.report.page.sections import Section
 from gyrobench.bench.report.run.noise_section import noise_section
 from gyrobench.bench.report.style import png_bytes
