@@ -1,1 +1,1 @@
-"""The calibration check (a calibration tested by new measurements): its section of the report, its terminal table."""
+"""Calibration check (a calibration tested by new measurements): report section and terminal table."""
