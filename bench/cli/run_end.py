@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
     """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import durations_table
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)

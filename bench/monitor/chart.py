@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from gyrobench.bench.report.wording import true_minus
+from gyrobench.bench.report.number_format import true_minus
 
 #: Width and height of the square in which curves are drawn.
 SIDE = 1000

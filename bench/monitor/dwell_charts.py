@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gyrobench.bench.live.picture_parts import DwellNow, LiveBias, WindowTrace
 from gyrobench.bench.monitor.chart import MINUTE_S, Axis, Chart, CurvePath, band, line, time_axis, value_axis
 from gyrobench.bench.navigation.positions import AXES, gyro_label
-from gyrobench.bench.report.wording import BiasScale, true_minus
+from gyrobench.bench.report.number_format import BiasScale, true_minus
 
 _MM_PER_M = 1e3
 _ARCSEC_PER_DEG = 3600.0

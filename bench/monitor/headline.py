@@ -11,7 +11,7 @@ from gyrobench.bench.live.picture import Picture, RunState
 from gyrobench.bench.live.picture_parts import BenchNow, mean_known
 from gyrobench.bench.navigation.positions import position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.wording import true_minus
+from gyrobench.bench.report.number_format import true_minus
 
 #: Sign beside each state, so that it is known from afar and without colours.
 SIGNS = {

@@ -19,7 +19,7 @@ from gyrobench.bench.monitor.profile_chart import profile_chart
 from gyrobench.bench.monitor.rows import bin_tables, reading_rows, shown_dwells
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.wording import true_minus
+from gyrobench.bench.report.number_format import true_minus
 
 
 def run_fragment(picture: Picture, news: News, records: Mapping[str, str], home: str) -> str:

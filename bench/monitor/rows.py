@@ -10,7 +10,7 @@ from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.live.picture_parts import BenchNow, DwellDone, FillingBin, mean_known
 from gyrobench.bench.monitor.headline import celsius
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.wording import BiasScale, by_temperature, true_minus
+from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
 
 
 @dataclass(frozen=True)
