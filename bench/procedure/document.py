@@ -90,7 +90,7 @@ class Procedure(StrictModel):
     marked_temperatures_c: list[Celsius] = Field(
         default=[],
         max_length=10,
-        description="gyro temperatures that the figures mark with a line, degC, such as the onset of an effect",
+        description="gyro temperatures that figures mark with a line, degC, such as the onset of an effect",
     )
     acceptance: AcceptanceLimits | None = Field(
         default=None, description="what the gyros have to keep; without it the unit is not judged"
