@@ -97,9 +97,9 @@ def print_biases(
 ) -> None:
     """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
     from gyrobench.bench.bias.equality import compare_positions
+    from gyrobench.bench.report.calibration_check.terminal import verification_table
     from gyrobench.bench.report.terminal.acceptance import acceptance_summary
     from gyrobench.bench.report.terminal.tables import bins_table
-    from gyrobench.bench.report.verification.terminal import verification_table
 
     if bins or not verification:
         console.print(bins_table(bins, compare_positions(bins)))

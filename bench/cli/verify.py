@@ -73,7 +73,7 @@ def verify(
     Example: gyrobench verify runs/six_position_fig7-001
     """
     from gyrobench.bench.engine.verify import Verification, new_emulation
-    from gyrobench.bench.report.comparison.terminal import verify_plan
+    from gyrobench.bench.report.verification.terminal import verify_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
@@ -125,9 +125,9 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
 def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
     from gyrobench.bench.dwells.comparison import write_comparison
-    from gyrobench.bench.report.comparison.page import write_verify_page
-    from gyrobench.bench.report.comparison.terminal import verify_summary
     from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.verification.page import write_verify_page
+    from gyrobench.bench.report.verification.terminal import verify_summary
 
     folder, comparison = verification.folder, verification.comparison()
     table = folder / "comparison.csv"

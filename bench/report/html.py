@@ -10,6 +10,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.acceptance_wording import VERDICT_COLOURS, verdict_sentence
+from gyrobench.bench.report.calibration_check.section import verification_section, verification_sentence
 from gyrobench.bench.report.content import RunContent, read_run
 from gyrobench.bench.report.durations import clock_time, durations_by_kind, took_in_journal
 from gyrobench.bench.report.figures import save_figures
@@ -32,7 +33,6 @@ from gyrobench.bench.report.run.head import (
 )
 from gyrobench.bench.report.run.joint_section import joint_section
 from gyrobench.bench.report.run.noise_section import noise_section
-from gyrobench.bench.report.verification.section import verification_section, verification_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 

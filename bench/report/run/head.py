@@ -9,8 +9,8 @@ from typing import Any
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.calibration_check.section import dwells_text
 from gyrobench.bench.report.content import Entry, RunContent
-from gyrobench.bench.report.verification.section import dwells_text
 from gyrobench.bench.runs.journal import RunFacts
 
 _PROGRAMS = ("gyrobench", "python", "platform")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.report.comparison.figures import day_figure, leftovers_figure
-from gyrobench.bench.report.comparison.page import write_verify_page
-from gyrobench.bench.report.comparison.section import verify_sections
+from gyrobench.bench.report.verification.figures import day_figure, leftovers_figure
+from gyrobench.bench.report.verification.page import write_verify_page
+from gyrobench.bench.report.verification.section import verify_sections
 from tests.bench.report.made_up_comparison import alone, better, confirmed, not_confirmed, nothing_to_tell
 
 COLOURS = {

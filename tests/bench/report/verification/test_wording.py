@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.dwells.comparison import Comparison
-from gyrobench.bench.report.comparison.wording import (
+from gyrobench.bench.report.verification.wording import (
     chain,
     model_sentences,
     newness_sentence,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from gyrobench.bench.dwells.comparison import Comparison, ComparisonRow
-from gyrobench.bench.report.comparison.wording import LABELS
+from gyrobench.bench.report.verification.wording import LABELS
 
 #: Sizes of a row, with the units of :data:`UNITS`.
 SIZES = ("bias", "varying", "spread", "V_E", "24 h")

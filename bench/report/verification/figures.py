@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, ComparisonRow
-from gyrobench.bench.report.comparison.wording import LABELS
 from gyrobench.bench.report.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.verification.wording import LABELS
 
 #: Colour and line of each compensation.
 STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}

@@ -1,0 +1,1 @@
+"""Calibration check (a calibration tested by new measurements): report section and terminal table."""
