@@ -53,9 +53,8 @@ from gyrobench.bench.report.journal_sections import (
 from gyrobench.bench.report.page import Section, render_page, with_figure_files
 from gyrobench.bench.report.statements import NOTHING_TO_COMPARE, VERDICT_COLOURS, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.manifest import DataHash, data_hashes
-from gyrobench.bench.runs.provenance import note_preparer
-from gyrobench.bench.runs.run_facts import RunFacts
+from gyrobench.bench.runs.journal import RunFacts
+from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 
 _TEMPLATE = "report.html.j2"
 

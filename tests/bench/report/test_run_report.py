@@ -30,9 +30,9 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.acceptance_file import write_acceptance
 from gyrobench.bench.runs.tables.verification_table import write_verification
-from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
 from tests.bench.report.made_up_closure import clean
 from tests.bench.report.made_up_comparison import confirmed
+from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
 
 
 @dataclass
