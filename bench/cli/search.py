@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
 
 
 def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
@@ -20,7 +20,7 @@ def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
     DocumentError
         It can't be used for a search.
     """
-    from gyrobench.bench.closure.closure import close_loop
+    from gyrobench.bench.closure.loop import close_loop
     from gyrobench.bench.dwells.campaign import read_campaign
 
     try:

@@ -16,7 +16,7 @@ from gyrobench.bench.cli.options import STATION_HELP, RunArgument, View, ViewOpt
 from gyrobench.bench.cli.search import search
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.verify import Verification
     from gyrobench.bench.live.console import PatientConsole
     from gyrobench.bench.runs.folder import RunFolder

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import read_held_out_cycles
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.dwells.campaign import read_campaign
 from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.export.can_blf import write_blf
