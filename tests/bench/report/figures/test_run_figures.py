@@ -232,7 +232,6 @@ def test_global_state_of_matplotlib_is_left_alone() -> None:
         "import sys, matplotlib\n"
         "from gyrobench.bench.report.figures.bias import bias_figure\n"
         "from gyrobench.bench.report.figures.style import png_bytes\n"
-        "from gyrobench.bench.report.figures.bias import bias_figure\nfrom gyrobench.bench.report.figures.style import png_bytes\n"
         "matplotlib.rcParams['font.size'] = 13.0\n"
         "png_bytes(bias_figure('x', [], []))\n"
         "assert matplotlib.rcParams['font.size'] == 13.0\n"
