@@ -16,7 +16,8 @@
     ├── SpoiltDwellError                  a dwell under way can't give a result any more
     ├── RunStoppedError                   somebody asked the run to stop
     ├── MeasurementError (ValueError)     measured data that can't give a result
-    └── RunFolderError (OSError)          a run folder that can't be written or read
+    ├── RunFolderError (OSError)          a run folder that can't be written or read
+    └── MissingPackageError (ImportError) an optional package is not installed
 
 A message says what happened, where, and what to do about it. Kinds of these that only the engine
 tells apart are in ``bench/engine/interruptions.py``.
@@ -97,3 +98,7 @@ class MeasurementError(GyrobenchError, ValueError):
 
 class RunFolderError(GyrobenchError, OSError):
     """A run folder can't be written, or what it holds can't be read."""
+
+
+class MissingPackageError(GyrobenchError, ImportError):
+    """An optional package is not installed; the message names the extra that installs it."""

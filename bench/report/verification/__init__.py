@@ -1,1 +1,1 @@
-"""The verification of a calibration, in the report and in the terminal."""
+"""Verification (proof that a compensation loaded into the INS works): page, section, terminal summary."""

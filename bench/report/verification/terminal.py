@@ -1,47 +1,68 @@
-"""The verification of a calibration for a terminal of 80 columns."""
+"""The proof of a compensation in a terminal of 80 columns, readable without colour."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import astuple
+from collections.abc import Mapping, Sequence
 
-from rich import box
-from rich.console import Group, JustifyMethod, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.report.verification.section import (
-    accelerometer_sentence,
-    flag_lines,
-    verification_lines,
-    verification_scale,
-    verification_sentence,
+from gyrobench.bench.closure.loadable_model import LoadableModel
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.closure.wording import verdict_sentence
+from gyrobench.bench.report.terminal.tables import plain_table, topics
+from gyrobench.bench.report.verification.rows import SIZES, UNITS, stop_rows, total_rows
+from gyrobench.bench.report.verification.wording import (
+    LABELS,
+    chain,
+    model_sentences,
+    outcome,
+    outcome_sentence,
+    reading_sentences,
 )
-from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
-
-_HEADERS = ("position", "gyro", "seen in", "°C", "bias", "slope", "calibrated", "diff")
-_WORDS = 3
-_LEGEND = (
-    "slope: by the second slope of the velocity East alone. diff: bias less calibrated one in standard "
-    "uncertainties of both; * chance does not explain it. Changes from power-on to power-on are in no "
-    "uncertainty."
-)
+from gyrobench.bench.verification.comparison import Comparison
 
 
-def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
-    """Biases that a verification shows beside the calibrated ones, and what that says."""
-    if not rows:
-        return Text("Nothing was verified.")
-    # Not the table's title: rich would fold that to the width of the table.
-    unit = verification_scale(rows).unit
-    heading = Text(f"Verification: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
-    for number, header in enumerate(_HEADERS):
-        is_word = number < _WORDS
-        justify: JustifyMethod = "left" if is_word else "right"
-        table.add_column(header, justify=justify, no_wrap=is_word, min_width=len(header))
-    for line in verification_lines(rows):
-        table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in astuple(line)))
-    flags = [f"{where}: {what}" for where, what in flag_lines(rows)]
-    sentences = [verification_sentence(rows), accelerometer_sentence(rows), *flags, _LEGEND]
-    return Group(heading, table, *(Text(one) for one in sentences if one))
+def verify_plan(
+    closure: Closure, models: Mapping[str, LoadableModel], missing: Sequence[str], run_s: float
+) -> RenderableType:
+    """Verdict of the search, what is to be loaded, and how long the runs take that are missing."""
+    sentences = model_sentences(closure, models)
+    if missing:
+        runs = listed([LABELS[name] for name in missing])
+        total = hours_minutes(len(missing) * run_s)
+        sentences.append(
+            f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h to come, {total} h in all: {runs}."
+        )
+    else:
+        sentences.append("All runs are there already.")
+    verdict = Text(f"{closure.verdict.capitalize()}. {verdict_sentence(closure)}", style="bold")
+    return Group(verdict, *map(Text, sentences), Text())
+
+
+def verify_summary(comparison: Comparison) -> RenderableType:
+    """Judgement, what changed, and the numbers of all stops."""
+    return Group(
+        Text(f"{outcome(comparison).capitalize()}. {outcome_sentence(comparison)}", style="bold"),
+        Text(),
+        topics(chain(comparison)),
+        Text(),
+        Text("All stops: rms over all dwells; of spread, V_E and 24 h the largest", style="bold"),
+        _table(["compensation", *SIZES], total_rows(comparison), words=1),
+        Text(),
+        Text("By gyro temperature, °C", style="bold"),
+        _table(["°C", "cycle", "fit", "compensation", *SIZES], stop_rows(comparison), words=4),
+        Text(f"{UNITS[0].upper()}{UNITS[1:]}."),
+        Text(" ".join(reading_sentences(comparison))),
+        Text(),
+    )
+
+
+def _table(headers: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> Table:
+    table = plain_table(headers, words, fold=False)
+    for row in rows:
+        table.add_row(*map(Text, row), end_section=row[words - 1] not in LABELS.values())
+    return table

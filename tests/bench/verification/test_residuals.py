@@ -12,7 +12,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.rotational_ins import (

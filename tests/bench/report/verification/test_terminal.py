@@ -1,58 +1,45 @@
+"""The proof of a compensation in a terminal of 80 columns."""
+
 import io
-from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.verification.terminal import verification_table
-from tests.bench.report.verification.test_section import ALIGNMENT, CHANGED, FLAGGED, ROW, UNCALIBRATED
+from gyrobench.bench.report.verification.terminal import verify_plan, verify_summary
+from tests.bench.report.made_up_comparison import alone, better, confirmed, not_confirmed, nothing_to_tell
 
 
-def printed(rows):
+def printed(content):
     stream = io.StringIO()
-    Console(file=stream, width=80).print(verification_table(rows))
+    Console(file=stream, width=80).print(content)
     return stream.getvalue()
 
 
-def test_each_bias_has_a_line():
-    lines = printed([ROW, ALIGNMENT, CHANGED, UNCALIBRATED]).splitlines()
-    assert lines[0] == "Verification: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
-    assert [line.split() for line in lines[3:7]] == [
-        ["Y-Up", "0°", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "13.7", "±0.4", "+0.3"],
-        ["Y-Up", "0/180°", "X", "alignment", "-9.6", "14.2", "±1.5", "13.7", "±0.4", "+0.3"],
-        ["Z-Up", "0°", "Y", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "4.2", "±0.4", "+6.5*"],
-        ["Y-Up", "0°", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7"],
-    ]
-
-
-def test_the_finding_and_the_flags_stand_below():
-    text = " ".join(printed([ROW, FLAGGED]).split())
-    assert "The bias agrees with the calibration" in text
-    assert "dwell 5, Z-Up at 180 deg, Y gyro by velocity: the INS left navigation" in text
-
-
-@pytest.mark.parametrize("bias_dph", [0.0142, -0.9876, -12.3456])
-def test_it_fits_a_terminal_and_nothing_is_cut_off(bias_dph):
-    rows = [
-        replace(
-            ROW,
-            position="z_down",
-            azimuth_deg=270.0,
-            turned_dwell=2,
-            bias_dph=bias_dph,
-            paper_bias_dph=bias_dph,
-            calibrated_dph=bias_dph,
-        )
-    ]
-    text = printed([*rows, FLAGGED])
+@pytest.mark.parametrize("comparison", [confirmed, better, not_confirmed, nothing_to_tell, alone])
+def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(comparison):
+    text = printed(verify_summary(comparison()))
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text
-    shown = f"{bias_dph:.4f}" if abs(bias_dph) > 1.0 else f"{1000.0 * bias_dph:.1f}"
-    assert text.count(shown) == 3
-    assert "+0.3" in text
-    assert "flagged" in text
-    assert "calibrated" in text.splitlines()[1]
+    assert "\x1b" not in text
 
 
-def test_nothing_is_told_as_nothing():
-    assert printed([]).strip() == "Nothing was verified."
+def test_it_begins_with_the_judgement_and_has_the_numbers_with_their_noise():
+    text = printed(verify_summary(confirmed()))
+    assert text.startswith("Confirmed. The declared model leaves")
+    rows = [line.split() for line in text.splitlines()]
+    first = [row[0] for row in rows if row].index("none")
+    totals = [row for row in rows if row][first : first + 4]
+    assert [row[0] for row in totals] == ["none", "declared", "with", "noise"]
+    assert float(totals[0][2]) > 10.0 > float(totals[3][2])
+
+
+def test_each_stop_is_named_once():
+    lines = [line.split() for line in printed(verify_summary(confirmed())).splitlines()]
+    assert sum(line[:2] == ["62", "1"] for line in lines) == 1
+
+
+def test_the_time_of_the_runs_is_told_before_they_begin():
+    comparison = confirmed()
+    text = printed(verify_plan(comparison.closure, comparison.models, ["none", "effect"], 68_400.0))
+    assert "2 runs of 19:00 h to come, 38:00 h in all: none and with effect." in text
+    assert "All runs are there" in printed(verify_plan(comparison.closure, comparison.models, [], 68_400.0))

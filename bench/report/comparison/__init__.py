@@ -1,1 +1,0 @@
-"""The proof of a compensation: its page, its part of a run's report, its summary in the terminal."""
