@@ -14,8 +14,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from gyrobench.bench.foundations.documents import hint
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import did_you_mean
 
 #: Groups of entry points.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
@@ -68,7 +68,7 @@ def load(group: str, name: str, kind: type[DialectT]) -> DialectT:
     if not found:
         names = installed(group)
         raise DocumentError(
-            f"no dialect {name!r} is installed{hint(name, names)}; installed: {', '.join(names)}"
+            f"no dialect {name!r} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
         )
     if len(found) > 1:
         packages = " and ".join(sorted(map(_package, found)))

@@ -60,7 +60,7 @@ def emulate(
     from gyrobench.bench.emulation.process import EmulatorProcess, end_at_sigterm
     from gyrobench.bench.emulation.serving import Life, serve_options
     from gyrobench.bench.emulation.station_file import write_station_file
-    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.station.station import Station
 
     bench = Station(find_document("stations", station))

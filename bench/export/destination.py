@@ -18,11 +18,12 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import (
     cant_be_written,
     make_folder,
+    parse_json,
+    read_limited,
     sync_folder,
     temporary_path,
     write_whole,
 )
-from gyrobench.bench.foundations.reading import parse_json, read_limited
 
 #: Beside the files: what they are.
 ABOUT = "export.json"

@@ -14,8 +14,8 @@ import can
 
 from gyrobench.bench.engine.interruptions import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import guard_for
 from gyrobench.bench.jog.display import Display
 from gyrobench.bench.jog.hand import Hand

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.foundations.documents import hint
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.jog.display import Display
 from gyrobench.bench.jog.hand import Hand
 from gyrobench.bench.jog.limits import AXES
@@ -91,7 +91,9 @@ class Shell:
         command = self._commands.get(words[0])
         if command is None:
             known = [*self._commands, *_ENDS]
-            raise CommandError(f"unknown command '{words[0]}'{hint(words[0], known)}; `help` lists them")
+            raise CommandError(
+                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists them"
+            )
         try:
             command.carry_out(words[1:])
         except _UsageError as error:
@@ -126,7 +128,9 @@ class Shell:
     def _to_position(self, words: list[str]) -> None:
         name = _next(words)
         if name not in POSITIONS:
-            raise _UsageError(f"no such position{hint(name, POSITIONS)}; they are {', '.join(POSITIONS)}")
+            raise _UsageError(
+                f"no such position{did_you_mean(name, POSITIONS)}; they are {', '.join(POSITIONS)}"
+            )
         azimuth_deg = 0.0
         if words and words[0] != "at":
             azimuth_deg = _number(words.pop(0), "an azimuth in deg")

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.live.picture_parts import (
     Alarm,
     Attitude,

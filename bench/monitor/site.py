@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.live.from_folder import picture_of
 from gyrobench.bench.monitor.answer import HTML, RECORD_POLICY, Answer, page_policy, refusal
 from gyrobench.bench.monitor.list_rows import ListRow, list_row, unreadable_row

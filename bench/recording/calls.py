@@ -8,7 +8,8 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from gyrobench.bench.foundations.documents import Problem, hint
+from gyrobench.bench.foundations.documents import Problem
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.rate_table import RateTable
 from gyrobench.drivers.recording.document import Call, Recording
@@ -51,7 +52,7 @@ def _understood(
     methods = dict(_methods(instrument))
     if ask not in methods:
         what = instrument.__name__
-        return Problem(("ask",), f"a {what} has no method '{ask}'{hint(ask, methods)}")
+        return Problem(("ask",), f"a {what} has no method '{ask}'{did_you_mean(ask, methods)}")
     try:
         inspect.signature(methods[ask]).bind(None, **arguments)
     except TypeError as error:

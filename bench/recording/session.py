@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.can_log import record_can
 from gyrobench.bench.recording.proxy import proxy
 from gyrobench.bench.recording.record import Instrument, headers, record_questions

@@ -13,8 +13,8 @@ from urllib.parse import urlencode, urlsplit
 import can
 
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.dialect_section import DialectSection
 from gyrobench.bench.station.document import InsSection
 from gyrobench.bench.station.station import Station

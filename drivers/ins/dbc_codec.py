@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.drivers.ins.bit_fields import BitField, Payloads
 from gyrobench.drivers.ins.dbc_checks import oversized, undecodable
 from gyrobench.drivers.ins.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock

@@ -9,8 +9,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import write_whole
-from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.foundations.files import parse_json, write_whole
 from gyrobench.bench.report.page.findings import Findings
 from gyrobench.bench.report.page.sections import Mark, Section, SectionFigure, SectionTable
 

@@ -2,8 +2,8 @@ import pytest
 
 from gyrobench.bench.emulation.serving import Life, emulated_frames, serve_options
 from gyrobench.bench.emulation.station_file import write_station_file
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.document import load_station_file
 from gyrobench.bench.station.station import Station
 

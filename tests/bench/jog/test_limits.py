@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.jog.limits import AxisRange, HandLimits, hand_limits
 from gyrobench.bench.jog.refused import CommandError
 from gyrobench.bench.station.instruments import Emulation, Outputs

@@ -9,7 +9,7 @@ from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.live.picture import RunState, read_picture
 from gyrobench.bench.live.recorder import PictureRecorder
 from gyrobench.bench.station.instruments import Emulation

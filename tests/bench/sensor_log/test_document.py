@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.sensor_log.document import load_log_map
 
 SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").glob("*.yaml"))

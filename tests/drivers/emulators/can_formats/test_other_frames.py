@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_formats import CAN_FORMATS
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
