@@ -10,8 +10,8 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
 from gyrobench.bench.dwells.replay import replay
 from gyrobench.bench.dwells.setup import measurement_setup
@@ -23,9 +23,8 @@ from gyrobench.bench.engine.session import Job, emulation_of, prepare_job, run_j
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.run_facts import facts_of
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.compensation import Compensation
 

@@ -20,12 +20,12 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
 from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
 from gyrobench.bench.engine.verify import new_emulation
-from gyrobench.bench.live.console import PatientConsole
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal import PatientConsole
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.report.calibration_check.section import verification_section
+from gyrobench.bench.report.calibration_check import verification_section
 from gyrobench.bench.report.content import read_run
-from gyrobench.bench.report.run.noise_section import noise_section
+from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import math
 
-from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure, Evidence, FoundEffect
-from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
-from gyrobench.bench.foundations.text import counted, listed, plain_name
+from gyrobench.bench.closure.loop import (
+    LEFT_OVER_P,
+    Closure,
+    Evidence,
+    FoundEffect,
+    separating_measurement,
+    statement,
+    whereabouts,
+)
+from gyrobench.bench.foundations.text import counted, listed, spoken
 from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
     noise_dph,
@@ -15,7 +22,7 @@ from gyrobench.bench.report.closure.residuals import (
     rms,
     smallest_visible_dph,
 )
-from gyrobench.bench.report.wording import p_text
+from gyrobench.bench.report.number_format import p_text
 
 _NOTICEABLE_SCALE = 1.005
 #: Odds of two to one.
