@@ -26,7 +26,6 @@ from gyrobench.bench.foundations.files import (
     temporary_path,
     write_whole,
 )
-from gyrobench.bench.foundations.reading import parse_json, read_limited
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrobench.bench.closure.loop import Closure, whereabouts
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure import wording
 from gyrobench.bench.report.closure.effect_figure import closure_effect_figure

@@ -13,7 +13,7 @@ from gyrobench.bench.closure.loop import (
     statement,
     whereabouts,
 )
-from gyrobench.bench.foundations.text import counted, listed, spoken
+from gyrobench.bench.foundations.text import counted, listed, plain_name
 from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
     noise_dph,
