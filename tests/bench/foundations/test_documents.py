@@ -275,8 +275,8 @@ def test_old_names_of_keys_and_values_are_accepted_and_say_what_replaces_them(ca
     made = validate(parse_document(text, Path("a.yaml")), WithOldNames)
     assert made == WithOldNames(max_times=3, inner=WithOldValues(resume="automatic", on=["resumes", "other"]))
     assert [record.getMessage() for record in caplog.records] == [
-        "a.yaml:4:3: 'on: goes_on' is an old name. Write 'on: resumes'.",
         "a.yaml:1:1: 'most_times' is an old name. Write 'max_times'.",
+        "a.yaml:4:3: 'on: goes_on' is an old name. Write 'on: resumes'.",
         "a.yaml:3:3: 'resume: nobody' is an old name. Write 'resume: automatic'.",
     ]
 
