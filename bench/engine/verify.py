@@ -27,7 +27,7 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.runs.run_facts import facts_of
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
 

@@ -25,7 +25,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
 _ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"
