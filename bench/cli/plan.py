@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
 from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
+from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:

@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_procedure, complete_station, complete_world
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
-from gyrobench.bench.cli.json_output import JsonOption, print_json
-from gyrobench.bench.cli.options import STATION_HELP, RunArgument, View, ViewOption
-from gyrobench.bench.cli.search import search
+from gyrobench.bench.cli.close import search
+from gyrobench.bench.cli.options import (
+    STATION_HELP,
+    RunArgument,
+    View,
+    ViewOption,
+    complete_procedure,
+    complete_station,
+    complete_world,
+)
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
     from gyrobench.bench.closure.closure import Closure
     from gyrobench.bench.engine.verify import Verification
-    from gyrobench.bench.live.console import PatientConsole
+    from gyrobench.bench.monitor.terminal import PatientConsole
     from gyrobench.bench.runs.folder import RunFolder
 
 
@@ -104,7 +109,7 @@ def _search(run: RunFolder) -> Closure:
 
 def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
-    from gyrobench.bench.live.watched import watched
+    from gyrobench.bench.monitor.terminal_view import watched
     from gyrobench.bench.report.html import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")

@@ -23,9 +23,8 @@ from gyrobench.bench.engine.session import Job, emulation_of, prepare_job, run_j
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.run_facts import facts_of
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.command_map import Compensation
 

@@ -20,8 +20,8 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
 from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
 from gyrobench.bench.engine.verify import new_emulation
-from gyrobench.bench.live.console import PatientConsole
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal import PatientConsole
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.report.calibration_check.section import verification_section
 from gyrobench.bench.report.content import read_run

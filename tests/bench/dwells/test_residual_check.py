@@ -9,7 +9,7 @@ from rich.console import Console
 from gyrobench.bench.dwells.residual_check import check_residuals
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins import Compensation
 

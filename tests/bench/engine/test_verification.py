@@ -11,7 +11,7 @@ from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.html import write_report
 from gyrobench.bench.runs.folder import RunFolder

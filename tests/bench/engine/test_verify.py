@@ -17,7 +17,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
 from gyrobench.bench.engine.verify import Verification, new_emulation
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
