@@ -21,7 +21,7 @@ from gyrobench.bench.cli.options import (
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.verify import Verification
     from gyrobench.bench.monitor.terminal import PatientConsole
     from gyrobench.bench.runs.folder import RunFolder

@@ -10,8 +10,8 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
 from gyrobench.bench.dwells.replay import replay
 from gyrobench.bench.dwells.setup import measurement_setup

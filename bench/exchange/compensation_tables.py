@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.exchange.export_folder import Destination, field_of, unit_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES

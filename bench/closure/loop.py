@@ -8,17 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidate import Candidate, solve_with, stack
-from gyrobench.bench.closure.confirmation import leave_out_cycles, measured_minus, pooled_gain
-from gyrobench.bench.closure.effect_set import EffectSet, evaluate, scored
+from gyrobench.bench.closure.candidates import Candidate, EffectSet, evaluate, scored, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.lack_of_fit import LackOfFit, lack_of_fit
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import MOST_EFFECTS, Search
+from gyrobench.bench.closure.validation import (
+    LackOfFit,
+    lack_of_fit,
+    leave_out_cycles,
+    measured_minus,
+    pooled_gain,
+)
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.foundations.text import listed, spoken
 from gyrobench.bench.navigation.positions import AXES
 
 #: Below this probability of chance something is left.
@@ -53,7 +57,7 @@ class FoundEffect:
         Its size in the dwells searched, without its mean.
     gains : dict of int to float
         Share of the squares of each cycle that it takes away, its size taken from the other cycles; see
-        :func:`gyrobench.bench.closure.confirmation.leave_out_cycles`.
+        :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
     tied_with : tuple of str
         Effects that the data can't tell from it.
     """
@@ -336,3 +340,72 @@ def _numbers(cycles: Sequence[int]) -> str:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+_S_PER_H = 3600.0
+_UNITS = {"c": "degC"}
+
+
+def statement(found: FoundEffect) -> str:
+    """One sentence: what the bias does, on which gyros, how much, with which parameters."""
+    parameters = ", ".join(
+        _parameter(each.name, value)
+        for each, value in zip(found.candidate.form.parameters, found.candidate.values, strict=True)
+    )
+    gyros = f"{listed(found.axes)} gyro{'s' if len(found.axes) > 1 else ''}"
+    size = f"{found.rms_dph:.2g} deg/h rms on the {gyros}"
+    sentence = found.candidate.effect.statement
+    return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
+
+
+def _parameter(name: str, value: float) -> str:
+    """Name and value of a parameter with its unit: "tau 1.5 h", "onset width 4.2 degC"."""
+    words, _, unit = name.replace("_", " ").rpartition(" ")
+    if unit == "s" and abs(value) >= _S_PER_H:
+        return f"{words} {value / _S_PER_H:.2f} h"
+    return f"{words} {value:.3g} {_UNITS.get(unit, unit)}"
+
+
+def separating_measurement(closure: Closure) -> str | None:
+    """What to measure next to split the first tie; None without ties."""
+    experiments = {each.effect.name: each.effect.experiment for each in closure.evidence}
+    for found in closure.effects:
+        if found.tied_with:
+            other = found.tied_with[0]
+            one = found.candidate.effect
+            return (
+                f"To tell {spoken(one.name)} from {spoken(other)}: {one.experiment}; "
+                f"for {spoken(other)}: {experiments[other]}."
+            )
+    return None
+
+
+def whereabouts(closure: Closure) -> str | None:
+    """Where the model leaves most, if anything is left: size, position, temperatures, times."""
+    if closure.verdict != "unexplained":
+        return None
+    campaign, searched = closure.campaign, closure.searched
+    rest = (campaign.bias_dph - closure.model.bias_dph)[searched]
+    size = np.sqrt(np.mean(rest**2))
+    squares = np.sum(rest**2, axis=1)
+    names = np.array(campaign.position)[searched]
+    position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
+    low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
+    low_h, high_h = _worst_span(campaign.middle_s[searched] / 3600.0, squares)
+    return (
+        f"{size:.2g} deg/h rms is left, {closure.after.noise_ratio:.1f} times the noise; it follows "
+        f"{closure.after.follows} most clearly, and is largest in position {spoken(position)}, "
+        f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
+    )
+
+
+def _worst_span(
+    values: np.ndarray[tuple[int], np.dtype[np.float64]],
+    squares: np.ndarray[tuple[int], np.dtype[np.float64]],
+) -> tuple[float, float]:
+    """Eighth of the range of values with the largest mean square."""
+    edges = np.linspace(values.min(), values.max(), 9)
+    place = np.clip(np.digitize(values, edges) - 1, 0, 7)
+    means = [float(squares[place == each].mean()) if np.any(place == each) else -1.0 for each in range(8)]
+    worst = int(np.argmax(means))
+    return float(edges[worst]), float(edges[worst + 1])
