@@ -81,7 +81,7 @@ def do_job(kind: JobKind, path: str) -> JobResult:
 
 def inputs_of(kind: JobKind, path: Path) -> str:
     """Sizes and times of what a job is made from: another text after that changed."""
-    from gyrobench.bench.report.page.findings_file import FINDINGS_FILE
+    from gyrobench.bench.report.page import FINDINGS_FILE
 
     folder = RunFolder(path)
     files = {
@@ -122,7 +122,7 @@ def _closed(folder: RunFolder) -> str:
 
 
 def _reported(folder: RunFolder) -> str:
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
 
     with _DRAWING:
         return write_report(folder).name

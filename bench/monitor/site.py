@@ -41,7 +41,7 @@ from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Answer, page_pol
 from gyrobench.bench.monitor.snapshot import Attitude, Picture
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.wording import true_minus
+from gyrobench.bench.report.number_format import true_minus
 
 
 def run_fragment(picture: Picture, news: News, records: Mapping[str, str], home: str) -> str:

@@ -12,8 +12,8 @@ from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from gyrobench.bench.report.closure.style import BAND_COLOUR, draw_dwells
-from gyrobench.bench.report.style import house_style, new_figure, say_empty
-from gyrobench.bench.report.wording import BiasScale
+from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.number_format import BiasScale
 
 _S_PER_H = 3600.0
 

@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.report.closure.residuals import rests_on_noise
 from gyrobench.bench.report.closure.style import FOUND_COLOUR, NOTE_COLOUR, OTHER_COLOUR, TIED_COLOUR
 from gyrobench.bench.report.closure.wording import p_phrase, share_text
-from gyrobench.bench.report.style import house_style, new_figure
+from gyrobench.bench.report.figures.style import house_style, new_figure
 
 _HEIGHT_OF_BAR_IN = 0.27
 _MOST_POWERS = 12.0

@@ -6,7 +6,7 @@ from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import listed, spoken
 from gyrobench.bench.report.closure.residuals import rests_on_noise, scale_of_errors
 from gyrobench.bench.report.closure.wording import gains_text, odds_text, share_text
-from gyrobench.bench.report.wording import p_text
+from gyrobench.bench.report.number_format import p_text
 
 
 def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:

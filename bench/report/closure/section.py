@@ -22,8 +22,8 @@ from gyrobench.bench.report.closure.residuals import (
     scale_of_errors,
 )
 from gyrobench.bench.report.closure.rows import effect_table, evidence_table, tried_caption
-from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.wording import p_text
+from gyrobench.bench.report.number_format import p_text
+from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 
 _RESIDUALS = (
     "{}: measured minus predicted bias. Each point is a dwell, hollow ones the search did not see; the grey "

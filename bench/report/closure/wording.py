@@ -22,7 +22,7 @@ from gyrobench.bench.report.closure.residuals import (
     rms,
     smallest_visible_dph,
 )
-from gyrobench.bench.report.wording import p_text
+from gyrobench.bench.report.number_format import p_text
 
 _NOTICEABLE_SCALE = 1.005
 #: Odds of two to one.

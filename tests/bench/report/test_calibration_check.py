@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.report.calibration_check.section import (
+from gyrobench.bench.report.calibration_check import (
     dwells_text,
     verification_lines,
     verification_section,

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from gyrobench.bench.bias.noise.estimate import NoiseEstimate
-from gyrobench.bench.report.page.sections import Section
-from gyrobench.bench.report.run.noise_section import noise_section
-from gyrobench.bench.report.style import png_bytes
+from gyrobench.bench.report.estimator_sections import noise_section
+from gyrobench.bench.report.figures.style import png_bytes
+from gyrobench.bench.report.page import Section
 from tests.bench.report.made_up_noise import made_up_noise
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.report.run.estimator_sections import estimators_note, estimators_section, fit_section
+from gyrobench.bench.report.estimator_sections import estimators_note, estimators_section, fit_section
 
 
 def test_table_names_the_dwell_in_which_the_estimators_differ_most(dwells: list[DwellRow]) -> None:

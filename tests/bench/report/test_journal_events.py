@@ -1,4 +1,4 @@
-from gyrobench.bench.report.run.events import MOST_ROWS, events_section, run_events
+from gyrobench.bench.report.journal_sections import MOST_ROWS, events_section, run_events
 
 
 def entry(time_s, event, **details):

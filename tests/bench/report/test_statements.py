@@ -10,7 +10,7 @@ import pytest
 from gyrobench.bench.bias.bins import BiasBin, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.equality import PositionComparison, compare_positions
-from gyrobench.bench.report.findings import (
+from gyrobench.bench.report.statements import (
     agreement_sentence,
     differing,
     equality_sentence,

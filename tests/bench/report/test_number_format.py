@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import gyro_label, position_label
-from gyrobench.bench.report.wording import (
+from gyrobench.bench.report.number_format import (
     BiasScale,
     bins_by_temperature,
     dph_with_sigma,

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from gyrobench.bench.report.content import read_run
-from gyrobench.bench.report.run.head import ending_of, head_lines, serial_number_of
+from gyrobench.bench.report.run_report import ending_of, head_lines, serial_number_of
 from gyrobench.bench.runs.folder import RunFolder
 
 

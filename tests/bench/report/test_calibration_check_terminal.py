@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.calibration_check.terminal import verification_table
-from tests.bench.report.calibration_check.test_section import ALIGNMENT, CHANGED, FLAGGED, ROW, UNCALIBRATED
+from gyrobench.bench.report.calibration_check import verification_table
+from tests.bench.report.test_calibration_check import ALIGNMENT, CHANGED, FLAGGED, ROW, UNCALIBRATED
 
 
 def printed(rows):

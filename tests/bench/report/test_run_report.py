@@ -23,17 +23,16 @@ from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.report.closure.page import write_closure_page
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.figures.bias import bias_figure
-from gyrobench.bench.report.html import render, write_report
-from gyrobench.bench.report.page.figure_files import with_figure_files
-from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
+from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
+from gyrobench.bench.report.run_report import render, write_report
 from gyrobench.bench.report.verification.page import write_verify_page
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.acceptance_file import write_acceptance
 from gyrobench.bench.runs.tables.verification_table import write_verification
-from tests.bench.report.calibration_check.test_section import ALIGNMENT, ROW
 from tests.bench.report.made_up_closure import clean
 from tests.bench.report.made_up_comparison import confirmed
+from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
 
 
 @dataclass

@@ -24,16 +24,10 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.timeline import position_spans
-from gyrobench.bench.report.figures import (
-    bias_figure,
-    plan_figure,
-    png_bytes,
-    position_difference_figure,
-    save_figure,
-    save_figures,
-    temperature_figure,
-)
-from gyrobench.bench.report.style import GYRO_STYLES, POSITION_STYLES
+from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure
+from gyrobench.bench.report.figures.style import GYRO_STYLES, POSITION_STYLES, png_bytes, save_figure
+from gyrobench.bench.report.figures.temperatures import plan_figure, temperature_figure
+from gyrobench.bench.report.run_report import save_figures
 from gyrobench.bench.runs.folder import RunFolder
 
 Telemetry = dict[str, np.ndarray]
@@ -236,7 +230,8 @@ def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path: Path) -> 
 def test_global_state_of_matplotlib_is_left_alone() -> None:
     code = (
         "import sys, matplotlib\n"
-        "from gyrobench.bench.report.figures import bias_figure, png_bytes\n"
+        "from gyrobench.bench.report.figures.bias import bias_figure\n"
+        "from gyrobench.bench.report.figures.style import png_bytes\n"
         "matplotlib.rcParams['font.size'] = 13.0\n"
         "png_bytes(bias_figure('x', [], []))\n"
         "assert matplotlib.rcParams['font.size'] == 13.0\n"

@@ -1,18 +1,20 @@
-"""What a run shows, in plain words; the same in report and terminal."""
+"""Results in sentences, the same in report and terminal: position comparisons, fits, verdicts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
+from types import MappingProxyType
 
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.equality import PositionComparison
 from gyrobench.bench.bias.uniformity import uniformity_p_value
-from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.navigation.positions import position_label
-from gyrobench.bench.report.wording import dph_with_sigma, p_text, temperature_ranges
+from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
+from gyrobench.bench.report.number_format import dph_with_sigma, p_text, temperature_ranges
 
 #: What there is to say of a run, or a gyro, whose positions can't be compared.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin holds dwells of two positions."
@@ -123,3 +125,57 @@ def _outlier_sentence(rows: Sequence[DwellRow]) -> str:
 def _equals(p_value: float) -> str:
     text = p_text(p_value)
     return text if text.startswith("<") else f"= {text}"
+
+
+#: Colours of the template's box, by verdict.
+VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(
+    {"accepted": "finished", "marginal": "stopped", "rejected": "failed", "not judged": "open"}
+)
+_NO_LIMITS = "The procedure states no acceptance limits."
+_NOTHING = "No stop of the chamber has good dwells in two positions."
+_ADVICE = "The data do not tell on which side of it the unit is; more cycles would."
+_LACKING = "{} not compared with all others of the stop, so the rest can't accept the unit."
+
+
+def verdict_sentence(acceptance: Acceptance) -> str:
+    """Say why the verdict on the run is what it is."""
+    if acceptance.limits is None:
+        return _NO_LIMITS
+    limit = _limit(acceptance)
+    with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
+    match acceptance.verdict:
+        case "accepted":
+            return f"All gyros keep {limit} at all {_stops(acceptance)}, {with_confidence}."
+        case "rejected":
+            return f"{_gyros(acceptance, 'fail')} beyond {limit}, {with_confidence}."
+        case "marginal":
+            return f"{_gyros(acceptance, 'marginal')} near {limit}. {_ADVICE}"
+    return _lacking_sentence(acceptance) if acceptance.judgements else _NOTHING
+
+
+def place_of(judged: Judgement) -> str:
+    """Name the positions that differ most, "Y-Down above Y-Up", or the one with the largest bias."""
+    return " above ".join(map(position_label, judged.worst))
+
+
+def _limit(acceptance: Acceptance) -> str:
+    limits = acceptance.limits
+    if limits is None:
+        return ""
+    told = f"the limit of {limits.position_difference_dph:g} deg/h between positions"
+    return told if limits.bias_dph is None else f"{told} or that of {limits.bias_dph:g} deg/h for the bias"
+
+
+def _lacking_sentence(acceptance: Acceptance) -> str:
+    dwells = {(each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured}
+    return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {'was' if len(dwells) == 1 else 'were'}")
+
+
+def _stops(acceptance: Acceptance) -> str:
+    bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
+    return f"{counted(acceptance.stops, 'stop')} compared, in {counted(len(bins), 'temperature bin')}"
+
+
+def _gyros(acceptance: Acceptance, verdict: str) -> str:
+    names = [gyro_label(gyro) for gyro in AXES if acceptance.gyros.get(gyro) == verdict]
+    return f"{listed(names)} {'is' if len(names) == 1 else 'are'}"

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.report.page.sections import Section
-from gyrobench.bench.report.run.joint_section import joint_section
+from gyrobench.bench.report.estimator_sections import joint_section
+from gyrobench.bench.report.page import Section
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
 
 
