@@ -1,8 +1,8 @@
 """The installed dialects: this project's own, and those that other packages add by entry point.
 
 A package that adds one names it in its metadata, under the group of its class of instrument; the
-object there is a :class:`~gyrobench.drivers.rate_table.dialect.TableDialect`, a
-:class:`~gyrobench.drivers.chamber.dialect.ChamberDialect`, or for an emulator one of
+object there is a :class:`~gyrobench.drivers.rate_table.TableDialect`, a
+:class:`~gyrobench.drivers.chamber.ChamberDialect`, or for an emulator one of
 :mod:`gyrobench.drivers.emulators.dialect`. Only the dialect that is asked for is imported, so that a broken
 package hurts nobody who does not use it.
 """

@@ -39,7 +39,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import add_identity
 from gyrobench.bench.station.safe_state import SafeAction
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: A dwell that was given up so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2

@@ -42,7 +42,7 @@ from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.bench_lock import BenchLock, RunLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: A guard that has just made the bench safe lets go of it within this time.
 _GUARD_TIME_S = 60.0

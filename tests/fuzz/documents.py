@@ -21,8 +21,8 @@ from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import EmulatedBench
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.frames import FrameBlock
 from tests.fuzz.checks import WrongResultError, check_document, check_finite, written
 
 #: How often a bench with faults is looked at, and after how long each time.

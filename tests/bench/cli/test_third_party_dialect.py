@@ -18,7 +18,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import RefusedError, ReplyError
 from gyrobench.drivers.chamber import ChamberReading
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.dialects import LineDefaults
 from gyrobench.drivers.text_line import TextLine
 

@@ -10,7 +10,7 @@ from gyrobench.bench.station.chamber_section import ChamberSection
 from gyrobench.bench.station.document import StationFile
 from gyrobench.bench.station.instruments import Emulation, open_chamber, open_table
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect
 
 ADDRESS = "  address: 1\n"
 
