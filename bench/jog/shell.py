@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.foundations.documents import hint
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.jog.manual_control import ManualControl
 from gyrobench.bench.jog.manual_limits import AXES
 from gyrobench.bench.jog.readings import limit_lines, readings

@@ -11,9 +11,10 @@ from typing import Literal
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
-from gyrobench.bench.foundations.documents import StrictModel, find_document
+from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, NoReplyError
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, write_whole
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
 from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import (

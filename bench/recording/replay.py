@@ -11,8 +11,9 @@ from urllib.parse import quote
 from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import Problem, hint, problems_of
+from gyrobench.bench.foundations.documents import Problem, problems_of
 from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
 from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, load
 from gyrobench.drivers.rate_table import RateTable, TableDialect
@@ -97,7 +98,7 @@ def _checked_arguments(
     """Arguments of a call with their types, or what is wrong, located within the call."""
     methods = dict(_methods(protocol))
     if ask not in methods:
-        return Problem(("ask",), f"a {protocol.__name__} has no method '{ask}'{hint(ask, methods)}")
+        return Problem(("ask",), f"a {protocol.__name__} has no method '{ask}'{did_you_mean(ask, methods)}")
     try:
         inspect.signature(methods[ask]).bind(None, **arguments)
     except TypeError as error:
