@@ -1,8 +1,8 @@
 """The installed dialects: this project's own, and those that other packages add by entry point.
 
 A package that adds one names it in its metadata, under the group of its class of instrument; the
-object there is a :class:`~gyrobench.drivers.rate_table.dialect.TableDialect`, a
-:class:`~gyrobench.drivers.chamber.dialect.ChamberDialect`, or for an emulator one of
+object there is a :class:`~gyrobench.drivers.rate_table.TableDialect`, a
+:class:`~gyrobench.drivers.chamber.ChamberDialect`, or for an emulator one of
 :mod:`gyrobench.drivers.emulators.dialect`. Only the dialect that is asked for is imported, so that a broken
 package hurts nobody who does not use it.
 """
@@ -14,8 +14,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from gyrobench.bench.foundations.documents import hint
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import did_you_mean
 
 #: Groups of entry points.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
@@ -68,7 +68,7 @@ def load(group: str, name: str, kind: type[DialectT]) -> DialectT:
     if not found:
         names = installed(group)
         raise DocumentError(
-            f"no dialect {name!r} is installed{hint(name, names)}; installed: {', '.join(names)}"
+            f"no dialect {name!r} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
         )
     if len(found) > 1:
         packages = " and ".join(sorted(map(_package, found)))

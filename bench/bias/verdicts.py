@@ -10,7 +10,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.foundations.files import parse_json
 
 #: What a limit is on.
 Quantity = Literal["position difference", "bias"]

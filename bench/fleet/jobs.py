@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError, MeasurementError
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.station.bench_lock import RunLock
 
@@ -117,7 +117,7 @@ def _closed(folder: RunFolder) -> str:
         return f"not searched: {error}"  # of one cycle, for instance: that is no failure of the run
     with _DRAWING:
         write_search(closure, folder.path)
-    effects = [spoken(each.candidate.effect.name) for each in closure.effects]
+    effects = [plain_name(each.candidate.effect.name) for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 
 

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.station.dialect_section import Dialect, DialectSection
 from gyrobench.bench.station.field_types import Positive
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.dialects import CHAMBERS
 
 

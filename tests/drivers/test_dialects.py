@@ -4,11 +4,10 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers import dialects
-from gyrobench.drivers.chamber import watlow_f4
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect, watlow_f4
 from gyrobench.drivers.dialects import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
-from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.rate_table import TableDialect
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.dwells.dwell import measurement_setup, misfit_text
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.runs.folder import RunFolder

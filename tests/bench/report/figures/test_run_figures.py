@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan, expand

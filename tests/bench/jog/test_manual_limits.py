@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.bench.jog.limits import AxisRange, HandLimits, hand_limits
-from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.jog.manual_limits import AxisRange, ManualLimits, manual_limits
+from gyrobench.bench.jog.terminal import CommandError
 from gyrobench.bench.station.instruments import Emulation, Outputs
 from gyrobench.bench.station.station import Station
 
-LIMITS = HandLimits(
+LIMITS = ManualLimits(
     {"outer": AxisRange(-200.0, 200.0, 30.0), "inner": AxisRange(-380.0, 380.0, 30.0)}, 30.0, -50.0, 75.0, 4.0
 )
 
@@ -60,7 +60,7 @@ def test_the_narrower_of_station_and_controller_holds():
     clock, station = VirtualClock(), Station(find_document("stations", "emulated"))
     with Outputs(station, clock, Emulation("ideal")) as outputs:
         own = outputs.table.limits()
-        found = hand_limits(station, outputs.table, outputs.chamber)
+        found = manual_limits(station, outputs.table, outputs.chamber)
     ours = station.file.rate_table.limits
     assert found.axes["outer"].rate_dps == min(ours.rate_dps, own[0].rate_dps)
     assert found.axes["inner"].high_deg == min(ours.inner_deg[1], own[1].high_deg)
@@ -84,5 +84,5 @@ def test_a_controller_with_narrower_limits_of_its_own_has_its_way():
         narrow = tuple(
             replace(each, low_deg=-90.0, high_deg=80.0, rate_dps=7.0) for each in outputs.table.limits()
         )
-        found = hand_limits(station, NarrowTable(narrow), outputs.chamber)
+        found = manual_limits(station, NarrowTable(narrow), outputs.chamber)
     assert set(found.axes.values()) == {AxisRange(-90.0, 80.0, 7.0)}

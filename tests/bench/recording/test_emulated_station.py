@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.emulation.guide import guide
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.recording.emulated_station import guide
 from gyrobench.bench.station.station import Station
 
 TCP = {

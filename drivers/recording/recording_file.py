@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,9 +12,10 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field
 
+from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import cant_be_written, read_limited
 
 MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"
@@ -155,3 +157,43 @@ def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:
             raise DocumentError(f"{path}:{number}:1: is before the line above; times only go on")
         last_s = time_s
         yield Transfer(time_s, found[2] == ">", bytes.fromhex(found[3]), number)
+
+
+class RecordingFile:
+    """A recording that is being written; each transfer is in the file at once.
+
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    clock : Clock
+        Gives the times; the recording begins now.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be made.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
+        self._clock = clock
+        self._start_s = clock.now()
+        began = clock.utc().isoformat(timespec="seconds")
+        try:
+            self._file = path.open("x", encoding="utf-8", buffering=1)
+            self._file.write(header_text(header.model_copy(update={"recorded_utc": began})))
+        except OSError as error:
+            raise cant_be_written(path, error) from error
+
+    def add(self, is_sent: bool, data: bytes) -> None:
+        """Keep what went through just now; a full disk ends the recording, not the line."""
+        if data and not self._file.closed:
+            try:
+                self._file.write(Transfer(self._clock.now() - self._start_s, is_sent, data).text())
+            except OSError:
+                self.close()
+
+    def close(self) -> None:
+        """End the recording; a second call does nothing."""
+        with contextlib.suppress(OSError):
+            self._file.close()

@@ -14,16 +14,19 @@ import can
 
 from gyrobench.bench.engine.interruptions import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import guard_for
-from gyrobench.bench.jog.display import Display
-from gyrobench.bench.jog.hand import Hand
-from gyrobench.bench.jog.interruptions import Interruptions
-from gyrobench.bench.jog.limits import hand_limits
-from gyrobench.bench.jog.refused import LeaveError, StoppedByHandError
+from gyrobench.bench.jog.manual_control import ManualControl
+from gyrobench.bench.jog.manual_limits import manual_limits
 from gyrobench.bench.jog.shell import Shell
-from gyrobench.bench.jog.typed import TypedLines
+from gyrobench.bench.jog.terminal import (
+    Display,
+    EndSessionError,
+    Interruptions,
+    StoppedByOperatorError,
+    TypedLines,
+)
 from gyrobench.bench.station.bench_lock import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
@@ -91,10 +94,10 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         bench = LiveBench(station, instruments, clock, _Unrecorded(), _Unrecorded(), _failure_teller(display))
         bench.start()
         _listen(bench)
-        limits = hand_limits(station, instruments.table, instruments.chamber)
+        limits = manual_limits(station, instruments.table, instruments.chamber)
         guard = held.enter_context(guard_for(station, folder, clock))
-        hand = Hand(bench, limits, display, guard.beat, interruptions)
-        session = _Session(hand, display, commands, leave)
+        control = ManualControl(bench, limits, display, guard.beat, interruptions)
+        session = _Session(control, display, commands, leave)
         all_done = session.run()
         is_safe = session.end()
         if is_safe:
@@ -123,23 +126,25 @@ def _listen(bench: LiveBench) -> None:
 class _Session:
     """Takes commands until there are no more, or one says to end."""
 
-    def __init__(self, hand: Hand, display: Display, commands: Sequence[str], leave: bool) -> None:
-        self._hand = hand
+    def __init__(
+        self, control: ManualControl, display: Display, commands: Sequence[str], leave: bool
+    ) -> None:
+        self._control = control
         self._display = display
-        self._shell = Shell(hand, display)
+        self._shell = Shell(control, display)
         self._leave = leave
         self._is_typed = not commands and sys.stdin.isatty()
         self._lines = iter(commands) if commands else self._typed_lines()
 
     def run(self) -> bool:
         """Carry out command by command; one that fails is the last unless a person types them."""
-        station = self._hand.bench.station
+        station = self._control.bench.station
         if self._is_typed:
             self._display.tell(f"{station.file.station} by hand. `help` lists the commands, `quit` ends.")
         all_done = True
         while True:
             try:
-                self._hand.idle()  # commands that come without a pause are watched over all the same
+                self._control.idle()  # commands that come without a pause are watched over all the same
                 line = next(self._lines, None)
                 if line is None or line.lower() in _QUIT:
                     return all_done
@@ -149,10 +154,10 @@ class _Session:
                 if not self._is_typed and line and not line.startswith("#"):
                     self._display.tell(f"{_PROMPT}{line}")
                 self._shell.carry_out(line.partition("#")[0])
-            except LeaveError as error:
+            except EndSessionError as error:
                 self._display.tell(str(error))
                 return False
-            except StoppedByHandError:
+            except StoppedByOperatorError:
                 self._stop()
                 if not self._is_typed:
                     return False
@@ -168,19 +173,19 @@ class _Session:
             self._stop()
             self._display.tell("Chamber, unit and servos are left as they are.")
             return True
-        actions = self._hand.make_safe()
+        actions = self._control.make_safe()
         for action in actions:
             self._display.tell(action.text)
         return not any(action.problem for action in actions)
 
     def _stop(self) -> None:
         try:
-            self._hand.stop()
+            self._control.stop()
         except GyrobenchError as error:
             self._display.tell(f"The table could not be stopped: {error}")
 
     def _typed_lines(self) -> Iterator[str]:
-        lines = TypedLines(sys.stdin.fileno(), self._hand.idle)
+        lines = TypedLines(sys.stdin.fileno(), self._control.idle)
 
         def typed() -> str | None:
             if self._is_typed:

@@ -5,8 +5,7 @@ import os
 
 import pytest
 
-from gyrobench.bench.jog.refused import CommandError
-from gyrobench.bench.jog.typed import TypedLines
+from gyrobench.bench.jog.terminal import CommandError, TypedLines
 
 
 @pytest.fixture

@@ -3,9 +3,8 @@
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.recording.calls import calls_of
-from gyrobench.bench.recording.replay import replay
-from gyrobench.drivers.recording.document import read_recording
+from gyrobench.bench.recording.replay import checked_calls, replay
+from gyrobench.drivers.recording.recording_file import read_recording
 
 SET = "instrument: chamber\ncalls:\n- {ask: set_temperature, arguments: "
 
@@ -56,10 +55,10 @@ def test_a_call_that_can_not_be_made_is_told_with_its_place(tmp_path, text, told
 def test_calls_that_can_be_made_are_read(tmp_path):
     calls = "- {ask: set_temperature, arguments: {temperature_c: 20, rate_c_per_min: null}}\n"
     text = f"instrument: chamber\ncalls:\n{calls}---\n"
-    assert calls_of(read_recording(written(tmp_path, text)))[0].arguments["temperature_c"] == 20
+    assert checked_calls(read_recording(written(tmp_path, text)))[0].arguments["temperature_c"] == 20
     calls = "- {ask: move_to, arguments: {angles_deg: {1: 30, 2: 1.5}, rate_dps: 10}}\n"
     text = f"instrument: table\ncalls:\n{calls}---\n"
-    assert calls_of(read_recording(written(tmp_path, text)))[0].arguments == {
+    assert checked_calls(read_recording(written(tmp_path, text)))[0].arguments == {
         "angles_deg": {1: 30.0, 2: 1.5},
         "rate_dps": 10.0,
     }

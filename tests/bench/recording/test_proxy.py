@@ -7,9 +7,8 @@ from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.drivers.recording.document import RecordingHeader, read_recording
-from gyrobench.drivers.recording.proxy import Proxy
-from gyrobench.drivers.recording.tap import RecordingFile
+from gyrobench.bench.recording.recorder import Proxy
+from gyrobench.drivers.recording.recording_file import RecordingFile, RecordingHeader, read_recording
 from gyrobench.drivers.serial_line import open_port
 from gyrobench.drivers.served_ports import PseudoTerminal, TcpPort
 
@@ -21,7 +20,7 @@ def test_a_client_reaches_the_instrument_and_both_are_recorded(tmp_path, kind):
     port = open_port("emulator://chamber?world=ideal", clock, 9600, "N")
     file = RecordingFile(path, RecordingHeader(instrument="chamber"), clock)
     proxy = Proxy(served, port, file, clock)
-    thread = threading.Thread(target=proxy.pass_on, args=(3.0,))
+    thread = threading.Thread(target=proxy.run, args=(3.0,))
     thread.start()
     if kind == "terminal":
         client = ModbusSerialClient(served.url, baudrate=9600, timeout=2)

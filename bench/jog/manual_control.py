@@ -11,11 +11,9 @@ from gyrobench.bench.engine.interruptions import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.outputs import SafeOutputs
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
-from gyrobench.bench.jog.display import Display
-from gyrobench.bench.jog.interruptions import Interruptions
-from gyrobench.bench.jog.limits import AXES, HandLimits
-from gyrobench.bench.jog.refused import CommandError
-from gyrobench.bench.jog.screen import mode_words, watch_line
+from gyrobench.bench.jog.manual_limits import AXES, ManualLimits
+from gyrobench.bench.jog.readings import mode_words, watch_line
+from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
 from gyrobench.bench.station.safe_state import SafeAction
 from gyrobench.drivers.ins.readout import InsMode
 
@@ -36,14 +34,14 @@ _CHAMBER_TRIPS = {"chamber_silence", "chamber_alarm"}
 T = TypeVar("T")
 
 
-class Hand:
+class ManualControl:
     """Carries out one command at a time; what fails or is stopped leaves the table stopped.
 
     Parameters
     ----------
     bench : LiveBench
         Started.
-    limits : HandLimits
+    limits : ManualLimits
         What may be asked for.
     display : Display
         Where courses and notes go.
@@ -56,7 +54,7 @@ class Hand:
     def __init__(
         self,
         bench: LiveBench,
-        limits: HandLimits,
+        limits: ManualLimits,
         display: Display,
         beat_guard: Callable[[], str | None],
         interruptions: Interruptions,
@@ -89,7 +87,7 @@ class Hand:
         ------
         TrippedError
             An interlock has tripped; the bench is in its safe state.
-        StoppedByHandError, LeaveError
+        StoppedByOperatorError, EndSessionError
             A signal came.
         """
         self.bench.tick()

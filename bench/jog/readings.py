@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.jog.limits import HandLimits
+from gyrobench.bench.jog.manual_limits import ManualLimits
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import Alignment, InsMode
@@ -78,7 +78,7 @@ def standing(bench: LiveBench) -> str:
     return "in none of the six positions"
 
 
-def limit_lines(limits: HandLimits) -> list[str]:
+def limit_lines(limits: ManualLimits) -> list[str]:
     """What commands may ask for: the narrower of station file and controller."""
     lines = [
         f"{name:8} {axis.low_deg:g} to {axis.high_deg:g} deg, at most {axis.rate_dps:g} deg/s"

@@ -5,15 +5,14 @@ import signal
 
 import pytest
 
-from gyrobench.bench.jog.interruptions import Interruptions
-from gyrobench.bench.jog.refused import LeaveError, StoppedByHandError
+from gyrobench.bench.jog.terminal import EndSessionError, Interruptions, StoppedByOperatorError
 
 
 def test_ctrl_c_is_told_once():
     with Interruptions() as interruptions:
         interruptions.check()
         os.kill(os.getpid(), signal.SIGINT)
-        with pytest.raises(StoppedByHandError):
+        with pytest.raises(StoppedByOperatorError):
             interruptions.check()
         interruptions.check()
 
@@ -23,7 +22,7 @@ def test_the_end_is_told_until_it_comes(number):
     with Interruptions() as interruptions:
         os.kill(os.getpid(), number)
         for _ in range(2):
-            with pytest.raises(LeaveError):
+            with pytest.raises(EndSessionError):
                 interruptions.check()
 
 

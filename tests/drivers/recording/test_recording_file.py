@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.recording.document import (
+from gyrobench.drivers.recording.recording_file import (
     Call,
     RecordingHeader,
     Transfer,

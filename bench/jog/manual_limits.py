@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gyrobench.bench.foundations.errors import RefusedError
-from gyrobench.bench.jog.refused import CommandError
+from gyrobench.bench.jog.terminal import CommandError
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.rate_table import RateTable
@@ -34,7 +34,7 @@ class AxisRange:
 
 
 @dataclass(frozen=True)
-class HandLimits:
+class ManualLimits:
     """The narrower of station and controller.
 
     Attributes
@@ -99,7 +99,7 @@ class HandLimits:
         return self.axes[axis]
 
 
-def hand_limits(station: Station, table: RateTable, chamber: Chamber) -> HandLimits:
+def manual_limits(station: Station, table: RateTable, chamber: Chamber) -> ManualLimits:
     """Ask the controllers for their own limits and take the narrower ones.
 
     Raises
@@ -131,6 +131,6 @@ def hand_limits(station: Station, table: RateTable, chamber: Chamber) -> HandLim
         low_c, high_c = chamber.limits_c()
     except RefusedError:
         low_c, high_c = air.low_c, air.high_c
-    return HandLimits(
+    return ManualLimits(
         axes, acceleration_dps2, max(air.low_c, low_c), min(air.high_c, high_c), air.ramp_c_per_min
     )

@@ -1,9 +1,9 @@
 import pytest
 
-from gyrobench.bench.emulation.serving import Life, emulated_frames, serve_options
-from gyrobench.bench.emulation.station_file import write_station_file
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.recording.emulated_station import write_station_file
+from gyrobench.bench.recording.emulator_process import EmulationSettings, emulated_dbc, serve_options
 from gyrobench.bench.station.document import load_station_file
 from gyrobench.bench.station.station import Station
 
@@ -57,9 +57,9 @@ def test_a_served_station_is_served_again_at_its_ports(tmp_path):
 
 
 def test_the_emulators_are_told_how_the_bench_lives():
-    life = Life("gyro_b", 0, 10.0, faults="every_kind", for_s=0.0)
+    settings = EmulationSettings("gyro_b", 0, 10.0, faults="every_kind", for_s=0.0)
     without = serve_options(shipped(), NOWHERE, tcp=False, can=None)
-    options = serve_options(shipped(), NOWHERE, tcp=False, can=None, life=life)
+    options = serve_options(shipped(), NOWHERE, tcp=False, can=None, settings=settings)
     assert [option for option in options if option not in without] == [
         "--world=gyro_b",
         "--seed=0",
@@ -89,7 +89,7 @@ def test_the_station_file_written_is_the_station_with_other_addresses(tmp_path, 
     assert station.file.ins.signals == original.file.ins.signals
     assert station.file.ins.commands == original.file.ins.commands
     assert station.file.safe_state == original.file.safe_state
-    assert emulated_frames(station) == emulated_frames(original)
+    assert emulated_dbc(station) == emulated_dbc(original)
 
 
 def test_the_bus_is_named_as_python_can_wants_it(tmp_path):
@@ -105,7 +105,7 @@ def test_a_station_whose_frames_no_emulated_ins_sends_is_not_written(tmp_path):
         source = find_document("stations", "emulated") if name.endswith("yaml") else shipped().dbc_path
         (tmp_path / name).write_text(source.read_text().replace('VERSION "', 'VERSION "other '))
     station = Station(tmp_path / "emulated.yaml")
-    assert emulated_frames(station) is None
+    assert emulated_dbc(station) is None
     assert not [o for o in serve_options(station, NOWHERE, False, None) if o.startswith("--frames")]
     with pytest.raises(DocumentError, match=r"no emulated INS sends the frames of gyrobench_ins\.dbc"):
         write_station_file(tmp_path / "out.yaml", station, PTS, 1.0)
