@@ -9,12 +9,12 @@ from pydantic import ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import Problem, problems_of
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.recording.calls import USUAL_AXES, calls_of
 from gyrobench.bench.recording.questions import answered
 from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.chamber.dialect import ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, load
 from gyrobench.drivers.rate_table import RateTable
 from gyrobench.drivers.rate_table.dialect import TableDialect
 from gyrobench.drivers.recording.document import Call, Recording, RecordingHeader, read_recording
