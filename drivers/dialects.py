@@ -1,7 +1,4 @@
-"""How a controller is reached by default; each dialect states it.
-
-Dialects are found by entry point, see :mod:`gyrobench.bench.foundations.entry_points`.
-"""
+"""How a controller is reached by default; each dialect states it."""
 
 from __future__ import annotations
 

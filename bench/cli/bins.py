@@ -16,7 +16,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.engine.session import measure_again
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
     from gyrobench.bench.runs.tables.verification_table import read_verification
 

@@ -97,9 +97,8 @@ def print_biases(
 ) -> None:
     """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
     from gyrobench.bench.bias.equality import compare_positions
-    from gyrobench.bench.report.calibration_check.terminal import verification_table
-    from gyrobench.bench.report.terminal.acceptance import acceptance_summary
-    from gyrobench.bench.report.terminal.tables import bins_table
+    from gyrobench.bench.report.calibration_check import verification_table
+    from gyrobench.bench.report.terminal.tables import acceptance_summary, bins_table
 
     if bins or not verification:
         console.print(bins_table(bins, compare_positions(bins)))
@@ -110,7 +109,7 @@ def print_biases(
 
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
     """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import durations_table
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)

@@ -110,7 +110,7 @@ def _search(run: RunFolder) -> Closure:
 def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import watched
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")
     with watched(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
@@ -125,7 +125,7 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
 def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
     from gyrobench.bench.dwells.comparison import write_comparison
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.page import write_verify_page
     from gyrobench.bench.report.verification.terminal import verify_summary
 

@@ -31,9 +31,8 @@ from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.drivers.ins.epochs import EpochCounts
-from gyrobench.drivers.ins.frames import FrameBlock
-from gyrobench.drivers.ins.navigation_data import NavigationData
+from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.resolution import ResolutionLimit
 

@@ -1,6 +1,6 @@
 """Which temperature sensors can't be believed in one dwell.
 
-A sensor at the end of its signal's range gives no number at all (:mod:`gyrobench.drivers.ins.bound_signals`).
+A sensor at the end of its signal's range gives no number at all (:mod:`gyrobench.drivers.ins.signal_map`).
 What is left here is what no part of a gyro can do: be hotter than its electronics bear, change faster
 than its mass allows, or keep still to the last bit while its neighbours move.
 """

@@ -20,9 +20,8 @@ from gyrobench.bench.dwells.dwell import (
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.drivers.ins.epochs import EpochCounts
-from gyrobench.drivers.ins.frames import FrameBlock
-from gyrobench.drivers.ins.navigation_data import NavigationData
+from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 
 
 @dataclass(frozen=True, eq=False)

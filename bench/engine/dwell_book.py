@@ -81,8 +81,8 @@ class DwellBook:
         procedure, repeats = self._procedure, self._done.repeats
         return (
             procedure.disturbed_dwell == "repeat"
-            and repeats[dwell] < procedure.most_repeats
-            and repeats.total() < procedure.most_repeats_in_all
+            and repeats[dwell] < procedure.max_repeats
+            and repeats.total() < procedure.max_repeats_total
         )
 
     def give_up(self, dwell: int | None, why: str, counts: bool) -> None:

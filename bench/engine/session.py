@@ -25,9 +25,10 @@ from gyrobench.bench.engine.people import AnnouncedOperator, People, Progress
 from gyrobench.bench.engine.progress import RunProgress
 from gyrobench.bench.engine.run_news import RunNews
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import Document, find_document
+from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
 from gyrobench.bench.procedure.document import load_procedure
@@ -41,7 +42,7 @@ from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.bench_lock import BenchLock, RunLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: A guard that has just made the bench safe lets go of it within this time.
 _GUARD_TIME_S = 60.0

@@ -28,7 +28,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
 #: The column that has them.

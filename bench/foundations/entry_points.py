@@ -10,8 +10,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from gyrobench.bench.foundations.documents import hint
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import did_you_mean
 
 #: Groups of entry points, and the word for one entry.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
@@ -48,7 +48,7 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
     if not found:
         names = installed(group)
         raise DocumentError(
-            f"no {noun} {name!r} is installed{hint(name, names)}; installed: {', '.join(names)}"
+            f"no {noun} {name!r} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
         )
     if len(found) > 1:
         packages = " and ".join(sorted(map(_package, found)))

@@ -14,7 +14,7 @@ from gyrobench.bench.monitor.run_list import RunSummary
 from gyrobench.bench.monitor.snapshot import BenchNow, DwellDone, FillingBin, Picture, RunState, mean_known
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.wording import BiasScale, by_temperature, true_minus
+from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
 
 #: A run writes every other second; one that is busy may take some longer.
 SILENT_AFTER_S = 20.0

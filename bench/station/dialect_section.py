@@ -13,8 +13,8 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.entry_points import installed, load
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.station.field_types import Identity, Port
-from gyrobench.drivers.chamber.dialect import ChamberDialect
-from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.chamber import ChamberDialect
+from gyrobench.drivers.rate_table import TableDialect
 
 Dialect = TableDialect[Any] | ChamberDialect[Any]
 

@@ -21,7 +21,7 @@ from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from tests.bench.conftest import watched_run
 from tests.bench.dwells.fault_kinds import FAULTS
 from tests.bench.dwells.frame_faults import Recording

@@ -23,9 +23,9 @@ from gyrobench.bench.engine.verify import new_emulation
 from gyrobench.bench.monitor.terminal import PatientConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.report.calibration_check.section import verification_section
+from gyrobench.bench.report.calibration_check import verification_section
 from gyrobench.bench.report.content import read_run
-from gyrobench.bench.report.run.noise_section import noise_section
+from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, ComparisonRow
-from gyrobench.bench.report.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
 from gyrobench.bench.report.verification.wording import LABELS
 
 #: Colour and line of each compensation.

@@ -8,8 +8,7 @@ from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.closure.wording import verdict_sentence
-from gyrobench.bench.report.page.findings import Findings
-from gyrobench.bench.report.page.findings_page import write_findings
+from gyrobench.bench.report.page import Findings, write_findings
 from gyrobench.bench.report.verification.section import verify_sections
 from gyrobench.bench.report.verification.wording import (
     BETTER,

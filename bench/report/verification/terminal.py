@@ -14,7 +14,7 @@ from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.closure.wording import verdict_sentence
-from gyrobench.bench.report.terminal.parts import plain_table, topics
+from gyrobench.bench.report.terminal.tables import plain_table, topics
 from gyrobench.bench.report.verification.rows import SIZES, UNITS, stop_rows, total_rows
 from gyrobench.bench.report.verification.wording import (
     LABELS,

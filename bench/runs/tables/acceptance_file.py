@@ -7,7 +7,7 @@ from pathlib import Path
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.foundations.files import parse_json
 
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:

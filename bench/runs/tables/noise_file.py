@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT
 from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.foundations.files import parse_json
 from gyrobench.bench.navigation.positions import AXES
 
 _UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"

@@ -150,7 +150,7 @@ def test_reading_and_writing_again_gives_the_same_file(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"temperature_c": 1500.0}, "column temperature_c: 1500 degC is no temperature of a gyro"),
+        ({"temperature_c": 1500.0}, "column temperature_c: 1500 degC is not a gyro temperature"),
         ({"sigma_dph": 0.0}, "column sigma_dph: an uncertainty must be above zero; found 0"),
         ({"paper_sigma_dph": -1.0}, "column paper_sigma_dph: an uncertainty must be above zero; found -1"),
     ],

@@ -7,7 +7,7 @@ import subprocess
 import pytest
 
 from gyrobench.bench.foundations import entry_points
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
 
 DIALECT = '''
@@ -18,7 +18,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import RefusedError, ReplyError
 from gyrobench.drivers.chamber import ChamberReading
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.dialects import LineDefaults
 from gyrobench.drivers.text_line import TextLine
 

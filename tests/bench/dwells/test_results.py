@@ -10,8 +10,8 @@ from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.dwells.dwell import misfit_text
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
 from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.runs.folder import RunFolder

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 
 SHIPPED = find_document("stations", "emulated")

@@ -10,8 +10,7 @@ from gyrobench.bench.dwells.temperatures import (
     triple,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.drivers.ins.epochs import EpochCounts
-from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures
+from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData, Temperatures
 
 START_C, SLOPE_C_PER_H = np.array([20.0, -30.0, 65.0]), np.array([3.6, 0.0, -7.2])
 EPOCHS, TEMPERATURE_S = 400, 5.0

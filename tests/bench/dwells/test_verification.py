@@ -16,7 +16,7 @@ from gyrobench.bench.dwells.verification import verification_rows
 from gyrobench.bench.dwells.verification_dwell import AlignedNavigation, VerificationDwell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.drivers.ins.epochs import EpochCounts
+from gyrobench.drivers.ins.navigation_data import EpochCounts
 from tests.bench.bias.emulated_dwells import EAST, UP, emulate, noise_model, sensors, site
 
 NOISE = noise_model(0.0006)

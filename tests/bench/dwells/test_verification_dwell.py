@@ -11,7 +11,7 @@ from gyrobench.bench.dwells.verification_dwell import measure_verification
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.html import write_report
+from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.tables.verification_table import read_verification

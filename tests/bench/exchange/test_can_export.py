@@ -16,7 +16,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 

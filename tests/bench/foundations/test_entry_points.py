@@ -5,10 +5,9 @@ import pytest
 from gyrobench.bench.foundations import entry_points
 from gyrobench.bench.foundations.entry_points import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.chamber import watlow_f4
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect, watlow_f4
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
-from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.rate_table import TableDialect
 
 
 @pytest.fixture

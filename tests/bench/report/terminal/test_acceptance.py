@@ -6,7 +6,7 @@ from rich.console import Console
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.stops import PlannedDwell
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
-from gyrobench.bench.report.terminal.acceptance import acceptance_summary
+from gyrobench.bench.report.terminal.tables import acceptance_summary
 
 
 def printed(acceptance):

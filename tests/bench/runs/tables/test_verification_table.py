@@ -117,7 +117,7 @@ def test_any_cell_is_read_or_refused(tmp_path, column, text):
         ({"sigma_dph": 0.0}, "x.csv:2: column sigma_dph: an uncertainty must be above zero; found 0"),
         ({"difference_sigma_dph": -1.0}, "x.csv:2: column difference_sigma_dph: an uncertainty must"),
         ({"calibrated_sigma_dph": 1e-99}, "x.csv:2: column calibrated_sigma_dph: an uncertainty must"),
-        ({"temperature_c": -300.0}, "x.csv:2: column temperature_c: -300 degC is no temperature of a gyro"),
+        ({"temperature_c": -300.0}, "x.csv:2: column temperature_c: -300 degC is not a gyro temperature"),
         ({"difference_dph": 1e99}, r"x.csv:2: column difference_dph: 1e\+99 is beyond"),
         ({"method": "guess"}, "x.csv:2: column method: expected one of alignment, velocity; found 'guess'"),
         ({"gyro": "w"}, "x.csv:2: column gyro: expected one of x, y, z"),
