@@ -2,10 +2,10 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
+from gyrobench.bench.foundations import entry_points
+from gyrobench.bench.foundations.entry_points import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers import dialects
 from gyrobench.drivers.chamber import ChamberDialect, watlow_f4
-from gyrobench.drivers.dialects import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
 from gyrobench.drivers.rate_table import TableDialect
 
@@ -16,7 +16,7 @@ def offered(monkeypatch):
 
     def offer(**values):
         entries = tuple(EntryPoint(name, value, CHAMBERS) for name, value in values.items())
-        monkeypatch.setattr(dialects, "_entries", lambda group: entries)
+        monkeypatch.setattr(entry_points, "_entries", lambda group: entries)
 
     return offer
 
@@ -41,7 +41,7 @@ def test_own_dialects_of_chambers_can_be_imported(name, tcp_port):
     assert callable(load(EMULATORS, name, ChamberEmulation).make)
 
 
-def test_a_name_that_is_not_installed_is_told_with_those_that_are():
+def test_an_unknown_name_is_reported_with_the_installed_ones():
     with pytest.raises(
         DocumentError,
         match=r"no dialect 'watlow_f5' is installed \(did you mean 'watlow_f4'\?\); installed: ther",
@@ -54,11 +54,11 @@ def test_a_name_that_is_not_installed_is_told_with_those_that_are():
     [
         ("no_such_package.module:DIALECT", r"can't be imported: ModuleNotFoundError: No module named"),
         ("gyrobench.drivers.chamber.watlow_f4:NOTHING", "can't be imported: AttributeError"),
-        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*tell its maker"),
+        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*Report this to the package"),
         ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is no ChamberDialect"),
     ],
 )
-def test_a_broken_package_is_told_by_those_who_use_it_alone(offered, value, message):
+def test_a_broken_package_affects_only_its_users(offered, value, message):
     offered(broken=value, watlow_f4="gyrobench.drivers.chamber.watlow_f4:DIALECT")
     with pytest.raises(DocumentError, match=f"the dialect 'broken' of .*{message}"):
         load(CHAMBERS, "broken", ChamberDialect)
@@ -66,8 +66,8 @@ def test_a_broken_package_is_told_by_those_who_use_it_alone(offered, value, mess
     assert installed(CHAMBERS) == ["broken", "watlow_f4"]
 
 
-def test_a_dialect_that_two_packages_offer_is_refused(monkeypatch):
+def test_a_dialect_provided_by_two_packages_is_refused(monkeypatch):
     twice = tuple(EntryPoint("acme", f"package_{which}:DIALECT", CHAMBERS) for which in "ab")
-    monkeypatch.setattr(dialects, "_entries", lambda group: twice)
-    with pytest.raises(DocumentError, match="'acme' is offered by package_a:DIALECT and package_b:DIALECT"):
+    monkeypatch.setattr(entry_points, "_entries", lambda group: twice)
+    with pytest.raises(DocumentError, match="'acme' is provided by package_a:DIALECT and package_b:DIALECT"):
         load(CHAMBERS, "acme", ChamberDialect)
