@@ -12,9 +12,8 @@ vertical gyros. From the last one that rate can be taken away: see
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,8 +49,6 @@ _SHOWN = np.r_[
 _BIAS, _ACCELERATION, _RATE, _MATRIX = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 17)
 
 _NORTH = NAVIGATION_RATE.start
-#: Largest difference of a dwell's temperature from the mean of those that it is solved with, K.
-_SAME_TEMPERATURE_K = 5.0
 #: Dwells agree no more where chance alone makes them differ as much less often than this.
 _LEAST_P = 1e-3
 
@@ -205,12 +202,6 @@ class JointDwell:
         """The position that the name stands for."""
         return POSITIONS[self.position_name]
 
-    @property
-    def mean_c(self) -> float:
-        """Mean temperature of the gyros that have one; NaN without any."""
-        known = [each for each in self.gyro_c if math.isfinite(each)]
-        return sum(known) / len(known) if known else math.nan
-
 
 @dataclass(frozen=True, eq=False)
 class JointBiases:
@@ -332,16 +323,6 @@ class JointSolution:
         return self.fit.unknowns[part], np.sqrt(np.diagonal(self.fit.covariance)[part])
 
 
-def group_stops(dwells: Iterable[JointDwell]) -> list[tuple[JointDwell, ...]]:
-    """Dwells, in the order of time, by stop of the chamber.
-
-    A stop is one power-on, cycle and set point in a row, with gyros as warm in each dwell as in those
-    before it within 5 K.
-    """
-    keys = itertools.groupby(dwells, lambda dwell: (dwell.run, dwell.cycle, repr(dwell.chamber_set_c)))
-    return [part for _, group in keys for part in _equally_warm(group)]
-
-
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """Solve the dwells of one temperature together.
 
@@ -386,17 +367,6 @@ def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate | None:
     if not agreeing:
         return None
     return up_rate([each.pairs for each in agreeing], agreeing[0].dwells[0].information.earth_rate)
-
-
-def _equally_warm(dwells: Iterable[JointDwell]) -> list[tuple[JointDwell, ...]]:
-    """Split where the temperature leaves the mean so far; one that is not known counts as equal."""
-    groups: list[list[JointDwell]] = []
-    for dwell in dwells:
-        known = [each.mean_c for each in groups[-1] if math.isfinite(each.mean_c)] if groups else []
-        if not groups or (known and abs(dwell.mean_c - sum(known) / len(known)) > _SAME_TEMPERATURE_K):
-            groups.append([])
-        groups[-1].append(dwell)
-    return [tuple(group) for group in groups]
 
 
 def _biases(fit: JointFit) -> JointBiases:

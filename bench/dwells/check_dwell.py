@@ -68,6 +68,31 @@ class CheckDwell:
     flags: str
 
     @property
+    def dwell(self) -> int:
+        """Number of the dwell."""
+        return self.marks.dwell
+
+    @property
+    def run(self) -> str:
+        """Power cycle of the unit."""
+        return self.marks.run
+
+    @property
+    def cycle(self) -> int:
+        """Cycle of the temperature profile."""
+        return self.marks.cycle
+
+    @property
+    def chamber_set_c(self) -> float | None:
+        """Set point of the chamber, degC."""
+        return self.marks.chamber_set_c
+
+    @property
+    def gyro_c(self) -> Triple:
+        """Mean temperatures of the gyros over the navigation, degC."""
+        return self.temperatures.gyro_c
+
+    @property
     def is_spoilt(self) -> bool:
         """Whether a fault touched it, so that doing it again may do better."""
         return bool(self.flags)

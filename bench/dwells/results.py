@@ -11,12 +11,11 @@ from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.joint_solution import (
     JointDwell,
     JointSolution,
-    group_stops,
     pooled_up_rate,
     solve_jointly,
 )
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
-from gyrobench.bench.bias.plateaus import PlannedDwell
+from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup
@@ -27,9 +26,9 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
-    JointStopRow,
+    JointPlateauRow,
     joint_bias_rows,
-    joint_stop_rows,
+    joint_plateau_rows,
     write_joint,
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
@@ -44,9 +43,9 @@ class RunResults:
     bins : list of BiasBin
         Bias per gyro, position and temperature.
     joint : list of JointSolution
-        One for each stop of the chamber.
+        One for each plateau.
     up_rate : UpRate or None
-        Rate Up fixed in the navigation frame, from all stops whose dwells agree; None without any.
+        Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     noise : NoiseEstimate or None
         Of the INS, from its output; None where that does not tell it.
     calibration_check : list of CalibrationCheckRow
@@ -89,7 +88,7 @@ def evaluate(
         Of the run's check dwells.
     """
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
-    joint = [solve_jointly(stop, setup.prior) for stop in group_stops(_joint_dwells(good))]
+    joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rows = [dwell.row for dwell in good]
     bins = bin_biases(rows, bin_width_c)
     return RunResults(
@@ -131,7 +130,7 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     """
     write_bins(folder.bias_bins, results.bins)
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
-    write_joint(folder.joint, joint_stop_rows(results.joint, results.up_rate), JointStopRow)
+    write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
     for stale in (folder.noise, folder.verification):
         remove(stale)

@@ -166,7 +166,7 @@ def _sections(content: RunContent) -> list[Section]:
     sections = [
         estimators_section(content.dwells),
         fit_section(content.dwells),
-        joint_section(content.joint_biases, content.joint_stops),
+        joint_section(content.joint_biases, content.joint_plateaus),
         noise_section(content.noise, content.station),
         verification_section(content.verification),
     ]

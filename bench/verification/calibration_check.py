@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import erfc
 
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple
+from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
@@ -29,8 +30,6 @@ _EAST, _NORTH = np.eye(3)[:2]
 _TURN_TOLERANCE_DEG = 0.5
 #: A gyro points East or North if it is no farther away than this.
 _LARGEST_ANGLE_DEG = 1.0
-#: Two alignments whose gyros were farther apart than this do not show the same bias, K.
-_ONE_STOP_K = 5.0
 
 
 def calibration_check_rows(
@@ -39,7 +38,7 @@ def calibration_check_rows(
     """Biases that a verification shows, beside the calibrated ones.
 
     Each navigation gives the gyro along North; two alignments half a turn apart, in one position and
-    at one stop, give the gyro along East. What can't be told is a row with the reason.
+    on one plateau, give the gyro along East. What can't be told is a row with the reason.
 
     Parameters
     ----------
@@ -104,28 +103,26 @@ def _alignment_row(
 def _half_turn_pairs(
     dwells: Sequence[CheckDwell],
 ) -> list[tuple[CheckDwell, CheckDwell | None]]:
-    """Pair each dwell with the next one half a turn from it; None for those left over."""
+    """Pair each dwell with the next one of its plateau half a turn from it; None for those left over."""
     pairs: list[tuple[CheckDwell, CheckDwell | None]] = []
-    waiting: list[CheckDwell] = []
-    for each in sorted(dwells, key=lambda dwell: dwell.marks.dwell):
-        other = next((one for one in waiting if _are_half_turn_apart(one, each)), None)
-        if other is None:
-            waiting.append(each)
-        else:
-            waiting.remove(other)
-            pairs.append((other, each))
-    return [*pairs, *((each, None) for each in waiting)]
+    for plateau in group_plateaus(sorted(dwells, key=lambda dwell: dwell.dwell)):
+        waiting: list[CheckDwell] = []
+        for each in plateau:
+            other = next((one for one in waiting if _are_half_turn_apart(one, each)), None)
+            if other is None:
+                waiting.append(each)
+            else:
+                waiting.remove(other)
+                pairs.append((other, each))
+        pairs += [(each, None) for each in waiting]
+    return pairs
 
 
 def _are_half_turn_apart(one: CheckDwell, other: CheckDwell) -> bool:
-    stops = [
-        (each.marks.unit, each.marks.run, each.marks.cycle, each.marks.position, each.marks.chamber_set_c)
-        for each in (one, other)
-    ]
     away_deg = (other.marks.azimuth_deg - one.marks.azimuth_deg) % 360.0 - 180.0
+    is_same = (one.marks.unit, one.marks.position) == (other.marks.unit, other.marks.position)
     apart_k = np.abs(np.subtract(one.aligning_c, other.aligning_c))  # NaN where there are no data
-    is_far = bool((apart_k > _ONE_STOP_K).any())
-    return stops[0] == stops[1] and abs(away_deg) < _TURN_TOLERANCE_DEG and not is_far
+    return is_same and abs(away_deg) < _TURN_TOLERANCE_DEG and not (apart_k > MAX_FROM_MEAN_K).any()
 
 
 def _empty_row(
