@@ -2,8 +2,8 @@
 
 A rotational INS averages out a bias that is the same in all positions. So the largest difference of a
 gyro's bias between positions decides. Positions are compared within a plateau only, where power-on, cycle and
-temperature are the same, and after what is left of the temperature's part is taken off; see
-:mod:`gyrobench.bench.bias.position_differences`. They are told by temperature bin.
+temperature are the same, and after the remaining effect of temperature is removed; see
+:mod:`gyrobench.bench.bias.position_differences`. Results are listed by temperature bin.
 
 Passes of one plateau are judged by their mean difference, whose uncertainty is smaller, as long as they agree
 (chi-square, Holm over all plateaus of all gyros). Where they don't, as with an attitude effect that follows
@@ -22,7 +22,7 @@ some 2.5 times the uncertainty of one. It is therefore not judged as if it were 
   of all pairs at all plateaus of all gyros could err so by chance, so c allows for their number
   (Bonferroni), and a unit without a difference above the limit is rejected with a probability of at
   most ``1 - confidence``.
-* Between the two it is marginal: the data do not tell, and more cycles would.
+* Between the two it is marginal: more cycles are needed.
 
 Both stand on the stated uncertainties of the dwells, taken as independent.
 
@@ -98,7 +98,7 @@ def judge(
     """Judge the gyros of one unit; see the module for how.
 
     A run is accepted only if every dwell that was planned was compared with all others of its plateau, in
-    each cycle; a gyro that breaks a limit is rejected whatever else is missing.
+    each cycle; a gyro that breaks a limit is rejected even if dwells are missing.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def judge(
     planned : iterable of PlannedDwell
         Those that measure biases, in the order of time.
     width_c : float
-        Width of the temperature bins that the judgements are told by, K.
+        Width of the temperature bins of the judgements, K.
     """
     if limits is None:
         return Acceptance()
@@ -137,7 +137,7 @@ def judge(
 
 
 def _known(plateau: _Plateau, axis: int, limits: AcceptanceLimits) -> list[DwellRow]:
-    """Dwells of a plateau that tell the bias of a gyro."""
+    """Dwells of a plateau with a valid bias of a gyro."""
     most_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
     return [
         row

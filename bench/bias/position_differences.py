@@ -30,7 +30,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 _Plateau = Sequence[DwellRow]
 
-#: Slope that a gyro's bias may have where the run does not tell it, standard deviation, (deg/h)/K.
+#: Slope that a gyro's bias may have where the run does not determine it, standard deviation, (deg/h)/K.
 SLOPE_SIGMA_DPH_PER_C = 0.002
 #: Scale of temperatures in the cubic, K: of the order of the range of a campaign.
 _SCALE_C = 50.0
@@ -144,7 +144,7 @@ def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBias
     white = np.linalg.inv(np.linalg.cholesky(noise + responses @ curve.covariance @ responses.T))
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     columns = [[number == each for number in index] for each in range(len(passes))]
-    # The first position is the reference: only differences are told.
+    # The first position is the reference: only differences are observable.
     columns += [[row.position == name for row in rows] for name in positions[1:]]
     design = white @ np.array(columns, dtype=np.float64).T
     data = white @ reduced_dph

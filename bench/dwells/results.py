@@ -47,7 +47,7 @@ class RunResults:
     up_rate : UpRate or None
         Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     noise : NoiseEstimate or None
-        Of the INS, from its output; None where that does not tell it.
+        Of the INS, from its output; None where it is not observable.
     calibration_check : list of CalibrationCheckRow
         Biases that a calibration check measured, beside the calibrated ones.
     acceptance : Acceptance
@@ -72,7 +72,7 @@ def evaluate(
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
-    The noise is an exception: dwells that larger noise than declared would explain tell it all the more.
+    The noise is an exception: dwells whose flags larger noise would explain count for it.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def evaluate(
     bin_width_c : float
         Width of the temperature bins, K.
     limits : AcceptanceLimits, optional
-        What the gyros have to keep; without limits the unit is not judged.
+        Limits of acceptance; without them the unit is not judged.
     planned : sequence of PlannedDwell
         What was to be measured; see :func:`planned_dwells`.
     calibration_check : sequence of CalibrationCheckRow
@@ -95,7 +95,7 @@ def evaluate(
         bins=bins,
         joint=joint,
         up_rate=pooled_up_rate(joint),
-        noise=_noise([dwell for dwell in dwells if not dwell.is_spoilt], setup),
+        noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
         calibration_check=list(calibration_check),
         acceptance=judge([dwell.row for dwell in dwells], limits, planned, bin_width_c),
     )

@@ -1,4 +1,4 @@
-"""What the dwells of a verification show of the biases, beside the calibrated ones."""
+"""Calibration check: biases from alignments and navigations, beside the calibrated ones."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from gyrobench.bench.verification.calibration_check_bias import (
 _EAST, _NORTH = np.eye(3)[:2]
 _TURN_TOLERANCE_DEG = 0.5
 #: A gyro points East or North if it is no farther away than this.
-_LARGEST_ANGLE_DEG = 1.0
+_MAX_ANGLE_DEG = 1.0
 
 
 def calibration_check_rows(
     dwells: Sequence[CheckDwell], calibration: Sequence[DwellRow], setup: MeasurementSetup
 ) -> list[CalibrationCheckRow]:
-    """Biases that a verification shows, beside the calibrated ones.
+    """Biases that a calibration check measures, beside the calibrated ones.
 
     Each navigation gives the gyro along North; two alignments half a turn apart, in one position and
-    on one plateau, give the gyro along East. What can't be told is a row with the reason.
+    on one plateau, give the gyro along East. A bias that is not observable is a row with the reason.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def _alignment_row(
 ) -> CalibrationCheckRow:
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
-        alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one shows the table's error too"
+        alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one contains the table's error too"
         return _empty_row(first.marks, "alignment", _EAST, [first.flags, alone])
     flags = [f"dwell {each.marks.dwell}: {each.flags}" for each in (first, second) if each.flags]
     row = replace(_empty_row(first.marks, "alignment", _EAST, flags), turned_dwell=second.marks.dwell)
@@ -154,8 +154,8 @@ def _compared(
     """Fill in the bias of the gyro and hold it against the calibrated one."""
     axis = AXES.index(row.gyro)
     along = bias.direction[axis]
-    if (angle_deg := math.degrees(math.acos(min(abs(along), 1.0)))) > _LARGEST_ANGLE_DEG:
-        oblique = f"the {row.gyro} gyro is {angle_deg:.0f} deg off: verify at azimuth 0, 90, 180 or 270 deg"
+    if (angle_deg := math.degrees(math.acos(min(abs(along), 1.0)))) > _MAX_ANGLE_DEG:
+        oblique = f"the {row.gyro} gyro is {angle_deg:.0f} deg off: check at azimuth 0, 90, 180 or 270 deg"
         return replace(row, flags="; ".join(flag for flag in (row.flags, oblique) if flag))
     sign = math.copysign(1.0, along)
     row = replace(

@@ -75,7 +75,7 @@ def check_residuals(
     Parameters
     ----------
     rows : iterable of DwellRow
-        Biases as they show with whatever the INS compensates.
+        Biases with the compensation that the INS applies.
     check_dwells : iterable of CheckDwell
         Navigations straight from an alignment.
     """

@@ -69,7 +69,7 @@ class JointPlateauRow:
     accelerometer_x_ug, ... : float
         Biases and their standard uncertainties.
     north_rate_dph, up_rate_dph, ... : float
-        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not told.
+        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not observable.
     latitude_error_arcmin, latitude_error_sigma_arcmin : float
         Latitude error that would explain both.
     up_rate_p_value : float

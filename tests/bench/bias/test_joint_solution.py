@@ -6,8 +6,9 @@ import pytest
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
-from gyrobench.bench.bias.joint_solution import JointDwell, group_plateaus, pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.joint_solution import JointDwell, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.plateaus import group_plateaus
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -61,8 +62,8 @@ def rms_dph(values):
     return np.sqrt(np.mean(np.square(values))) * RADPS_TO_DPH
 
 
-def assert_explained(squares, freedom):
-    assert chi2.cdf(squares, freedom) == pytest.approx(0.5, abs=0.499)
+def assert_explained(squares, dof):
+    assert chi2.cdf(squares, dof) == pytest.approx(0.5, abs=0.499)
 
 
 def squares(biases, unit):
@@ -100,7 +101,7 @@ def test_errors_of_the_joint_biases_are_those_of_their_covariance(wrong_latitude
 
 
 def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty(wrong_latitude):
-    total, freedom = 0.0, 0
+    total, dof = 0.0, 0
     for unit, dwells in wrong_latitude:
         solution = solve_jointly(dwells, ANY_LATITUDE)
         bias, sigma = solution.accelerometer_bias
@@ -108,10 +109,10 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
         matrix, sigma = solution.accelerometer_misalignment
         beside = ~np.eye(3, dtype=bool)
         total += (((matrix - unit.accelerometer_matrix)[beside] / sigma[beside]) ** 2).sum()
-        freedom += 9
+        dof += 9
         assert np.diagonal(matrix).tolist() == [0.0, 0.0, 0.0]
     # Correlated, so the sum scatters more than that of as many independent squares.
-    assert total / freedom == pytest.approx(1.0, abs=0.4)
+    assert total / dof == pytest.approx(1.0, abs=0.4)
 
 
 @pytest.mark.parametrize(
@@ -244,7 +245,7 @@ def test_two_pairs_make_a_weaker_statement_and_one_none(wrong_latitude):
         solve_jointly([dwells[k] for k in chosen], PRIOR).up_rate
         for chosen in (range(6), range(4), (0, 1, 2, 4), (0, 2, 4))
     )
-    assert (three.freedom, two.freedom, one.freedom) == (2, 1, 0)
+    assert (three.dof, two.dof, one.dof) == (2, 1, 0)
     assert three.sigma < two.sigma < one.sigma
     assert one.finding is Finding.ONE_GYRO
     assert not one.applies

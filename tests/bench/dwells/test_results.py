@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.dwells.dwell import measurement_setup, misfit_text
+from gyrobench.bench.dwells.dwell import lack_of_fit_text, measurement_setup
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
@@ -139,7 +139,7 @@ def test_dwells_without_a_set_point_are_one_stop(measured):
 
 def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
     dwells, setup = measured
-    misfits = [misfit_text(dwell.estimate.fit) for dwell in dwells]
+    misfits = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
         replace(dwell, row=replace(dwell.row, flags=misfit), doubts=(misfit,))
         for dwell, misfit in zip(dwells, misfits, strict=True)
