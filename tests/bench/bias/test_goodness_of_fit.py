@@ -110,7 +110,9 @@ def test_residuals_of_least_squares_have_the_distribution_that_it_tells():
 def test_probability_is_that_of_chi_square():
     _, responses, flat, covariance = random_problem()
     data = np.full(len(flat), 1.2)
-    fit = goodness_of_fit(np.arange(30.0), data.reshape(-1, 3), responses, covariance @ flat.T @ data, covariance)
+    fit = goodness_of_fit(
+        np.arange(30.0), data.reshape(-1, 3), responses, covariance @ flat.T @ data, covariance
+    )
     assert fit.p_value == pytest.approx(chi2.sf(fit.chi2, fit.dof))
     assert fit.ratio == pytest.approx(np.sqrt(fit.chi2 / fit.dof))
 
