@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.foundations.documents import Document
-from gyrobench.bench.procedure.document import checked_procedure
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.station.station import Station
 
 

@@ -3,9 +3,16 @@ from pydantic import ValidationError
 
 from gyrobench.bench.bias.dwell import MIN_DURATION
 from gyrobench.bench.procedure.estimate import BenchEstimate
-from gyrobench.bench.procedure.navigation_steps import MIN_NAVIGATION_S, Align, Navigate, Turn, Until
-from gyrobench.bench.procedure.step import Step
-from gyrobench.bench.procedure.steps import GoTo, PowerOn
+from gyrobench.bench.procedure.steps import (
+    MIN_NAVIGATION_S,
+    Align,
+    GoTo,
+    Navigate,
+    PowerOn,
+    Step,
+    Turn,
+    Until,
+)
 
 ROOM = BenchEstimate.at_rest()
 UNTIL = Until(bias_sigma_below_dph=0.002)
@@ -85,7 +92,7 @@ def test_turn_takes_its_angle_over_its_rate_and_settles(angle_deg: float) -> Non
 
 
 WRONG = [
-    (Align, {}, "give duration_s"),
+    (Align, {}, "Use duration_s"),
     (Align, {"until_fine": True}, "go together"),
     (Align, {"duration_s": 5, "at_most_s": 9}, "go together"),
     (Align, {"duration_s": 9, "until_fine": True, "at_most_s": 5}, "below duration_s"),
