@@ -121,7 +121,7 @@ class Run:
         RunFolderError, DocumentError
             As :meth:`navigation`.
         """
-        from gyrobench.bench.dwells.replay import finished_marks
+        from gyrobench.bench.dwells.run_dwells import finished_marks
 
         navigation = self.navigation(dwell)
         [marks] = [each for each in finished_marks(self.folder) if each.dwell == dwell][-1:]
@@ -130,7 +130,7 @@ class Run:
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
-        from gyrobench.bench.report.figures import run_figures
+        from gyrobench.bench.report.run_report import run_figures
         from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
         from gyrobench.bench.runs.telemetry import read_telemetry
 
@@ -141,7 +141,7 @@ class Run:
         return dict(run_figures(telemetry, rows, bins, acceptance))
 
     def _block(self, dwell: int) -> FrameBlock:
-        from gyrobench.bench.dwells.replay import read_dwell_frames
+        from gyrobench.bench.dwells.run_dwells import read_dwell_frames
 
         return read_dwell_frames(self.folder, dwell)
 

@@ -10,8 +10,7 @@ from pydantic import BaseModel, ValidationError
 import gyrobench
 from gyrobench.bench.fleet.jobs import JobKind, JobResult, JobState, inputs_of
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import make_folder, write_whole
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
 
 RECORD = "fleet.json"
 _MAX_BYTES = 500_000_000
