@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.bins import BiasBin, read_bins
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.prior import PriorKnowledge
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.operator import Operator
     from gyrobench.bench.engine.people import Progress
-    from gyrobench.drivers.ins.frames import FrameBlock
+    from gyrobench.drivers.ins.can_bus import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
 __all__ = ["Run", "close_loop", "estimate_bias", "open_run", "run"]
@@ -108,7 +108,7 @@ class Run:
         DocumentError
             The station or DBC file of the run is wrong.
         """
-        from gyrobench.bench.dwells.setup import measurement_setup
+        from gyrobench.bench.dwells.dwell import measurement_setup
         from gyrobench.bench.station.station import Station
 
         return measurement_setup(Station(self.folder.station)).decode(self._block(dwell))
@@ -130,8 +130,8 @@ class Run:
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
+        from gyrobench.bench.bias.verdicts import read_acceptance
         from gyrobench.bench.report.run_report import run_figures
-        from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
         from gyrobench.bench.runs.telemetry import read_telemetry
 
         telemetry = read_telemetry(self.folder.telemetry)
@@ -296,7 +296,7 @@ def close_loop(table: str | Path | pd.DataFrame, hold_out_cycles: Sequence[int] 
     from gyrobench.bench.bias.dwell_table import parse_dwells
     from gyrobench.bench.closure.campaign import campaign_of
     from gyrobench.bench.closure.closure import close_loop as search
-    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     if isinstance(table, (str, Path)):
         return search(read_campaign(Path(table)), hold_out_cycles)
@@ -305,7 +305,7 @@ def close_loop(table: str | Path | pd.DataFrame, hold_out_cycles: Sequence[int] 
 
 def _csv_frame(path: Path) -> pd.DataFrame:
     """A table of the run; text stays text, everything else is a number or NaN."""
-    from gyrobench.bench.export.columns import type_of
+    from gyrobench.bench.exchange.export_folder import type_of
 
     pandas = _pandas()
     text = read_text(path)
@@ -321,7 +321,7 @@ def _frame(columns: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _with_units(frame: pd.DataFrame) -> pd.DataFrame:
-    from gyrobench.bench.export.columns import unit_of
+    from gyrobench.bench.exchange.export_folder import unit_of
 
     frame.attrs["units"] = {name: unit for name in frame.columns if (unit := unit_of(name))}
     return frame
