@@ -21,13 +21,12 @@ from gyrobench.bench.station.document import InsSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.time_limit import within
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
-from gyrobench.drivers.dialects import LineDefaults
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.dbc_codec import load_dbc
 from gyrobench.drivers.rate_table import RateTable, TableDialect
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 #: The instruments as error messages name them, and as :meth:`Instruments.reopen` takes them.
 RATE_TABLE, CHAMBER = "rate table", "chamber"

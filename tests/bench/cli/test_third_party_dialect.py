@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import RefusedError, ReplyError
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.chamber import ChamberDialect
-from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.serial_line import LineDefaults
 from gyrobench.drivers.text_line import TextLine
 
 
