@@ -295,7 +295,7 @@ def close_loop(table: str | Path | pd.DataFrame, hold_out_cycles: Sequence[int] 
     """
     from gyrobench.bench.bias.dwell_table import parse_dwells
     from gyrobench.bench.closure.campaign import campaign_of
-    from gyrobench.bench.closure.closure import close_loop as search
+    from gyrobench.bench.closure.loop import close_loop as search
     from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     if isinstance(table, (str, Path)):
