@@ -11,18 +11,14 @@ package are folders at the top of the repository, bench/ and drivers/, and the Y
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
+
+from gyrobench.bench import __version__
 
 if TYPE_CHECKING:
     from gyrobench.bench.api import Run, close_loop, estimate_bias, open_run, run
 
 __all__ = ["Run", "__version__", "close_loop", "estimate_bias", "open_run", "run"]
-
-try:
-    __version__ = version("gyrobench")
-except PackageNotFoundError:  # a source tree that was not installed
-    __version__ = "0+unknown"
 
 
 def __getattr__(name: str) -> Any:
