@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.dwells.dwell import MeasurementSetup, rest_output
 from gyrobench.bench.dwells.marks import WindowMark
 from gyrobench.bench.foundations.errors import MeasurementError

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
 from gyrobench.bench.engine.dwell_recorder import DwellRecorder
 from gyrobench.bench.engine.live_bench import LiveBench

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.replay import finished_marks
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.exchange.export_folder import Destination, field_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError

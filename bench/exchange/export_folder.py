@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import (
     cant_be_written,
@@ -94,7 +94,7 @@ def origin_of(folder: RunFolder) -> dict[str, Any]:
         "started_utc": provenance.get("started_utc"),
         "instruments": provenance.get("instruments", {}),
         "measured_by": f"gyrobench {provenance.get('gyrobench', '?')}",
-        "exported_by": f"gyrobench {gyrobench.__version__}",
+        "exported_by": f"gyrobench {__version__}",
         "sha256": {**provenance.get("files_sha256", {}), folder.journal.name: file_sha256(folder.journal)},
     }
 

@@ -29,12 +29,12 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from gyrobench.bench.bias.many_comparisons import holm
-from gyrobench.bench.bias.random_effects import (
+from gyrobench.bench.bias.statistics import (
     ExcessSigma,
     excess_information,
     excess_sigma,
     excess_variance,
+    holm,
     restricted_deviance,
     weighted_fit,
 )

@@ -12,10 +12,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import Problem, problems_of
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
 from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, load
 from gyrobench.drivers.rate_table import RateTable, TableDialect
 from gyrobench.drivers.recording.protocol_replay import SCHEME
 from gyrobench.drivers.recording.recording_file import Call, Recording, read_recording

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, Problem

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import LEFT_OVER_P, Closure
-from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
 from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.report.closure.wording import found_names, p_phrase, size_text
+from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
 
 #: The compensations as people read them.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}

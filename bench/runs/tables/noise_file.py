@@ -12,8 +12,8 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from gyrobench.bench.bias.noise.allan import AllanVariance, RateNoise
-from gyrobench.bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
+from gyrobench.bench.bias.allan import AllanVariance, RateNoise
+from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate, NoiseParameter
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel

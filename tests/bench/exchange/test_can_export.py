@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.exchange.can_export import PlacedLog, write_blf
 from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
 from gyrobench.bench.foundations.errors import RunFolderError
