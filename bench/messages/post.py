@@ -16,10 +16,9 @@ from typing import Any
 from urllib.parse import quote
 
 from gyrobench.bench import __version__
+from gyrobench.bench.messages.delivery import UndeliveredError, server_words
 from gyrobench.bench.messages.message import Message
-from gyrobench.bench.messages.secret import server_words
-from gyrobench.bench.messages.undelivered import UndeliveredError
-from gyrobench.bench.station.messages import SECRET, Ntfy, Webhook
+from gyrobench.bench.station.receivers import SECRET, Ntfy, Webhook
 
 #: A server that says nothing for so long is given up for now.
 TIMEOUT_S = 10.0

@@ -8,8 +8,7 @@ from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.entry_points import CHAMBERS
-from gyrobench.bench.station.dialect_section import Dialect, DialectSection
-from gyrobench.bench.station.field_types import Positive
+from gyrobench.bench.station.instrument_sections import Dialect, DialectSection, Positive
 from gyrobench.drivers.chamber import ChamberDialect
 
 

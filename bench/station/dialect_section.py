@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.entry_points import installed, load
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.station.field_types import Identity, Port
+from gyrobench.bench.station.instrument_sections import Identity, Port
 from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.rate_table import TableDialect
 

@@ -8,8 +8,7 @@ from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.entry_points import RATE_TABLES
-from gyrobench.bench.station.dialect_section import Dialect, DialectSection
-from gyrobench.bench.station.field_types import Direction, Positive, Range
+from gyrobench.bench.station.instrument_sections import Dialect, DialectSection, Direction, Positive, Range
 from gyrobench.drivers.rate_table import TableDialect
 
 #: The angle of the outer axis that a single-axis table does not have.

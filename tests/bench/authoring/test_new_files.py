@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
-from gyrobench.bench.station.document import StationFile
+from gyrobench.bench.station.station_file import StationFile
 
 LIKE = [*TEMPLATES, *shipped_names("procedures")]
 #: A line that is commented out, not one that explains.
