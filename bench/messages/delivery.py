@@ -29,7 +29,7 @@ from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote, quote_plus
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.messages.message import Message
@@ -209,7 +209,7 @@ def post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
 
 
 def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> str:
-    headers["User-Agent"] = f"gyrobench/{gyrobench.__version__}"
+    headers["User-Agent"] = f"gyrobench/{__version__}"
     if secret and SECRET in address:
         address = address.replace(SECRET, quote(secret, safe="/"))
     elif secret:

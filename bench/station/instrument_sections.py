@@ -18,9 +18,9 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, installed, load
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.chamber import ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, installed, load
 from gyrobench.drivers.rate_table import TableDialect
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -130,7 +130,8 @@ def section_of(section: type[DialectSection], name: str) -> type[DialectSection]
     taken = sorted(options.model_fields.keys() & section.model_fields.keys())
     if taken:
         raise DocumentError(
-            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}); tell its maker"
+            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}). "
+            "Report this to the package's author"
         )
     dialect: Any = (Literal[name], Field(description="command language"))
     bases: Any = (options, section)  # a message names the section's own keys first

@@ -24,8 +24,8 @@ WAIT = "- wait: {duration_s: 5}\n"
 OPPOSITE = GO_TO.replace("z_up", "z_up, azimuth_deg: 180") + ALIGN + VERIFY
 
 NO_TURN = (
-    "no turn: biases and initial errors can't be separated from the initial errors; "
-    "add a turn and a second navigation, or set purpose: verification"
+    "no turn: biases and initial errors can't be separated. "
+    "Add a turn and a second navigation, or set purpose: verification"
 )
 TURNED_VERIFICATION = "directly after the alignment, without a turn before or after it"
 

@@ -92,7 +92,7 @@ def test_turn_takes_its_angle_over_its_rate_and_settles(angle_deg: float) -> Non
 
 
 WRONG = [
-    (Align, {}, "Use duration_s"),
+    (Align, {}, "give duration_s"),
     (Align, {"until_fine": True}, "go together"),
     (Align, {"duration_s": 5, "at_most_s": 9}, "go together"),
     (Align, {"duration_s": 9, "until_fine": True, "at_most_s": 5}, "below duration_s"),
