@@ -66,6 +66,11 @@ def test_it_runs_beside_packages_called_bench_and_drivers(site, tmp_path):
         assert done.returncode == 0, done.stderr
     where = "import gyrobench.bench; print(gyrobench.bench.__file__)"
     found = subprocess.run(
-        [sys.executable, "-c", where], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", where],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert Path(found.stdout.strip()).is_relative_to(site)
