@@ -45,7 +45,7 @@ def check(
     """
     from gyrobench.bench.engine.preflight.answer import nobody_answers
     from gyrobench.bench.engine.preflight.session import check_bench
-    from gyrobench.bench.report.terminal.preflight import preflight_report
+    from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
 

@@ -13,7 +13,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
 
 
 def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
@@ -24,8 +24,8 @@ def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
     DocumentError
         It can't be used for a search.
     """
-    from gyrobench.bench.closure.closure import close_loop
-    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.closure.loop import close_loop
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     try:
         return close_loop(read_campaign(campaign), hold_out_cycles)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.engine.outcome import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.runs.tables.verification_table import VerificationRow
+    from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 
 #: The run did not finish, or what was looked at is not as it should be.
@@ -93,13 +93,12 @@ def plain(value: Any) -> Any:
 
 
 def print_biases(
-    console: Console, bins: list[BiasBin], verification: list[VerificationRow], acceptance: Acceptance
+    console: Console, bins: list[BiasBin], verification: list[CalibrationCheckRow], acceptance: Acceptance
 ) -> None:
     """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
-    from gyrobench.bench.bias.equality import compare_positions
-    from gyrobench.bench.report.calibration_check.terminal import verification_table
-    from gyrobench.bench.report.terminal.acceptance import acceptance_summary
-    from gyrobench.bench.report.terminal.tables import bins_table
+    from gyrobench.bench.bias.bins import compare_positions
+    from gyrobench.bench.report.calibration_check import verification_table
+    from gyrobench.bench.report.terminal.tables import acceptance_summary, bins_table
 
     if bins or not verification:
         console.print(bins_table(bins, compare_positions(bins)))
@@ -110,7 +109,7 @@ def print_biases(
 
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
     """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import durations_table
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
@@ -120,7 +119,7 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
         console.print(safe_state, soft_wrap=True)
     report = write_report(folder)
     results = outcome.results
-    print_biases(console, results.bins, results.verification, results.acceptance)
+    print_biases(console, results.bins, results.calibration_check, results.acceptance)
     console.print(durations_table(outcome.took_s))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

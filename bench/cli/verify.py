@@ -21,14 +21,14 @@ from gyrobench.bench.cli.options import (
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.verify import Verification
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.dwells.comparison."""
+    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -110,7 +110,7 @@ def _search(run: RunFolder) -> Closure:
 def _measure(terminal: RunConsole, verification: Verification, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")
     with observe_in_terminal(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
@@ -124,10 +124,10 @@ def _measure(terminal: RunConsole, verification: Verification, name: str, view: 
 
 def _tell(terminal: RunConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
-    from gyrobench.bench.dwells.comparison import write_comparison
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.page import write_verify_page
     from gyrobench.bench.report.verification.terminal import verify_summary
+    from gyrobench.bench.verification.comparison import write_comparison
 
     folder, comparison = verification.folder, verification.comparison()
     table = folder / "comparison.csv"

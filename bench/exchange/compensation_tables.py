@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.exchange.export_folder import ExportFolder, field_of, unit_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.compensation_file import write_compensation
-from gyrobench.drivers.ins.compensation import TERMS, Compensation
+from gyrobench.drivers.ins.command_map import TERMS, Compensation
 
 _TABLE, _TERMS, _FILE = "compensation_table", "compensation_terms", "compensation.yaml"
 #: Spacing of the table, and decimals of its biases: far below what any gyro keeps.

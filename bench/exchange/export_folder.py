@@ -14,17 +14,18 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import (
     cant_be_written,
     file_sha256,
     make_folder,
+    parse_json,
+    read_limited,
     sync_folder,
     temporary_path,
     write_whole,
 )
-from gyrobench.bench.foundations.reading import parse_json, read_limited
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
@@ -93,7 +94,7 @@ def data_origin(folder: RunFolder) -> dict[str, Any]:
         "started_utc": provenance.get("started_utc"),
         "instruments": provenance.get("instruments", {}),
         "measured_by": f"gyrobench {provenance.get('gyrobench', '?')}",
-        "exported_by": f"gyrobench {gyrobench.__version__}",
+        "exported_by": f"gyrobench {__version__}",
         "sha256": {**provenance.get("files_sha256", {}), folder.journal.name: file_sha256(folder.journal)},
     }
 

@@ -16,10 +16,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import read_held_out_cycles
-from gyrobench.bench.dwells.campaign import read_campaign
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.exchange.can_export import (
     UTC_FIELD,
     TimedLog,

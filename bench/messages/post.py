@@ -15,7 +15,7 @@ from email.header import Header
 from typing import Any
 from urllib.parse import quote
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.messages.message import Message
 from gyrobench.bench.messages.secret import server_words
 from gyrobench.bench.messages.undelivered import UndeliveredError
@@ -57,7 +57,7 @@ def post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
 
 
 def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> str:
-    headers["User-Agent"] = f"gyrobench/{gyrobench.__version__}"
+    headers["User-Agent"] = f"gyrobench/{__version__}"
     if secret and SECRET in address:
         address = address.replace(SECRET, quote(secret, safe="/"))
     elif secret:

@@ -21,7 +21,7 @@ from gyrobench.bench.monitor.snapshot import (
     WindowTrace,
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label
-from gyrobench.bench.report.wording import BiasScale, true_minus
+from gyrobench.bench.report.number_format import BiasScale, true_minus
 
 #: Width and height of the square in which curves are drawn.
 SIDE = 1000

@@ -21,7 +21,7 @@ from gyrobench.bench.monitor.snapshot import (
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.wording import BiasScale, by_temperature, true_minus
+from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
 
 #: A run writes every two seconds; a busy run takes longer.
 SILENT_AFTER_S = 20.0

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote, urlsplit
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.monitor.attitude_drawing import axes_drawing
 from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
 from gyrobench.bench.monitor.page_content import (
@@ -41,7 +41,7 @@ from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_p
 from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.wording import true_minus
+from gyrobench.bench.report.number_format import true_minus
 
 
 def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.exchange.log_import import import_logs
 from tests.benchmarks.stock_methods import METHODS, held_out_errors
 

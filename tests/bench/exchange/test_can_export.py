@@ -6,17 +6,17 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.exchange.can_export import TimedLog, write_blf
-from gyrobench.bench.exchange.run_export import ExportSelection, Format, What, export_run
+from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 
@@ -91,7 +91,7 @@ def test_a_part_that_was_never_closed_follows_the_one_before(two_dwells, copied)
 @pytest.fixture(scope="module")
 def of_run(two_dwells, tmp_path_factory):
     out = tmp_path_factory.mktemp("navigation")
-    export_run(two_dwells, ExportSelection([What.NAVIGATION]), out)
+    export_run(two_dwells, ExportSelection([DataKind.NAVIGATION]), out)
     return pd.read_parquet(out / "navigation.parquet")
 
 
@@ -143,7 +143,7 @@ def test_rows_of_a_dwell_can_be_distinguished_from_those_between(of_run, two_dwe
 
 
 def test_one_dwell_alone_can_be_had_as_csv(of_run, two_dwells, tmp_path):
-    export_run(two_dwells, ExportSelection([What.NAVIGATION], [Format.CSV], dwell=2), tmp_path)
+    export_run(two_dwells, ExportSelection([DataKind.NAVIGATION], [Format.CSV], dwell=2), tmp_path)
     table = pd.read_csv(tmp_path / "navigation_dwell_2.csv")
     (part,) = set(of_run.loc[of_run["dwell"] == 2, "part"])
     whole = of_run[of_run["part"] == part]
@@ -153,5 +153,5 @@ def test_one_dwell_alone_can_be_had_as_csv(of_run, two_dwells, tmp_path):
 
 def test_a_dwell_that_was_not_finished_is_reported(two_dwells, tmp_path):
     with pytest.raises(RunFolderError, match="no finished dwell 7; finished are 1 to 2"):
-        export_run(two_dwells, ExportSelection([What.NAVIGATION], dwell=7), tmp_path)
+        export_run(two_dwells, ExportSelection([DataKind.NAVIGATION], dwell=7), tmp_path)
     assert not (tmp_path / "navigation_dwell_7.parquet").exists()

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.exchange.compensation_tables import compensation_files, export_compensation
 from gyrobench.bench.exchange.export_folder import ExportFolder
 from gyrobench.bench.runs.compensation_file import read_compensation
