@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError, MeasurementError
 from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.station.bench_lock import RunLock
+from gyrobench.bench.station.locks import RunLock
 
 #: The style of figures is the whole process's, so of several threads one draws at a time.
 _DRAWING = threading.Lock()

@@ -26,12 +26,12 @@ from gyrobench.bench.monitor.snapshot import (
     RunState,
     read_snapshot,
 )
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, RunFacts, facts_of, read_journal
-from gyrobench.bench.station.bench_lock import holder_of
+from gyrobench.bench.station.locks import holder_of
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.readout import InsMode
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from tests.bench.command_line import gyrobench
 from tests.docs.pages import DOCS, blocks, pages
 

@@ -20,8 +20,8 @@ from gyrobench.bench.monitor.run_list import (
 )
 from gyrobench.bench.monitor.snapshot import Question, RunSnapshot, RunState
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.bench_lock import RunLock
-from tests.bench.monitor.served_run import run_under_way, write_snapshot
+from gyrobench.bench.station.locks import RunLock
+from tests.bench.monitor.served_run import run_under_way
 
 
 @pytest.fixture
