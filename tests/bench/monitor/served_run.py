@@ -10,6 +10,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.monitor.server import MonitorServer
 from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.station.locks import RunLock
+from tests.bench.monitor.sample_snapshots import made_up_snapshot
 
 NOW = datetime(2026, 3, 2, 16, 42, 1, tzinfo=UTC)
 
