@@ -26,9 +26,8 @@ from gyrobench.bench.cli.run_selection import (
 from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.fleet.cluster import Workers
-    from gyrobench.bench.fleet.jobs import JobKind, JobResult
-    from gyrobench.bench.fleet.record import FleetRecord
+    from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobResult
+    from gyrobench.bench.fleet.workers import Workers
 
 fleet = typer.Typer(
     help="Evaluate many runs at once, and compare the units of a batch.\n\n"
@@ -97,9 +96,10 @@ def _add_command(kind: str) -> None:
         out: _OutOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        from gyrobench.bench.fleet.choice import runs_in_index, runs_named
-        from gyrobench.bench.fleet.cluster import Workers
         from gyrobench.bench.fleet.jobs import JobKind
+        from gyrobench.bench.fleet.workers import Workers
+        from gyrobench.bench.runs.index.run_index import runs_in_index
+        from gyrobench.bench.runs.index.store import runs_named
 
         if scheduler and (workers or threads):
             wrong = "--workers and --threads are of this machine, --scheduler has workers of its own"
@@ -125,19 +125,17 @@ fleet.command()(fleet_batch.batch)
 
 
 def _record(kind: JobKind, folder: Path, *, again: bool) -> FleetRecord:
-    from gyrobench.bench.fleet.record import FleetRecord, read_record
+    from gyrobench.bench.fleet.jobs import FleetRecord, read_record
 
     return FleetRecord(kind, folder) if again else read_record(kind, folder)
 
 
 def _work(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: bool) -> None:
-    from gyrobench.bench.fleet.cluster import connected
-    from gyrobench.bench.fleet.progress import FleetProgress
-    from gyrobench.bench.fleet.record import RECORD
-    from gyrobench.bench.fleet.work import work_through
+    from gyrobench.bench.fleet.jobs import RECORD
+    from gyrobench.bench.fleet.workers import FleetProgress, connected, work_through
     from gyrobench.bench.foundations.clock import WallClock
 
-    left = record.left_of(paths)
+    left = record.pending(paths)
     terminal = console(as_json)
     clock = WallClock()
     results: list[JobResult] = []

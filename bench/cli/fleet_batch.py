@@ -22,7 +22,7 @@ from gyrobench.bench.cli.run_selection import (
 from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.runs.index import RunIndex
+    from gyrobench.bench.runs.index.run_index import RunIndex
 
 
 def batch(
@@ -44,10 +44,9 @@ def batch(
 
     Example: gyrobench fleet batch runs --batch B7
     """
-    from gyrobench.bench.fleet.batch_data import read_batch
-    from gyrobench.bench.fleet.batch_model import fit_batch
+    from gyrobench.bench.fleet.batch import fit_batch, read_batch
     from gyrobench.bench.fleet.batch_report import batch_document, batch_summary, write_batch
-    from gyrobench.bench.runs.index_selection import find_runs
+    from gyrobench.bench.runs.index.run_index import find_runs
 
     opened = open_index(root, index)
     runs = find_runs(opened, selection_of(None, batch, bench, procedure, since, until))

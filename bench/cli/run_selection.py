@@ -11,8 +11,7 @@ import typer
 from gyrobench.bench.cli.output import console
 
 if TYPE_CHECKING:
-    from gyrobench.bench.runs.index import RunIndex
-    from gyrobench.bench.runs.index_selection import Selection
+    from gyrobench.bench.runs.index.run_index import RunIndex, Selection
 
 _DAYS = ["%Y-%m-%d"]
 
@@ -56,7 +55,7 @@ def selection_of(
     ended: str | None = None,
 ) -> Selection:
     """What the options above choose."""
-    from gyrobench.bench.runs.index_selection import Selection
+    from gyrobench.bench.runs.index.run_index import Selection
 
     first, last = (None if day is None else day.date() for day in (since, until))
     return Selection(unit, batch, bench, procedure, first, last, verdict, ended)
@@ -64,8 +63,8 @@ def selection_of(
 
 def open_index(root: str, path: Path | None = None, *, rebuild: bool = False) -> RunIndex:
     """Open the index of a store, up to date; a terminal is told how far it has come, and what changed."""
-    from gyrobench.bench.runs.index import RunIndex
-    from gyrobench.bench.runs.index_run_files import open_store
+    from gyrobench.bench.runs.index.run_index import RunIndex
+    from gyrobench.bench.runs.index.store import open_store
 
     opened = RunIndex(open_store(root), path)
     terminal = console(as_json=True)

@@ -27,8 +27,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from gyrobench.bench.runs.index import RunIndex
-    from gyrobench.bench.runs.index_selection import Selection
+    from gyrobench.bench.runs.index.run_index import RunIndex, Selection
 
 _SHOWN = 40
 
@@ -91,7 +90,7 @@ def runs(
 
 def _listed(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import runs_table
-    from gyrobench.bench.runs.index_selection import find_runs
+    from gyrobench.bench.runs.index.run_index import find_runs
 
     found = find_runs(index, selection)
     return {"runs": found}, runs_table(found, most)
@@ -99,7 +98,7 @@ def _listed(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str,
 
 def _grouped(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import groups_table
-    from gyrobench.bench.runs.index_groups import group_runs
+    from gyrobench.bench.runs.index.run_index import group_runs
 
     groups = group_runs(index, by, selection)
     return {"by": by, "groups": groups}, groups_table(by, groups)
@@ -109,9 +108,8 @@ def _trends(
     index: RunIndex, selection: Selection, figure: Path | None
 ) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import trend_summary
-    from gyrobench.bench.runs.index_run_biases import read_run_biases
-    from gyrobench.bench.runs.index_selection import find_runs
-    from gyrobench.bench.runs.index_trend import mixed_origins, trends
+    from gyrobench.bench.runs.index.run_biases import mixed_origins, read_run_biases, trends
+    from gyrobench.bench.runs.index.run_index import find_runs
 
     found = find_runs(index, selection)
     units = sorted({run["unit"] for run in found})

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.fleet.batch_model import fit_batch
+from gyrobench.bench.fleet.batch import fit_batch
 from gyrobench.bench.fleet.batch_report import batch_summary, write_batch
-from gyrobench.bench.runs.index_run_biases import LEVEL
+from gyrobench.bench.runs.index.run_biases import LEVEL
 from tests.bench.fleet.test_batch_model import POSITIONS, batch
 
 
@@ -23,7 +23,7 @@ def test_page_and_file_name_the_unit_that_stands_out(fitted, tmp_path):
     page = write_batch(tmp_path / "batch", "B7", fitted, "30 runs").read_text()
     assert "<h1>Batch B7</h1>" in page
     assert "1 unit of 10 stands out" in page
-    assert "Z gyro at 20 to 25 °C, X-Up less the mean" in page
+    assert "Z gyro at 20 to 25 °C, X-Up minus the mean" in page
     content = json.loads((tmp_path / "batch" / "batch.json").read_text())
     assert [each["unit"] for each in content["standing_out"]] == ["0"]
     assert len(content["quantities"]) == 12

@@ -2,11 +2,9 @@
 
 import pytest
 
-from gyrobench.bench.fleet.choice import runs_in_index, runs_named
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.index import RunIndex
-from gyrobench.bench.runs.index_run_files import open_store
-from gyrobench.bench.runs.index_selection import Selection
+from gyrobench.bench.runs.index.run_index import RunIndex, Selection
+from gyrobench.bench.runs.index.store import open_store, runs_in_index, runs_named
 from tests.bench.runs.index.sample_runs import copy_run
 
 

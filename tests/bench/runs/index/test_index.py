@@ -9,9 +9,8 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.runs.index import Changes, RunIndex
-from gyrobench.bench.runs.index_run_files import open_store
-from gyrobench.bench.runs.index_selection import Selection, find_runs
+from gyrobench.bench.runs.index.run_index import Changes, RunIndex, Selection, find_runs
+from gyrobench.bench.runs.index.store import open_store
 from tests.bench.runs.index.sample_runs import copy_run, write_verdict
 
 

@@ -5,8 +5,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
-from gyrobench.bench.runs.index_trend import MONTH_DAYS, mixed_origins, trends
+from gyrobench.bench.runs.index.run_biases import LEVEL, MONTH_DAYS, Quantity, RunBias, mixed_origins, trends
 
 QUANTITIES = [Quantity(gyro, 20.0, 25.0, LEVEL, ("z_up",)) for gyro in "xyz"]
 

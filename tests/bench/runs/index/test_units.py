@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.runs.index_units import Unit, parse_units
+from gyrobench.bench.runs.index.tables import Unit, parse_units
 
 
 def test_a_table_needs_unit_and_batch_alone():
