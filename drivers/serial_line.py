@@ -15,8 +15,7 @@ import serial
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
-from gyrobench.drivers.recording.protocol_replay import with_clock
-from gyrobench.drivers.recording.script import ReplayError
+from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.tap import tapped
 
 #: What pyserial raises when a port goes away, depending on the call.

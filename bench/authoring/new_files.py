@@ -10,10 +10,9 @@ from typing import Any
 from gyrobench.bench.authoring.kinds import PROCEDURE, STATION, WORLD, FileKind
 from gyrobench.bench.authoring.schemas import EDITOR_MARK, editor_line, schema_of
 from gyrobench.bench.authoring.starting_file import StartingFile, comment, inline
-from gyrobench.bench.foundations.documents import find_document, parse_document, read_document, validate
+from gyrobench.bench.foundations.documents import Schema, parse_document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.json_schema import Schema
-from gyrobench.bench.foundations.shipped import TEMPLATES
+from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
 from gyrobench.bench.procedure.document import checked_procedure
 from gyrobench.bench.procedure.resolve import resolve
 from gyrobench.bench.procedure.step import Step

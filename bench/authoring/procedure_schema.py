@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gyrobench.bench.foundations.json_schema import Schema, json_schema
+from gyrobench.bench.foundations.documents import Schema, json_schema
 from gyrobench.bench.procedure.document import VARIABLE_PATTERN, Procedure, Repeat
 from gyrobench.bench.procedure.step import Step
 from gyrobench.bench.procedure.steps import STEP_KINDS

@@ -8,7 +8,7 @@ from pathlib import Path
 from gyrobench.bench.authoring.emulator_files import emulator_schema
 from gyrobench.bench.authoring.kinds import PROCEDURE, FileKind
 from gyrobench.bench.authoring.procedure_schema import procedure_schema
-from gyrobench.bench.foundations.json_schema import Schema, json_schema
+from gyrobench.bench.foundations.documents import Schema, json_schema
 from gyrobench.bench.foundations.shipped import shipped_folders
 
 _FOLDER = "schemas"

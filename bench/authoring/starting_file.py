@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from gyrobench.bench.foundations.json_schema import Schema
+from gyrobench.bench.foundations.documents import Schema
 
 _WIDTH = 100
 _BOUNDS = (

@@ -35,10 +35,10 @@ def report(
 
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
+    from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import acceptance_summary
     from gyrobench.bench.runs.folder import open_run_folder
-    from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
 
     folder = open_run_folder(run_folder)
     page = write_report(folder, by, out, open_run_folder(before) if before else None)

@@ -50,7 +50,7 @@ def validate(
     """
     from gyrobench.bench.authoring.checking import check_file
     from gyrobench.bench.authoring.kinds import KINDS
-    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.station.station import Station
 
     kind = KINDS[as_kind.value] if as_kind else None

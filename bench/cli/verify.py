@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.dwells.comparison."""
+    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -124,10 +124,10 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
 
 def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
-    from gyrobench.bench.dwells.comparison import write_comparison
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.page import write_verify_page
     from gyrobench.bench.report.verification.terminal import verify_summary
+    from gyrobench.bench.verification.comparison import write_comparison
 
     folder, comparison = verification.folder, verification.comparison()
     table = folder / "comparison.csv"

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.replay import finished_marks
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.exchange.export_folder import Destination, field_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -28,7 +28,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
 #: The column that has them.

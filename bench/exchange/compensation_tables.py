@@ -17,7 +17,7 @@ from gyrobench.bench.exchange.export_folder import Destination, field_of, unit_o
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.compensation_file import write_compensation
-from gyrobench.drivers.ins.compensation import TERMS, Compensation
+from gyrobench.drivers.ins.command_map import TERMS, Compensation
 
 _TABLE, _TERMS, _FILE = "compensation_table", "compensation_terms", "compensation.yaml"
 #: Spacing of the table, and decimals of its biases: far below what any gyro keeps.

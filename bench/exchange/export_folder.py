@@ -20,11 +20,12 @@ from gyrobench.bench.foundations.files import (
     cant_be_written,
     file_sha256,
     make_folder,
+    parse_json,
+    read_limited,
     sync_folder,
     temporary_path,
     write_whole,
 )
-from gyrobench.bench.foundations.reading import parse_json, read_limited
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance

@@ -24,9 +24,9 @@ from gyrobench.bench.exchange.window_checks import (
 )
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.csv_tables import write_text
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.positions import AXES
 

@@ -18,8 +18,8 @@ import pyarrow.csv
 
 from gyrobench.bench.closure.files import read_held_out_cycles
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.dwells.campaign import read_campaign
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.exchange.can_export import (
     UTC_FIELD,
     PlacedLog,

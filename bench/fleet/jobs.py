@@ -20,9 +20,8 @@ from gyrobench.bench.foundations.errors import (
     MeasurementError,
     RunFolderError,
 )
-from gyrobench.bench.foundations.files import make_folder, write_whole
-from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.station.bench_lock import RunLock
 
@@ -115,7 +114,7 @@ def _measured(folder: RunFolder) -> str:
 
 def _closed(folder: RunFolder) -> str:
     from gyrobench.bench.closure.loop import close_loop
-    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
     from gyrobench.bench.report.closure.search_files import write_search
 
     try:
@@ -124,7 +123,7 @@ def _closed(folder: RunFolder) -> str:
         return f"not searched: {error}"  # one cycle only, for instance: not a failure
     with _DRAWING:
         write_search(closure, folder.path)
-    effects = [spoken(each.candidate.effect.name) for each in closure.effects]
+    effects = [plain_name(each.candidate.effect.name) for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 
 
@@ -239,6 +238,6 @@ def read_record(kind: JobKind, folder: Path) -> FleetRecord:
         ) from error
     if content.kind != kind:
         raise RunFolderError(
-            f"{path}: this is the record of `gyrobench fleet {content.kind}`. Choose another folder with --out"
+            f"{path}: record of `gyrobench fleet {content.kind}`. Choose another folder with --out"
         )
     return FleetRecord(kind, folder, content.runs)

@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import quote, quote_plus
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.station.messages import SECRET, Receiver
 
 _MAX_BYTES = 10_000

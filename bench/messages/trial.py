@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.documents import Problem, find_document
+from gyrobench.bench.foundations.documents import Problem
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.messages.delivery import deliver
 from gyrobench.bench.messages.message import Message
 from gyrobench.bench.messages.undelivered import UndeliveredError

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote, urlsplit
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.monitor.attitude_drawing import axes_drawing
 from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
 from gyrobench.bench.monitor.page_content import (

@@ -14,8 +14,8 @@ from rich.padding import Padding
 from rich.status import Status
 from rich.text import Text
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
@@ -24,10 +24,10 @@ from gyrobench.bench.foundations.documents import (
     Location,
     Problem,
     StrictModel,
-    hint,
     read_document,
     validate,
 )
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.procedure.navigation_steps import Until
 from gyrobench.bench.procedure.step import Celsius, Step
 from gyrobench.bench.procedure.steps import STEP_KINDS
@@ -79,12 +79,17 @@ class Repeat(StrictModel):
 class Procedure(StrictModel):
     """A procedure file."""
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "most_repeats": "max_repeats",
+        "most_repeats_in_all": "max_repeats_total",
+    }
+
     procedure: str = Field(
         pattern="^[A-Za-z0-9_-]{1,80}$", description="name: letters, digits, underscore, hyphen"
     )
     description: str = Field(default="", description="what it measures, for people")
     assumptions: list[str] = Field(
-        default=[], description="what its source does not tell and was chosen here"
+        default=[], description="what the source does not state and was chosen here"
     )
     bin_width_c: float = Field(default=5.0, ge=0.1, le=100.0, description="width of a temperature bin, degC")
     marked_temperatures_c: list[Celsius] = Field(
@@ -96,13 +101,13 @@ class Procedure(StrictModel):
         default=None, description="what the gyros have to keep; without it the unit is not judged"
     )
     disturbed_dwell: Literal["repeat", "flag"] = Field(
-        default="repeat", description="what becomes of a dwell that a fault touched"
+        default="repeat", description="what to do with a dwell that a fault disturbed"
     )
-    most_repeats: int = Field(
-        default=2, ge=0, le=20, description="how often one dwell is repeated before it is flagged for good"
+    max_repeats: int = Field(
+        default=2, ge=0, le=20, description="how often a disturbed dwell is repeated before it is flagged"
     )
-    most_repeats_in_all: int = Field(
-        default=12, ge=0, le=10_000, description="how many repeats the whole run may cost for spoilt dwells"
+    max_repeats_total: int = Field(
+        default=12, ge=0, le=10_000, description="how many dwells are repeated in the whole run"
     )
     steps: list[Entry] = Field(min_length=1, description="what to do, in order")
 
@@ -116,7 +121,9 @@ def _checked_entry(entry: Any) -> StepTemplate | Repeat:
     [(name, values)] = entry.items()
     if name not in _ALLOWED_STEPS:
         allowed = ", ".join(_ALLOWED_STEPS)
-        message = f"unknown step {json.dumps(name)}{hint(name, _ALLOWED_STEPS)}; allowed here: {allowed}"
+        message = (
+            f"unknown step {json.dumps(name)}{did_you_mean(name, _ALLOWED_STEPS)}; allowed here: {allowed}"
+        )
         raise PydanticCustomError("unknown_key", message)
     if values is not None and not isinstance(values, dict):
         raise ValueError(f"expected the keys of '{name}', written as 'key: value'")
@@ -207,7 +214,7 @@ def _scope_problems(
             if name not in scope:
                 defined = ", ".join(f"${known}" for known in scope) or "none"
                 yield Problem(
-                    (*here, *keys), f"no variable ${name}{hint(name, scope)}; defined here: {defined}"
+                    (*here, *keys), f"no variable ${name}{did_you_mean(name, scope)}; defined here: {defined}"
                 )
 
 

@@ -6,7 +6,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, Field
 
-from gyrobench.bench.foundations.documents import StrictModel, hint
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate
 
@@ -20,7 +21,9 @@ _TIMEOUT_MARGIN_S = 60.0
 def _known_position(name: str) -> str:
     if name in POSITIONS:
         return name
-    raise ValueError(f"no such position{hint(name, POSITIONS)}; the positions are {', '.join(POSITIONS)}")
+    raise ValueError(
+        f"no such position{did_you_mean(name, POSITIONS)}; the positions are {', '.join(POSITIONS)}"
+    )
 
 
 Duration = Annotated[float, Field(gt=0.0, le=MAX_STEP_S)]

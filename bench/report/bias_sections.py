@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
 from gyrobench.bench.foundations.text import bin_label, listed
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
-from gyrobench.bench.bias.joint.vertical_pairs import Finding
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate, compare_noise
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, compare_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.estimators import (

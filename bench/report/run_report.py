@@ -11,9 +11,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import compare_positions
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError

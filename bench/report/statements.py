@@ -7,10 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import PositionComparison
-from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label

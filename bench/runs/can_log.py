@@ -28,8 +28,7 @@ from can.io.blf import (
 )
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, make_folder, sync_folder
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited, sync_folder
 from gyrobench.bench.runs.folder import find_parts, part_path
 
 _SUFFIX = ".blf"

@@ -16,8 +16,7 @@ from typing import Any
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, sync_folder
-from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.foundations.files import cant_be_written, parse_json, read_limited, sync_folder
 
 #: Some hundred times the journal of a run of 1000 h.
 MAX_JOURNAL_BYTES = 500_000_000

@@ -15,8 +15,7 @@ from typing import Any
 
 import gyrobench
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import file_sha256, write_whole
-from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.foundations.files import file_sha256, parse_json, read_limited, write_whole
 from gyrobench.bench.runs.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")

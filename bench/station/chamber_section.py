@@ -7,10 +7,10 @@ from typing import ClassVar, Self
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.entry_points import CHAMBERS
 from gyrobench.bench.station.dialect_section import Dialect, DialectSection
 from gyrobench.bench.station.field_types import Positive
-from gyrobench.drivers.chamber.dialect import ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS
+from gyrobench.drivers.chamber import ChamberDialect
 
 
 class ChamberLimits(StrictModel):

@@ -10,11 +10,11 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.entry_points import installed, load
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.station.field_types import Identity, Port
-from gyrobench.drivers.chamber.dialect import ChamberDialect
-from gyrobench.drivers.dialects import installed, load
-from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.chamber import ChamberDialect
+from gyrobench.drivers.rate_table import TableDialect
 
 Dialect = TableDialect[Any] | ChamberDialect[Any]
 
@@ -86,7 +86,8 @@ def section_of(section: type[DialectSection], name: str) -> type[DialectSection]
     taken = sorted(options.model_fields.keys() & section.model_fields.keys())
     if taken:
         raise DocumentError(
-            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}); tell its maker"
+            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}). "
+            "Report this to the package's author"
         )
     dialect: Any = (Literal[name], Field(description="command language"))
     bases: Any = (options, section)  # a message names the section's own keys first

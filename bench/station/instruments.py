@@ -13,21 +13,20 @@ from urllib.parse import urlencode, urlsplit
 import can
 
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.dialect_section import DialectSection
 from gyrobench.bench.station.document import InsSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.time_limit import within
-from gyrobench.drivers.chamber import Chamber
-from gyrobench.drivers.chamber.dialect import ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, LineDefaults, load
+from gyrobench.drivers.chamber import Chamber, ChamberDialect
+from gyrobench.drivers.dialects import LineDefaults
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.dbc_codec import load_dbc
-from gyrobench.drivers.rate_table import RateTable
-from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.rate_table import RateTable, TableDialect
 from gyrobench.drivers.serial_line import SerialLine
 
 #: The instruments as error messages name them, and as :meth:`Instruments.reopen` takes them.

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, Problem
@@ -26,9 +26,9 @@ from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.station.document import SafeState, UnitSection, load_station_file
 from gyrobench.bench.station.field_types import Direction
 from gyrobench.drivers import ins
-from gyrobench.drivers.ins.bound_signals import check_signals
 from gyrobench.drivers.ins.command_map import check_commands
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.signal_map import check_signals
 
 _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
     "east": (1.0, 0.0, 0.0),

@@ -7,10 +7,10 @@ from typing import ClassVar, Self
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.entry_points import RATE_TABLES
 from gyrobench.bench.station.dialect_section import Dialect, DialectSection
 from gyrobench.bench.station.field_types import Direction, Positive, Range
-from gyrobench.drivers.dialects import RATE_TABLES
-from gyrobench.drivers.rate_table.dialect import TableDialect
+from gyrobench.drivers.rate_table import TableDialect
 
 #: The angle of the outer axis that a single-axis table does not have.
 _NO_OUTER_DEG = (0.0, 0.0)

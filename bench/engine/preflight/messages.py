@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.text import listed, spoken
+from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.messages.secret import read_secret
 from gyrobench.bench.station.check import Check
 from gyrobench.bench.station.messages import Receiver
@@ -23,5 +23,5 @@ def _check(receiver: Receiver) -> Check:
         return Check.of(
             "messages", what, False, str(error), "Put the secret there, or leave the receiver out."
         )
-    events = listed([spoken(event) for event in receiver.on])
+    events = listed([plain_name(event) for event in receiver.on])
     return Check.of("messages", what, True, f"{receiver.address} is told of: {events}", "")

@@ -8,8 +8,8 @@ from pathlib import Path
 from gyrobench.bench.engine.preflight.messages import message_checks
 from gyrobench.bench.engine.preflight.preflight import preflight
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.timeline import hours_minutes

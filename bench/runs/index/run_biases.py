@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from gyrobench.bench.bias.many_comparisons import holm
-from gyrobench.bench.bias.random_effects import excess_variance, weighted_fit
+from gyrobench.bench.bias.statistics import excess_variance, holm, weighted_fit
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.runs.index.run_index import RunIndex

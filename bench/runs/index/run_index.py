@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from datetime import date, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,6 +20,7 @@ from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, Ru
 from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.runs.index.selection import Selection
 from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store
 from gyrobench.bench.runs.index.tables import (
     RUN_TABLES,
@@ -294,59 +294,11 @@ def _file_row(run: RunFiles, outcome: RunRecord | str) -> dict[str, Any]:
     return {"path": run.path, "fingerprint": run.fingerprint, "problem": problem}
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Criteria for runs; None for any.
-
-    Attributes
-    ----------
-    unit, batch, bench : str
-        Serial number, batch of its gyros, name of the station.
-    procedure : str
-        Name of the procedure, or the beginning of its SHA-256.
-    since, until : date
-        First and last day (UTC) of the start of the run.
-    verdict : str
-        Verdict of the search for effects, or of acceptance.
-    ended : str
-        End of the run.
-    """
-
-    unit: str | None = None
-    batch: str | None = None
-    bench: str | None = None
-    procedure: str | None = None
-    since: date | None = None
-    until: date | None = None
-    verdict: str | None = None
-    ended: str | None = None
-
-    def condition(self) -> tuple[str, list[Any]]:
-        """SQL condition on the table of runs, and its parameters."""
-        tests = [
-            ("unit = ?", self.unit),
-            ("batch = ?", self.batch),
-            ("station = ?", self.bench),
-            ("(procedure = ? OR starts_with(procedure_sha256, ?))", self.procedure),
-            ("started_utc >= ?", _midnight(self.since)),
-            ("started_utc < ?", _midnight(self.until, days=1)),
-            ("(verdict = ? OR acceptance = ?)", self.verdict),
-            ("ended = ?", self.ended),
-        ]
-        asked = [(test, value) for test, value in tests if value is not None]
-        parameters = [value for test, value in asked for _ in range(test.count("?"))]
-        return " AND ".join(test for test, _ in asked) or "true", parameters
-
-
 def find_runs(index: RunIndex, selection: Selection) -> list[dict[str, Any]]:
     """Selected rows of the table of runs, newest first."""
     condition, parameters = selection.condition()
     sql = f"SELECT * FROM runs WHERE {condition} ORDER BY started_utc DESC, path DESC"  # noqa: S608 - ours
     return index.query(sql, parameters).records()
-
-
-def _midnight(day: date | None, days: int = 0) -> datetime | None:
-    return None if day is None else datetime.combine(day + timedelta(days=days), datetime.min.time())
 
 
 Grouping = Literal["unit", "batch", "bench", "procedure", "month"]

@@ -23,7 +23,7 @@ def place(tmp_path, tmp_path_factory):
 def test_only_what_failed_is_done_again(place):
     first = gyrobench("fleet", "bins", "runs", "--threads", "--workers", 1, cwd=place)
     assert first.returncode == EXIT_NOT_FINISHED
-    assert "fleet bins: 3 of 3 runs to do, 1 thread" in first.stdout
+    assert "fleet bins: 3 of 3 runs, 1 thread" in first.stdout
     assert f"failed: {place / 'runs' / 'broken'}" in first.stdout
     assert "2 done, 1 failed" in first.stdout
     (place / "runs" / "broken" / "station.yaml").write_bytes(
@@ -31,7 +31,7 @@ def test_only_what_failed_is_done_again(place):
     )
     second = gyrobench("fleet", "bins", "runs", "--threads", "--json", cwd=place)
     assert second.returncode == 0, second.stderr
-    assert "1 of 3 runs to do" in second.stderr
+    assert "1 of 3 runs" in second.stderr
     assert {run["state"] for run in json.loads(second.stdout)["runs"].values()} == {"done"}
     third = gyrobench("fleet", "bins", "runs", cwd=place)
     assert third.returncode == 0

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.exchange.can_export import PlacedLog, write_blf
 from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -16,7 +16,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.exchange.import_map import load_log_map
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 
 SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").glob("*.yaml"))
 

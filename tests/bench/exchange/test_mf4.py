@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.exchange.can_export import PlacedLog
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.frames import FrameBlock
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 asammdf = pytest.importorskip("asammdf", reason="MDF4 needs: pip install 'gyrobench[mf4]'")

@@ -10,7 +10,7 @@ from rich.console import Console
 from gyrobench.bench.fleet.batch import fit_batch
 from gyrobench.bench.fleet.batch_report import batch_summary, write_batch
 from gyrobench.bench.runs.index.run_biases import LEVEL
-from tests.bench.fleet.test_batch_model import POSITIONS, batch
+from tests.bench.fleet.test_batch import POSITIONS, batch
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.recorder import PictureRecorder, Thinned
 from gyrobench.bench.monitor.snapshot import Picture, RunState, read_picture
 from gyrobench.bench.runs.folder import RunFolder

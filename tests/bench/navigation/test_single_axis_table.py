@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.single_axis_table import SingleAxisTable
 from gyrobench.bench.station.station import Station

@@ -6,8 +6,8 @@ import os
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.bench_lock import BenchLock, Holder, RunLock, bench_holders, holder_of
 from gyrobench.bench.station.station import Station
 from tests.bench.station.lock_holder import held_elsewhere

@@ -1,7 +1,8 @@
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document, parse_document, validate
+from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.document import StationFile
 
 TEXT = find_document("stations", "emulated").read_text()

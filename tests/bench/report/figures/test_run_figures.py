@@ -15,11 +15,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin, bin_biases
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import compare_positions
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan, expand
