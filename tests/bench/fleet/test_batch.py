@@ -101,5 +101,5 @@ def test_the_size_of_an_effect_that_one_unit_alone_has_stands_out():
 
 
 def test_too_few_units_are_no_batch():
-    with pytest.raises(MeasurementError, match="4 units or more"):
+    with pytest.raises(MeasurementError, match="at least 4 units"):
         fit_batch(batch(np.random.default_rng(7), units=3))

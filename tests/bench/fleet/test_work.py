@@ -72,7 +72,7 @@ def test_what_was_done_is_on_record_when_the_rest_is_given_up(runs, tmp_path):
     assert len(read_record(JobKind.REPORT, tmp_path / "record").pending(runs)) == 2
 
 
-def test_a_scheduler_of_somebody_else_is_used_and_stays(runs, tmp_path):
+def test_an_external_scheduler_is_used_and_stays(runs, tmp_path):
     record = FleetRecord(JobKind.REPORT, tmp_path / "record")
     with LocalCluster(
         n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
@@ -83,8 +83,8 @@ def test_a_scheduler_of_somebody_else_is_used_and_stays(runs, tmp_path):
         assert len(cluster.scheduler_info["workers"]) == 1
 
 
-def test_an_address_without_scheduler_is_told(monkeypatch):
-    monkeypatch.setattr("gyrobench.bench.fleet.workers._PATIENCE_S", 0.5)
+def test_an_address_without_scheduler_is_reported(monkeypatch):
+    monkeypatch.setattr("gyrobench.bench.fleet.workers._SCHEDULER_TIMEOUT_S", 0.5)
     with (
         pytest.raises(GyrobenchError, match="no Dask scheduler answers"),
         connected(Workers(scheduler="tcp://127.0.0.1:9")),

@@ -60,13 +60,13 @@ def test_runs_of_one_day_tell_no_slope():
     assert np.isnan(trend.p_value)
 
 
-def test_runs_of_several_benches_or_versions_are_told():
-    told = mixed_origins(
+def test_runs_of_several_benches_or_versions_are_reported():
+    warnings = mixed_origins(
         [
             {"station": "one", "procedure": "a", "procedure_sha256": "1"},
             {"station": "two", "procedure": "a", "procedure_sha256": "2"},
         ]
     )
-    assert told[0].startswith("the runs are of the benches one, two")
-    assert "2 procedures or versions" in told[1]
+    assert warnings[0].startswith("the runs come from the benches one, two")
+    assert "2 procedures or versions" in warnings[1]
     assert not mixed_origins([{"station": "one", "procedure": "a", "procedure_sha256": "1"}] * 2)
