@@ -169,7 +169,7 @@ def _finite(value: Any) -> Any:
 
 
 #: What no run reaches; a later time is a damaged entry.
-LONGEST_RUN_S = 1e9
+MAX_RUN_S = 1e9
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def _text(entry: Mapping[str, Any], key: str) -> str:
 
 def _time_s(entry: Mapping[str, Any]) -> float:
     value = entry.get("time_s")
-    return float(value) if isinstance(value, int | float) and 0.0 <= value <= LONGEST_RUN_S else 0.0
+    return float(value) if isinstance(value, int | float) and 0.0 <= value <= MAX_RUN_S else 0.0
 
 
 def _safe_state(actions: object) -> tuple[Mapping[str, Any], ...]:

@@ -47,7 +47,7 @@ def test_runs_of_an_index_are_chosen_by_what_they_are(place):
     assert (place / "runs" / "b" / "report.html").exists()
 
 
-def test_mistakes_are_told(place):
+def test_mistakes_are_reported(place):
     for wrong in (
         ["bins"],
         ["bins", "runs", "--unit", "1001"],
