@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from pydantic import BaseModel, ValidationError
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import (
     BenchInUseError,
@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.errors import (
 from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
 from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.station.bench_lock import RunLock
+from gyrobench.bench.station.locks import RunLock
 
 #: Matplotlib's style is global, so only one thread draws at a time.
 _DRAWING = threading.Lock()
@@ -206,9 +206,7 @@ class FleetRecord:
         RunFolderError
             It can't be written.
         """
-        content = _RecordContent(
-            kind=self.kind, gyrobench=gyrobench.__version__, runs=dict(sorted(self.runs.items()))
-        )
+        content = _RecordContent(kind=self.kind, gyrobench=__version__, runs=dict(sorted(self.runs.items())))
         make_folder(self.folder)
         write_whole(self.folder / RECORD, (content.model_dump_json(indent=1) + "\n").encode())
 

@@ -41,5 +41,5 @@ def test_the_terminal_needs_80_columns_and_no_colour(fitted):
 
 def test_a_batch_without_outliers_says_so(tmp_path):
     page = write_batch(tmp_path, "", fit_batch(batch(np.random.default_rng(8))), "30 runs").read_text()
-    assert "no outlier in 10 units" in page
+    assert "No outlier in 10 units" in page
     assert "No outlying unit" in page

@@ -1,12 +1,12 @@
-"""A procedure as written: its YAML file, checked step by step where each stands.
+"""A procedure as written: its YAML file, checked step by step, and its loops unrolled.
 
-Loops (``repeat``) and variables (``$name``) are still in it; :mod:`gyrobench.bench.procedure.plan` takes
-them out. A step is validated here with the values that stand in the file; a value that is a
-variable is checked when the plan gives it its value.
+The file has loops (``repeat``) and variables (``$name``), which :func:`resolve` replaces. A step is checked
+with the values in the file; a value that is a variable is checked when the loops are unrolled.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -24,13 +24,12 @@ from gyrobench.bench.foundations.documents import (
     Location,
     Problem,
     StrictModel,
+    problems_of,
     read_document,
     validate,
 )
 from gyrobench.bench.foundations.text import did_you_mean
-from gyrobench.bench.procedure.navigation_steps import Until
-from gyrobench.bench.procedure.step import Celsius, Step
-from gyrobench.bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.procedure.steps import STEP_KINDS, Celsius, Step, Until
 
 #: A value that a loop variable can take.
 Value = float | int | str
@@ -251,3 +250,123 @@ def _variables_in(entries: Sequence[StepTemplate | Repeat]) -> set[str]:
     for entry in entries:
         names |= _variables_in(entry.steps) if isinstance(entry, Repeat) else {*entry.variables().values()}
     return names
+
+
+MAX_STEPS = 100_000
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """The value of a loop variable, and where it stands."""
+
+    value: Value
+    place: Location
+
+
+@dataclass(frozen=True)
+class ResolvedStep:
+    """A step without loops and variables.
+
+    Attributes
+    ----------
+    location : Location
+        Where the keys of the step stand in the procedure file.
+    step : Step
+        What to do.
+    cycle : int or None
+        Loop variable ``cycle``, where there is one.
+    value_places : mapping
+        Where the values stand that came from loop variables, by the keys that lead to them.
+    """
+
+    location: Location
+    step: Step
+    cycle: int | None
+    value_places: Mapping[Location, Location]
+
+
+def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
+    """Unroll the loops of a procedure and put the values in place of the variables.
+
+    Raises
+    ------
+    DocumentError
+        The loops give too many steps, or a variable has a value that its step can't take.
+    """
+    _refuse_too_many(document, procedure.steps)
+    problems: list[Problem] = []
+    steps = list(_resolve(procedure.steps, ("steps",), {}, problems))
+    if problems:
+        raise document.error(problems)
+    return steps
+
+
+def _refuse_too_many(document: Document, entries: Sequence[StepTemplate | Repeat]) -> None:
+    count = _count(entries)
+    if count > MAX_STEPS:
+        worst = max(range(len(entries)), key=lambda index: _count(entries[index : index + 1]))
+        message = f"the loops make {count} steps of this procedure; at most {MAX_STEPS} are allowed"
+        raise document.error([Problem(("steps", worst), message)])
+
+
+def _count(entries: Sequence[StepTemplate | Repeat]) -> int:
+    return sum(
+        math.prod(map(len, entry.over.values())) * _count(entry.steps) if isinstance(entry, Repeat) else 1
+        for entry in entries
+    )
+
+
+def _resolve(
+    entries: Sequence[StepTemplate | Repeat],
+    at: Location,
+    scope: Mapping[str, _Bound],
+    problems: list[Problem],
+) -> Iterator[ResolvedStep]:
+    for index, entry in enumerate(entries):
+        here = entry_location(entry, (*at, index))
+        if isinstance(entry, Repeat):
+            for values in _combinations(entry, (*here, "over")):
+                yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, problems)
+            continue
+        try:
+            yield _step(entry, here, scope)
+        except ValidationError as error:
+            problems += _traced(error, entry, here, scope)
+
+
+def _combinations(loop: Repeat, at: Location) -> Iterator[dict[str, _Bound]]:
+    bound = [
+        [_Bound(value, (*at, name, index)) for index, value in enumerate(values)]
+        for name, values in loop.over.items()
+    ]
+    for values in itertools.product(*bound):
+        yield dict(zip(loop.over, values, strict=True))
+
+
+def _step(entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]) -> ResolvedStep:
+    step = entry.kind.model_validate(_filled(entry.values, scope))
+    cycle = int(scope["cycle"].value) if "cycle" in scope else None
+    places = {keys: scope[name].place for keys, name in entry.variables().items()}
+    return ResolvedStep(at, step, cycle, places)
+
+
+def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
+    """Put the values in place of the variables."""
+    if isinstance(value, Mapping):
+        return {key: _filled(inner, scope) for key, inner in value.items()}
+    name = variable_in(value)
+    return value if name is None else scope[name].value
+
+
+def _traced(
+    error: ValidationError, entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]
+) -> Iterator[Problem]:
+    """Put problems of a value that came from a loop where the value stands."""
+    variables = entry.variables()
+    for problem in problems_of(error):
+        keys = next((keys for keys in variables if keys == problem.location[: len(keys)]), None)
+        if keys:
+            place = scope[variables[keys]].place
+            yield Problem(place, f"{problem.message} (for {keys[-1]} of {entry.kind.name})")
+        else:
+            yield Problem((*at, *problem.location), problem.message)

@@ -3,7 +3,7 @@ import pytest
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.station.document import StationFile
+from gyrobench.bench.station.station_file import StationFile
 
 TEXT = find_document("stations", "emulated").read_text()
 

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import Document, parse_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.checks import check
-from gyrobench.bench.procedure.document import Repeat, checked_procedure, load_procedure
-from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.checks import StationLimits, check
 from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import Repeat, checked_procedure, load_procedure
 from gyrobench.bench.procedure.timeline import position_spans, timeline_rows
 
 PROCEDURES = Path(__file__).parents[3] / "procedures"

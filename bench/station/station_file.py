@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import (
     AfterValidator,
@@ -19,14 +21,46 @@ from pydantic import (
 
 from gyrobench.bench.foundations.documents import Document, StrictModel, read_document, validate
 from gyrobench.bench.navigation.error_model import MAX_LATITUDE
-from gyrobench.bench.station.chamber_section import ChamberSection
-from gyrobench.bench.station.field_types import Identity, NotNegative, Positive, without_password
+from gyrobench.bench.station.instrument_sections import (
+    ChamberSection,
+    Identity,
+    NotNegative,
+    Positive,
+    RateTableSection,
+    without_password,
+)
 from gyrobench.bench.station.interlocks import Interlocks
-from gyrobench.bench.station.messages import Receiver
-from gyrobench.bench.station.speed import why_not_fast
-from gyrobench.bench.station.table_section import RateTableSection
+from gyrobench.bench.station.receivers import Receiver
 from gyrobench.drivers.ins.command_map import CommandMap
 from gyrobench.drivers.ins.signal_map import SignalMap
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_SERVED_INTERFACES = ("slcan", "socketcand", "emulator")
+_SCHEMES_HERE = ("emulator", "replay")
+
+
+def why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
+    """Say which address belongs to no emulated bench on this computer; empty where all do.
+
+    Parameters
+    ----------
+    addresses : iterable of str
+        Ports of table and chamber, channel of the CAN bus.
+    interface, host : str
+        python-can's interface of the bus, and the host that its options name.
+    """
+    if interface not in _SERVED_INTERFACES:
+        return f"ins.interface: {interface} reaches a real bus"
+    if host and host not in _LOOPBACK:
+        return f"{host} is another computer"
+    for address in addresses:
+        if address.startswith("/dev/") and not address.startswith("/dev/pts/"):
+            return f"{address} is a real port"
+        url = urlsplit(address)
+        if url.scheme and url.scheme not in _SCHEMES_HERE and url.hostname not in _LOOPBACK:
+            return f"{address} is no address of this computer"
+    return ""
+
 
 #: Where an INS can still gyrocompass.
 _HIGHEST_DEG = round(math.degrees(MAX_LATITUDE), 6)
