@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import termios
+from dataclasses import dataclass
 from types import TracebackType
 
 import serial
@@ -26,6 +27,25 @@ _WRITE_TIMEOUT_S = 5.0
 for _handlers in ("gyrobench.drivers.emulators.serial_urls", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_handlers)
+
+
+@dataclass(frozen=True)
+class LineDefaults:
+    """How a controller is reached unless the station file says otherwise.
+
+    Attributes
+    ----------
+    baudrate : int
+        Bits per second.
+    parity : {"N", "E", "O"}
+        Parity bit; eight data bits and one stop bit always.
+    tcp_port : int or None
+        Its TCP port, for an address that names none; None where it has no usual one.
+    """
+
+    baudrate: int = 9600
+    parity: str = "N"
+    tcp_port: int | None = None
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:
