@@ -29,8 +29,8 @@ from gyrobench.drivers.emulators.faults.faulty_serial import FaultySerial
 from gyrobench.drivers.emulators.faults.injector import Injector
 from gyrobench.drivers.emulators.faults.record import Injected, InjectionRecord
 from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
-from gyrobench.drivers.emulators.world.document import load_world
 from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.world_file import load_world
 
 #: The chamber controller's event output that feeds the unit's power supply.
 UNIT_POWER_EVENT = 2

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.documents import StrictModel, read_document, va
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.json_schema import json_schema
 from gyrobench.drivers.emulators.faults.document import FaultList
-from gyrobench.drivers.emulators.world.document import WorldFile
+from gyrobench.drivers.emulators.world.world_file import WorldFile
 
 _WRONG_FILE = 2
 _KINDS: dict[str, tuple[type[StrictModel], str]] = {

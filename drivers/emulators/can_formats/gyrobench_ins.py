@@ -13,8 +13,8 @@ import can
 import numpy as np
 
 from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
-from gyrobench.drivers.emulators.world.compensation import NUMBERS, checksum
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
 from gyrobench.drivers.emulators.world.world import World
 
@@ -70,8 +70,8 @@ class GyrobenchFormat:
             self._number(*struct.unpack("<BBxxf", data))
 
     def _number(self, axis: int, index: int, value: float) -> None:
-        if axis < 3 and index < NUMBERS and np.isfinite(value):
-            self._world.unit.loaded[axis, index] = value
+        if axis < 3 and index < COEFFICIENTS and np.isfinite(value):
+            self._world.unit.loaded_table[axis, index] = value
 
     def frames(self, epochs: Epochs) -> list[can.Message]:
         """Pack the epochs, and before those of a whole second the slow frames."""
@@ -105,7 +105,7 @@ class GyrobenchFormat:
         align_s = min(int(unit.align_time_s), 0xFFFF)
         in_use = unit.compensation
         status = (epochs.mode, int(unit.pitch_first), align_s, 0 if in_use is None else 1, 0, counter)
-        checksums = (0 if in_use is None else in_use.checksum, checksum(unit.loaded))
+        checksums = (0 if in_use is None else in_use.checksum, checksum(unit.loaded_table))
         slow = (
             (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),
             (HEIGHT_VELOCITY_D, _TWO_INTS.pack(height, 0)),

@@ -13,7 +13,7 @@ from gyrobench.drivers.emulators.dialect import WithAlarms, WithSensor
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
 from gyrobench.drivers.emulators.faults.timing import Lasting
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
-from gyrobench.drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
 
 class ControlFault(Fault):

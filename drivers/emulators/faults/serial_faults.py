@@ -18,7 +18,7 @@ from gyrobench.drivers.emulators.dialect import Restartable, SpeaksModbus
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
 from gyrobench.drivers.emulators.faults.faulty_serial import Exchange, FaultySerial, Reply
 from gyrobench.drivers.emulators.faults.timing import Count, Lasting
-from gyrobench.drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
 LineName = Literal["table", "chamber"]
 _CRC_BYTES = 2

@@ -12,8 +12,8 @@ from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.dialect import Servoed
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, UnfitError
 from gyrobench.drivers.emulators.faults.timing import Lasting
-from gyrobench.drivers.emulators.world.quantities import Positive
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
-from gyrobench.drivers.emulators.world.quantities import NotNegative, Positive
+from gyrobench.drivers.emulators.world.undeclared_effects import NotNegative, Positive
 
 Count = Annotated[int, Field(ge=1)]
 #: Mean spacing in s: many faults a second would take the bench for ever to bring about.

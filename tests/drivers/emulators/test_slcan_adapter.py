@@ -112,7 +112,7 @@ def test_python_can_commands_the_ins(bench, client):
         )
     )
     client.exchange()
-    assert bench.unit.loaded[1, 3] == -0.75
+    assert bench.unit.loaded_table[1, 3] == -0.75
 
 
 def test_extended_frames_of_python_can_arrive_and_mean_nothing_to_the_ins(bench, client):

@@ -4,10 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.world.compensation import Number
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
-from gyrobench.drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.ins_compensation import Coefficient
 from gyrobench.drivers.emulators.world.strapdown import matrix_of
 from gyrobench.drivers.emulators.world.world import INNER, OUTER, World
 
@@ -167,9 +167,9 @@ def test_each_power_on_has_gyro_biases_a_little_different(make_world):
     biases_dph = []
     for _ in range(200):
         world.power_unit(True)
-        biases_dph.append(world.true_gyro_bias() / DPH)
+        biases_dph.append(world.true_gyro_bias() / DPH_TO_RADPS)
         world.power_unit(True)  # it is on already
-        assert (world.true_gyro_bias() / DPH).tolist() == biases_dph[-1].tolist()
+        assert (world.true_gyro_bias() / DPH_TO_RADPS).tolist() == biases_dph[-1].tolist()
         world.power_unit(False)
     np.testing.assert_allclose(np.mean(biases_dph, axis=0), [0.03, -0.02, 0.0], atol=0.003)
     np.testing.assert_allclose(np.std(biases_dph, axis=0), 0.01, rtol=0.2)
@@ -206,7 +206,7 @@ def heading_drift_dph(world, from_s, seconds):
     world.on_epochs = lambda epochs: states.append(epochs.states[-1])
     world.advance(from_s + seconds)
     yaws = [np.arctan2(C[1, 0], C[0, 0]) for C in (matrix_of(states[k][:4]) for k in (0, -1))]
-    return (yaws[1] - yaws[0]) / DPH / (seconds - 1.0)
+    return (yaws[1] - yaws[0]) / DPH_TO_RADPS / (seconds - 1.0)
 
 
 def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
@@ -214,11 +214,11 @@ def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
     aligned(world, 0.0)
     world.unit.navigate()
     assert heading_drift_dph(world, 20.0, 100.0) == pytest.approx(0.5, rel=0.01)
-    world.unit.loaded[2, Number.POLYNOMIAL] = 0.5
+    world.unit.loaded_table[2, Coefficient.POLYNOMIAL] = 0.5
     world.unit.apply_compensation()
     assert abs(heading_drift_dph(world, 120.0, 100.0)) < 0.01
     assert world.unit.mode is Mode.NAVIGATE
-    np.testing.assert_allclose(world.true_gyro_bias() / DPH, [0.0, 0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(world.true_gyro_bias() / DPH_TO_RADPS, [0.0, 0.0, 0.5], atol=1e-12)
 
 
 def test_a_world_that_begins_later_is_switched_off_and_in_the_present(make_world_file):

@@ -92,16 +92,16 @@ class DwellScenario:
 
     Attributes
     ----------
-    stops_rad : sequence of tuple
+    angles_rad : sequence of tuple
         Outer and inner angle of each navigation at rest.
     window_s, turn_s, settle_s, align_s, epoch_s : float
         Durations of a navigation, a turn, the rest after it, and the alignment; time between epochs.
     latitude, height, latitude_error : float
-        True place in rad and m; error of the latitude that the INS was told, rad.
+        True place in rad and m; error of the latitude entered into the INS, rad.
     """
 
     table: Table
-    stops_rad: Sequence[tuple[float, float]]
+    angles_rad: Sequence[tuple[float, float]]
     latitude: float
     height: float = 0.0
     window_s: float = 600.0
@@ -120,13 +120,13 @@ def simulate_dwell(
     Returns
     -------
     list of Rest
-        One for each stop.
+        One for each pair of angles.
     """
     ins = _Ins(scenario, sensors, random)
-    stops = scenario.stops_rad
-    ins.align(stops[0])
-    rests = [ins.rest(stops[0])]
-    for start, end in itertools.pairwise(stops):
+    angles = scenario.angles_rad
+    ins.align(angles[0])
+    rests = [ins.rest(angles[0])]
+    for start, end in itertools.pairwise(angles):
         ins.turn(start, end)
         rests.append(ins.rest(end))
     return rests
@@ -141,17 +141,17 @@ class _Ins:
         self._state = np.zeros(STATE_SIZE)
         self._state[6] = scenario.latitude + scenario.latitude_error
 
-    def align(self, stop: tuple[float, float]) -> None:
+    def align(self, angles: tuple[float, float]) -> None:
         count = round(self._scenario.align_s / _REST_STEP_S)
         self._time_s = -count * _REST_STEP_S
-        rotation, velocity = self._sensed(*_resting(stop, count), _REST_STEP_S)
+        rotation, velocity = self._sensed(*_resting(angles, count), _REST_STEP_S)
         self._state[:4] = gyrocompass(rotation.sum(axis=0), velocity.sum(axis=0))
 
-    def rest(self, stop: tuple[float, float]) -> Rest:
+    def rest(self, angles: tuple[float, float]) -> Rest:
         every = round(self._scenario.epoch_s / _REST_STEP_S)
         count = round(self._scenario.window_s / _REST_STEP_S)
         start, begin_s = self._state.copy(), self._time_s
-        states = np.vstack([start, self._navigated(*_resting(stop, count), _REST_STEP_S, every)])
+        states = np.vstack([start, self._navigated(*_resting(angles, count), _REST_STEP_S, every)])
         time_s = begin_s + self._scenario.epoch_s * np.arange(len(states), dtype=np.float64)
         return Rest(time_s, states[:, 4:6], np.array([matrix_of(state[:4]) for state in states]))
 
@@ -191,6 +191,6 @@ class _Ins:
         )
 
 
-def _resting(stop: tuple[float, float], count: int) -> tuple[FloatArray, FloatArray]:
-    outer, inner = stop
+def _resting(angles: tuple[float, float], count: int) -> tuple[FloatArray, FloatArray]:
+    outer, inner = angles
     return np.full(count + 1, outer), np.full(count + 1, inner)

@@ -5,12 +5,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from gyrobench.drivers.emulators.world.document import InsBehaviour
-from gyrobench.drivers.emulators.world.dwell import DwellScenario, Sensors, Table, simulate_dwell
-from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, InertialUnit, Mode
-from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
-from gyrobench.drivers.emulators.world.strapdown import matrix_of, sense, true_increments
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
+from gyrobench.drivers.emulators.world.strapdown import (
+    EARTH_RATE,
+    matrix_of,
+    normal_gravity,
+    sense,
+    true_increments,
+)
+from gyrobench.drivers.emulators.world.world_file import InsBehaviour
+from tests.bench.bias.simulated_dwell import DwellScenario, Sensors, Table, simulate_dwell
 
 EAST, NORTH, UP = np.eye(3)
 LATITUDE, HEIGHT = np.radians(36.4), 3000.0
@@ -18,8 +24,8 @@ GRAVITY = normal_gravity(LATITUDE, HEIGHT)
 ARW, VRW = 3e-7, 5e-5
 TABLE = Table(UP, EAST, Rotation.from_euler("ZX", [30.0, 90.0], degrees=True).as_matrix())
 HALF_TURN = DwellScenario(TABLE, [(0.0, 0.0), (np.pi, 0.0)], LATITUDE, HEIGHT)
-RESTING = replace(HALF_TURN, stops_rad=[(0.0, 0.0)])
-BIASED = Sensors(np.array([0.05, -0.03, 0.04]) * DPH, np.array([50.0, -80.0, 30.0]) * MICRO_G)
+RESTING = replace(HALF_TURN, angles_rad=[(0.0, 0.0)])
+BIASED = Sensors(np.array([0.05, -0.03, 0.04]) * DPH_TO_RADPS, np.array([50.0, -80.0, 30.0]) * MICRO_G)
 
 
 def level_sensors(gyro_enu=(0.0, 0.0, 0.0), acceleration_enu=(0.0, 0.0, 0.0), **noise):
@@ -55,7 +61,7 @@ def test_a_turn_of_both_axes_ends_in_the_true_attitude():
 
 def test_times_count_from_the_end_of_the_alignment():
     scenario = replace(
-        HALF_TURN, stops_rad=[(0.0, 0.0), (np.pi, 0.0), (0.0, 0.0)], window_s=60.0, turn_s=20.0, epoch_s=0.5
+        HALF_TURN, angles_rad=[(0.0, 0.0), (np.pi, 0.0), (0.0, 0.0)], window_s=60.0, turn_s=20.0, epoch_s=0.5
     )
     rests = simulate_dwell(scenario, BIASED)
     for rest, start_s in zip(rests, (0.0, 80.0, 160.0), strict=True):
@@ -76,17 +82,17 @@ def test_it_starts_with_the_errors_of_its_alignment(gyro_dph, acceleration_ug):
     """Tilt of accelerometer bias over gravity, heading of the East gyro over the horizontal Earth rate."""
     east_dph, _, _ = gyro_dph
     east_ug, north_ug, _ = acceleration_ug
-    sensors = level_sensors(np.array(gyro_dph) * DPH, np.array(acceleration_ug) * MICRO_G)
+    sensors = level_sensors(np.array(gyro_dph) * DPH_TO_RADPS, np.array(acceleration_ug) * MICRO_G)
     start = phi(simulate_dwell(RESTING, sensors)[0], TABLE.mounting)[0]
     tilt_north = east_ug * MICRO_G / GRAVITY
-    heading = tilt_north * np.tan(LATITUDE) - east_dph * DPH / (EARTH_RATE * np.cos(LATITUDE))
+    heading = tilt_north * np.tan(LATITUDE) - east_dph * DPH_TO_RADPS / (EARTH_RATE * np.cos(LATITUDE))
     expected = (-north_ug * MICRO_G / GRAVITY, tilt_north, heading)
     # To first order; the other gyros change the Earth rate that it finds by up to 0.5 %.
     np.testing.assert_allclose(start, expected, rtol=1e-2, atol=1e-7)
 
 
 def test_an_aligned_ins_swings_with_the_schuler_period():
-    sensors = level_sensors(gyro_enu=(0.0, 0.02 * DPH, 0.0))
+    sensors = level_sensors(gyro_enu=(0.0, 0.02 * DPH_TO_RADPS, 0.0))
     (rest,) = simulate_dwell(replace(RESTING, latitude=0.0, window_s=3 * 5064.0), sensors)
     # A bias of the North gyro makes the East velocity R b (1 - cos W t): level each half turn.
     rate = np.diff(rest.velocity_en_mps[:, 0])
@@ -195,18 +201,18 @@ def test_without_random_numbers_the_sensors_have_no_noise():
 
 def test_a_changing_bias_acts_in_alignment_and_navigation_at_its_time():
     def after_a_minute(time_s):
-        return np.where(time_s[:, None] > 60.0, 10.0 * DPH * TABLE.mounting[2], 0.0)
+        return np.where(time_s[:, None] > 60.0, 10.0 * DPH_TO_RADPS * TABLE.mounting[2], 0.0)
 
     def while_aligning(time_s):
-        return np.where(time_s[:, None] < 0.0, 0.1 * DPH * TABLE.mounting[0], 0.0)
+        return np.where(time_s[:, None] < 0.0, 0.1 * DPH_TO_RADPS * TABLE.mounting[0], 0.0)
 
     scenario = replace(RESTING, window_s=120.0)
     (rest,) = simulate_dwell(scenario, Sensors(gyro_bias_change=after_a_minute))
     turned = phi(rest, TABLE.mounting)[:, 2]
     assert np.abs(turned[:61]).max() < 1e-8
-    assert turned[-1] == pytest.approx(-10.0 * DPH * 60.0, rel=1e-4)
+    assert turned[-1] == pytest.approx(-10.0 * DPH_TO_RADPS * 60.0, rel=1e-4)
     (rest,) = simulate_dwell(scenario, Sensors(gyro_bias_change=while_aligning))
-    expected = -0.1 * DPH / (EARTH_RATE * np.cos(LATITUDE))
+    expected = -0.1 * DPH_TO_RADPS / (EARTH_RATE * np.cos(LATITUDE))
     assert phi(rest, TABLE.mounting)[0, 2] == pytest.approx(expected, rel=2e-2)
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import find_document, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.world.document import WorldFile, load_world
+from gyrobench.drivers.emulators.world.world_file import WorldFile, load_world
 
 SHIPPED = {name: find_document("worlds", name).read_text() for name in ("gyro_a", "gyro_b", "ideal", "quick")}
 WORLDS_PAGE = (Path(__file__).parents[4] / "docs" / "worlds.md").read_text()

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrobench.drivers.emulators.world.compensation import (
-    NUMBERS,
-    Compensation,
-    Number,
-    ThermalSense,
+from gyrobench.drivers.emulators.world.ins_compensation import (
+    COEFFICIENTS,
+    Coefficient,
+    InsCompensation,
+    TemperatureHistory,
     checksum,
-    unloaded_numbers,
+    empty_table,
 )
 
 NO_UP = np.zeros(3)
@@ -20,16 +20,16 @@ Y_UP = np.array([0.0, 1.0, 0.0])
 
 def numbers_of(axis=1, **values):
     """A table with numbers of one gyro: ``rate=2.0`` or ``growing=[1.0, 0.0, 0.0]``."""
-    numbers = unloaded_numbers()
+    numbers = empty_table()
     for name, value in values.items():
-        first = Number[name.upper()]
+        first = Coefficient[name.upper()]
         numbers[axis, first : first + np.size(value)] = value
     return numbers
 
 
 def sensed(optics_c, electronics_c=None):
     """What has been sensed after readings a second apart, the same of all gyros."""
-    sense = ThermalSense()
+    sense = TemperatureHistory()
     for at_c in np.atleast_1d(optics_c):
         hot_c = at_c if electronics_c is None else electronics_c
         sense.read(np.full(3, float(at_c)), np.full(3, float(hot_c)))
@@ -37,14 +37,14 @@ def sensed(optics_c, electronics_c=None):
 
 
 def bias_dph(numbers, sense, up_body=NO_UP, axis=1):
-    bias = Compensation(numbers, sense, up_body).bias_dph
+    bias = InsCompensation(numbers, sense, up_body).bias_dph
     assert not np.delete(bias, axis).any()
     return bias[axis]
 
 
 def test_what_is_not_loaded_subtracts_nothing():
     sense = sensed([20.0, 30.0, 40.0], electronics_c=60.0)
-    assert not Compensation(unloaded_numbers(), sense, Y_UP).bias_dph.any()
+    assert not InsCompensation(empty_table(), sense, Y_UP).bias_dph.any()
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_the_rate_is_that_of_the_sensors_and_held_within_its_limit(ramp_c_per_h,
 def test_noise_of_the_sensors_hardly_shows_in_the_rate():
     noise_c = np.random.default_rng(3).normal(20.0, 0.003, 4000)
     rates = []
-    sense = ThermalSense()
+    sense = TemperatureHistory()
     for at_c in noise_c:
         sense.read(np.full(3, at_c), np.zeros(3))
         rates.append(sense.rate_c_per_h[0])
@@ -106,7 +106,7 @@ def test_gravity_acts_along_the_body_axes():
 def test_the_warm_up_decays_from_power_on():
     numbers = numbers_of(warm_up=0.04, warm_up_time=600.0)
     sense = sensed(np.full(300, 20.0))
-    compensation = Compensation(numbers, sense, NO_UP)
+    compensation = InsCompensation(numbers, sense, NO_UP)
     assert compensation.bias_dph[1] == pytest.approx(0.04 * np.exp(-0.5))
     for _ in range(900):
         sense.read(np.full(3, 20.0), np.full(3, 20.0))
@@ -136,35 +136,37 @@ def course(*turning_points_c):
 @pytest.mark.parametrize("applied_late", [True, False])
 def test_the_play_goes_on_from_power_on_whenever_it_is_applied(turning_points_c, behind_k, applied_late):
     numbers = numbers_of(hysteresis=0.5, half_width=3.0)
-    sense = ThermalSense()
+    sense = TemperatureHistory()
     compensation = None
     for at_c in course(*turning_points_c):
         sense.read(np.full(3, at_c), np.full(3, at_c))
         if not applied_late:
-            compensation = compensation or Compensation(numbers, sense, NO_UP)
+            compensation = compensation or InsCompensation(numbers, sense, NO_UP)
             compensation.update(sense, NO_UP)
-    compensation = compensation or Compensation(numbers, sense, NO_UP)
+    compensation = compensation or InsCompensation(numbers, sense, NO_UP)
     # What was sensed before is known every ten seconds, and so to 0.1 K here.
     assert compensation.bias_dph[1] == pytest.approx(0.5 * behind_k, abs=0.06 if applied_late else 1e-6)
 
 
 def test_the_checksum_tells_tables_apart_that_differ_in_one_number():
-    tables = [unloaded_numbers()]
-    for index in range(NUMBERS):
-        tables.append(unloaded_numbers())
+    tables = [empty_table()]
+    for index in range(COEFFICIENTS):
+        tables.append(empty_table())
         tables[-1][2, index] = 1.0
     assert len({checksum(table) for table in tables}) == len(tables)
-    assert Compensation(tables[3], sensed(20.0), NO_UP).checksum == checksum(tables[3])
+    assert InsCompensation(tables[3], sensed(20.0), NO_UP).checksum == checksum(tables[3])
 
 
 @settings(deadline=None)
 @given(
     values=st.lists(
-        st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=NUMBERS, max_size=NUMBERS
+        st.floats(width=32, allow_nan=False, allow_infinity=False),
+        min_size=COEFFICIENTS,
+        max_size=COEFFICIENTS,
     )
 )
 def test_no_table_subtracts_more_than_the_gyros_can_mean(values):
     sense = sensed([20.0, 25.0, 15.0], electronics_c=60.0)
-    bias = Compensation(np.tile(values, (3, 1)), sense, Y_UP).bias_dph
+    bias = InsCompensation(np.tile(values, (3, 1)), sense, Y_UP).bias_dph
     assert np.isfinite(bias).all()
     assert np.abs(bias).max() <= 3600.0
