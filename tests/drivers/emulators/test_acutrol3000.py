@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.emulators.acl_axis import SoftwareFault
-from gyrobench.drivers.emulators.acl_syntax import ErrorCode
+from gyrobench.drivers.emulators.acl_axis import ErrorCode, SoftwareFault
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gyrobench.drivers.ins
+from gyrobench.drivers.emulators.can_adapters import SlcanAdapter
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.serial_instrument import Connection
-from gyrobench.drivers.emulators.slcan_adapter import SlcanAdapter
+from gyrobench.drivers.emulators.dialect import Connection
 from gyrobench.drivers.emulators.world.inertial_unit import Mode
 
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
@@ -222,11 +222,11 @@ def test_after_bus_off_the_channel_has_to_be_opened_anew(make_world):
     assert adapter.feed(b"O\r", 0.0) == b"\r"
     world.advance(2.0)
     assert adapter.from_bus()
-    connection.cut()
+    connection.disconnect()
     world.advance(3.0)
     assert adapter.from_bus() == b""
     assert adapter.feed(b"t20020200\rO\r", 3.0) == b"\a\a"
-    connection.mend()
+    connection.reconnect()
     assert adapter.feed(b"t20020200\r", 3.0) == b"\a"
     assert adapter.feed(b"O\rt20020200\r", 3.0) == b"\rz\r"
     world.advance(4.0)

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from gyrobench.drivers.emulators.faults.schedule import Schedule
-from gyrobench.drivers.emulators.faults.timing import Lasting, Timing
+from gyrobench.drivers.emulators.faults.fault import Persistence, Timing
+from gyrobench.drivers.emulators.faults.injector import Schedule
 
 
 class Moment(Timing):
-    lasting = Lasting.MOMENT
+    persistence = Persistence.MOMENTARY
 
 
 def schedule(start_s=0.0, seed=0, kind=Timing, **keys):

@@ -181,7 +181,7 @@ def test_the_very_first_sample_after_power_on_has_the_biases_of_this_power_on(ma
     world.advance(1.25)
     world.unit.align()
     rotation, _ = world._measured(1, None)
-    still, _ = world._felt(1)
+    still, _ = world._ideal_increments(1)
     np.testing.assert_allclose((rotation - still)[0] / 0.01, world.true_gyro_bias(), rtol=1e-9)
 
 

@@ -10,12 +10,12 @@ from pydantic import Field
 from gyrobench.bench.foundations.documents import Problem, StrictModel, read_document, validate
 from gyrobench.drivers.emulators.faults.can_faults import CanFault
 from gyrobench.drivers.emulators.faults.chamber_faults import ChamberFault
-from gyrobench.drivers.emulators.faults.fault import BenchParts, UnfitError
+from gyrobench.drivers.emulators.faults.fault import BenchParts, UnsupportedFaultError
 from gyrobench.drivers.emulators.faults.ins_faults import InsFault
 from gyrobench.drivers.emulators.faults.serial_faults import SerialFault
 from gyrobench.drivers.emulators.faults.table_faults import TableFault
 
-#: One entry; the key ``fault`` tells its kind.
+#: One entry; the key ``fault`` names its kind.
 AnyFault = Annotated[
     SerialFault | CanFault | InsFault | TableFault | ChamberFault, Field(discriminator="fault")
 ]
@@ -24,9 +24,9 @@ AnyFault = Annotated[
 class FaultList(StrictModel):
     """What fails, and when."""
 
-    description: str = Field(default="", description="what the list is for, for people")
+    description: str = Field(default="", description="purpose of the list")
     log: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")] | None = Field(
-        None, description="name of a file beside this one to which each injection is added as a line of JSON"
+        None, description="name of a file beside this one; each injection appends a line of JSON to it"
     )
     faults: list[AnyFault] = Field(description="what fails, and when")
 
@@ -37,13 +37,13 @@ def load_faults(path: Path) -> FaultList:
     Raises
     ------
     DocumentError
-        The file can't be read, or something in it is wrong; the message lists all of it.
+        The file can't be read, or is wrong; the message lists all problems.
     """
     return validate(read_document(path), FaultList)
 
 
 def check_faults(path: Path, listed: FaultList, bench: BenchParts) -> None:
-    """Refuse faults that this bench can't have, whatever its dialects are.
+    """Refuse faults that the dialects of this bench do not support.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def check_faults(path: Path, listed: FaultList, bench: BenchParts) -> None:
     for index, fault in enumerate(listed.faults):
         try:
             fault.check(bench)
-        except UnfitError as error:
+        except UnsupportedFaultError as error:
             problems.append(Problem(("faults", index), f"the fault {fault.kind!r}: {error}"))
     if problems:
         raise read_document(path).error(problems)

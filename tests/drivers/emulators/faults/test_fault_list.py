@@ -6,8 +6,8 @@ import pytest
 
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.faults.document import AnyFault, load_faults
-from gyrobench.drivers.emulators.faults.timing import Lasting, Timing
+from gyrobench.drivers.emulators.faults.fault import Persistence, Timing
+from gyrobench.drivers.emulators.faults.fault_list import AnyFault, load_faults
 
 KINDS = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in get_args(get_args(AnyFault)[0])}
 PAGE = (Path(__file__).parents[4] / "docs" / "faults.md").read_text()
@@ -72,12 +72,16 @@ def test_the_page_names_every_kind_with_its_keys_and_how_it_ends():
         for match in re.finditer(r"^\| `(\w+)` \|[^|]*\|([^|]*)\|([^|]*)\|$", PAGE, re.MULTILINE)
     }
     assert sorted(rows) == sorted(KINDS)
-    words = {Lasting.MOMENT: "moment", Lasting.UNTIL_USED: "when used", Lasting.FOR_GOOD: "never"}
+    words = {
+        Persistence.MOMENTARY: "moment",
+        Persistence.UNTIL_USED: "when used",
+        Persistence.PERMANENT: "never",
+    }
     for name, kind in KINDS.items():
         own = kind.model_fields.keys() - Timing.model_fields.keys() - {"fault"}
         assert rows[name][0] == own, name
         default_s = kind.model_fields["for_s"].default
-        assert rows[name][1] == (f"after {default_s:g} s" if default_s else words[kind.lasting]), name
+        assert rows[name][1] == (f"after {default_s:g} s" if default_s else words[kind.persistence]), name
 
 
 def test_the_page_names_every_key_of_the_timing():

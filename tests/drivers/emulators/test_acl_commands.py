@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.emulators.acl_syntax import AclError, ErrorCode, Unit, format_number, parse_message
+from gyrobench.drivers.emulators.acl_axis import AclError, ErrorCode
+from gyrobench.drivers.emulators.acl_commands import Unit, format_number, parse_message
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """pyserial handler of ``emulator://`` addresses: an emulated instrument as a serial port.
 
-The port lives on the bench's clock.
+Read time-outs and latencies run on the bench's clock.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from serial.serialutil import PortNotOpenError, SerialException
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.clocked_port import ClockedPort
 from gyrobench.drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
-from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
+from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
 
 
 class Serial(ClockedPort):  # the name that pyserial looks for
@@ -23,7 +23,7 @@ class Serial(ClockedPort):  # the name that pyserial looks for
     _connection: Connection
 
     def open(self) -> None:
-        """Connect to the instrument that the address names."""
+        """Connect to the instrument of the address."""
         if self.is_open:
             raise SerialException("Port is already open.")
         try:
@@ -34,11 +34,11 @@ class Serial(ClockedPort):  # the name that pyserial looks for
             raise SerialException(str(error)) from error
         if name not in self._bench.serial:
             names = ", ".join(sorted(self._bench.serial))
-            raise SerialException(f"no emulated instrument {name!r}; there are: {names}")
+            raise SerialException(f"no emulated instrument {name!r}; available: {names}")
         self.clock = self._bench.clock
         self._instrument = self._bench.serial[name]
         self._connection = self._bench.connections[name]
-        self._opened_number = self._connection.number
+        self._generation = self._connection.generation
         if self._connection.broken:
             raise SerialException(f"could not open port {self.portstr}: [Errno 2] No such file or directory")
         self._due: deque[tuple[float, bytes]] = deque()
@@ -50,7 +50,7 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         if not self.is_open:
             raise PortNotOpenError
         self._bench.advance()
-        self._check_plugged()
+        self._check_connected()
         now_s = self.clock.now()
         reply = self._instrument.feed(bytes(data), now_s)
         if reply:
@@ -58,17 +58,17 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         return len(data)
 
     def next_due_s(self) -> float | None:
-        """When the instrument's next reply arrives."""
+        """Time at which the instrument's next reply arrives."""
         return self._due[0][0] if self._due else None
 
     def take(self) -> bytes:
         """Replies that have arrived."""
-        self._check_plugged()
+        self._check_connected()
         data = b""
         while self._due and self._due[0][0] <= self.clock.now():
             data += self._due.popleft()[1]
         return data
 
-    def _check_plugged(self) -> None:
-        if self._connection.number != self._opened_number:
+    def _check_connected(self) -> None:
+        if self._connection.generation != self._generation:
             raise SerialException("[Errno 5] Input/output error: the device is gone")

@@ -1,16 +1,39 @@
-"""Commands and queries of the ACL that name an axis, and how they reach that axis.
+"""The ACL, the command language of the Acutrol 3000 (manual TM-8004): its text, and the commands of an axis.
 
-Several values of one answer are joined by ``;``, as the manual TM-8004 shows for the oscillator.
+A message is a row of units ``:MAIN:Sub argument,argument`` joined by ``;``. A unit that starts
+without a colon continues in the node of the unit before it. Keywords may be shortened to their
+leading letters; an ambiguous one means the first in the list below. Several values of one answer are
+joined by ``;``, as the manual shows for the oscillator.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import NamedTuple
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, Mode
-from gyrobench.drivers.emulators.acl_syntax import AclError, Argument, ErrorCode, find_keyword, format_number
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode
 
+MAX_MESSAGE_CHARACTERS = 32768
+_MAX_NUMBER_CHARACTERS = 28
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_HEADER = re.compile(r"(\*[A-Za-z]+|:?[A-Za-z]+(:[A-Za-z]+)*)(\??)", re.ASCII)
+
+#: The keywords, in the order in which an abbreviation is searched for.
+KEYWORDS: dict[str, tuple[str, ...]] = {
+    "INTERLOCK": ("CLOSE", "OPEN", "RESET"),
+    "MODE": ("POSITION", "RATE", "ARATE", "SYNTHESIS", "TRACK", "OFF", "HOME"),
+    "DEMAND": ("POSITION", "RATE", "ACCELERATION", "DELTAPOSITION", "SHORTVECTOR", "VECTOR"),
+    "LIMIT": ("RATE", "ACCELERATION", "HIGHPOSITION", "LOWPOSITION", "VTRIP", "GLOBAL", "ABSOLUTE"),
+    "READ": ("POSITION", "RATE", "ACCELERATION", "VECTOR", "SHORTVECTOR", "VARIABLE"),
+    "STATUS": ("CSR", "ECP", "MSG"),
+    "QUERY": ("ERROR", "SYSTEM"),
+    "UTILITY": ("LOCKOUT", "FORMAT"),
+}
+
+Argument = float | str
 Arguments = Sequence[Argument]
 #: Returns the answer of a query, nothing for a command.
 Handler = Callable[[Arguments], str]
@@ -25,6 +48,82 @@ _SINGLE_LIMITS = {
     "HIGHPOSITION": "high_deg",
     "LOWPOSITION": "low_deg",
 }
+
+
+class Unit(NamedTuple):
+    """One command or query, its keywords written out."""
+
+    header: tuple[str, ...]
+    is_query: bool
+    arguments: tuple[Argument, ...]
+
+
+@lru_cache(maxsize=512)
+def parse_message(text: str) -> tuple[Unit, ...]:
+    """Split a message into its units.
+
+    Raises
+    ------
+    AclError
+        The text is not valid ACL.
+    """
+    units = []
+    node: tuple[str, ...] = ()
+    for part in text.split(";"):
+        unit = _parse_unit(part.strip(), node)
+        if not unit.header[0].startswith("*"):
+            node = unit.header[:-1]
+        units.append(unit)
+    return tuple(units)
+
+
+def _parse_unit(text: str, node: tuple[str, ...]) -> Unit:
+    header_text, *rest = text.split(maxsplit=1) if text else [""]
+    match = _HEADER.fullmatch(header_text)
+    if match is None:
+        raise AclError(ErrorCode.SYNTAX)
+    arguments = tuple(_parse_argument(word.strip()) for word in rest[0].split(",")) if rest else ()
+    return Unit(_written_out(match[1], node), bool(match[3]), arguments)
+
+
+def _written_out(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
+    header = header.upper()
+    if header.startswith("*"):
+        return (header,)
+    path = () if header.startswith(":") else node
+    for word in header.removeprefix(":").split(":"):
+        path = (*path, _keyword(word, path))
+    return path
+
+
+def _keyword(word: str, path: tuple[str, ...]) -> str:
+    known = KEYWORDS if not path else KEYWORDS[path[0]] if len(path) == 1 else ()
+    found = find_keyword(word, tuple(known))
+    if found is None:
+        raise AclError(ErrorCode.UNKNOWN_COMMAND)
+    return found
+
+
+def find_keyword(word: str, known: tuple[str, ...]) -> str | None:
+    """First of the known keywords that starts with the word, in any case."""
+    return next((keyword for keyword in known if word and keyword.startswith(word.upper())), None)
+
+
+def _parse_argument(word: str) -> Argument:
+    if _NUMBER.fullmatch(word):
+        if len(word) >= _MAX_NUMBER_CHARACTERS:
+            raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
+        if not math.isfinite(value := float(word)):
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        return value
+    if not word:
+        raise AclError(ErrorCode.SYNTAX)
+    return word.upper()
+
+
+def format_number(value: float, decimals: int) -> str:
+    """Write a number in NR2: fixed point, no exponent, no plus sign, no negative zero."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def number(argument: Argument) -> float:
@@ -49,14 +148,14 @@ def expect(arguments: Arguments, *counts: int) -> None:
 
 
 class AxisCommands:
-    """The handlers, over the axes by number."""
+    """Handlers of the commands and queries that name an axis."""
 
     def __init__(self, axes: Mapping[int, AclAxis], decimals: int) -> None:
         self._axes = dict(axes)
         self._decimals = decimals
 
     def handlers(self) -> Handlers:
-        """Everything that the axes understand."""
+        """All commands and queries of the axes."""
         return {
             **self._interlock_and_mode(),
             **self._demands(),
@@ -78,7 +177,7 @@ class AxisCommands:
             (("MODE", "HOME"), False): self._each(0, AclAxis.home),
         }
         for mode in Mode:
-            commands[("MODE", mode.name), False] = self._mode_setter(mode)
+            commands[("MODE", mode.name), False] = self._each(0, partial(AclAxis.set_mode, mode=mode))
         return commands
 
     def _demands(self) -> Handlers:
@@ -119,11 +218,9 @@ class AxisCommands:
             (("LIMIT", "ABSOLUTE"), True): self._ask(_absolute_limits),
         }
         for name, bound in _SINGLE_LIMITS.items():
-            commands[("LIMIT", name), False] = self._limit_setter(_bound_setter(bound))
-            commands[("LIMIT", name), True] = self._limit_query(_bound_getter(bound))
+            commands[("LIMIT", name), False] = self._limit_setter(partial(_set_bound, bound))
+            commands[("LIMIT", name), True] = self._limit_query(partial(_bound, bound))
         return commands
-
-    # which axis, which mode
 
     def _one(self, argument: Argument) -> AclAxis:
         axis_number = whole_number(argument)
@@ -158,19 +255,14 @@ class AxisCommands:
     def _ask_number(self, value: Callable[[AclAxis], float]) -> Handler:
         return self._ask(lambda axis: format_number(value(axis), self._decimals))
 
-    # handlers
-
     def _reset(self, arguments: Arguments) -> str:
-        """Reset all axes; client code is seen to name an axis, which changes nothing."""
+        """Reset all axes; some clients name an axis, which has no effect."""
         expect(arguments, 0, 1)
         for argument in arguments:
             self._several(argument)
         for axis in self._axes.values():
             axis.reset()
         return ""
-
-    def _mode_setter(self, mode: Mode) -> Handler:
-        return self._each(0, lambda axis: axis.set_mode(mode))
 
     def _set_mode(self, arguments: Arguments) -> str:
         expect(arguments, 2)
@@ -181,14 +273,10 @@ class AxisCommands:
 
     def _set_mode_limits(self, arguments: Arguments) -> str:
         expect(arguments, 5)
-        rate_dps, acceleration_dps2, jerk_dps3 = (number(argument) for argument in arguments[2:])
+        values = [number(argument) for argument in arguments[2:]]
+        bounds = dict(zip(("rate_dps", "acceleration_dps2", "jerk_dps3"), values, strict=True))
         for axis in self._several(arguments[0]):
-            axis.set_limits(
-                _mode(arguments[1]),
-                rate_dps=rate_dps,
-                acceleration_dps2=acceleration_dps2,
-                jerk_dps3=jerk_dps3,
-            )
+            axis.set_limits(_mode(arguments[1]), **bounds)
         return ""
 
     def _mode_limits(self, arguments: Arguments) -> str:
@@ -246,7 +334,7 @@ class AxisCommands:
         return str(value >> bit & 1)
 
     def _register(self, name: str) -> int:
-        """Value of a status register; ACP, SUP and RI have nothing to report here."""
+        """Value of a status register; ACP, SUP and RI are always zero."""
         if name == "SI":
             return sum(axis.faulted << axis_number - 1 for axis_number, axis in self._axes.items())
         if name in ("ACP", "SUP", "RI"):
@@ -263,10 +351,10 @@ class AxisCommands:
 
     def _legacy_status(self, arguments: Arguments) -> str:
         expect(arguments, 2)
-        axis, what = self._one(arguments[0]), whole_number(arguments[1])
-        if what not in (1, 2):
+        axis, word = self._one(arguments[0]), whole_number(arguments[1])
+        if word not in (1, 2):
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
-        return str(int(axis.mode) if what == 1 else axis.legacy_register())
+        return str(int(axis.mode) if word == 1 else axis.legacy_register())
 
 
 def _mode(argument: Argument) -> Mode:
@@ -276,12 +364,12 @@ def _mode(argument: Argument) -> Mode:
     return Mode[name]
 
 
-def _bound_setter(bound: str) -> Callable[[AclAxis, Mode, float], None]:
-    return lambda axis, mode, value: axis.set_limits(mode, **{bound: value})
+def _set_bound(bound: str, axis: AclAxis, mode: Mode, value: float) -> None:
+    axis.set_limits(mode, **{bound: value})
 
 
-def _bound_getter(bound: str) -> Callable[[AclAxis, Mode], float]:
-    return lambda axis, mode: float(getattr(axis.limits[mode], bound))
+def _bound(bound: str, axis: AclAxis, mode: Mode) -> float:
+    return float(getattr(axis.limits[mode], bound))
 
 
 def _limit_values(*values: float) -> str:
@@ -289,15 +377,9 @@ def _limit_values(*values: float) -> str:
 
 
 def _absolute_limits(axis: AclAxis) -> str:
-    widest = axis.widest
-    return _limit_values(
-        widest.rate_dps,
-        widest.acceleration_dps2,
-        widest.jerk_dps3,
-        widest.low_deg,
-        widest.high_deg,
-        max(axis.trip_rates_dps.values()),
-    )
+    absolute = axis.absolute_limits
+    dynamic = (absolute.rate_dps, absolute.acceleration_dps2, absolute.jerk_dps3)
+    return _limit_values(*dynamic, absolute.low_deg, absolute.high_deg, max(axis.trip_rates_dps.values()))
 
 
 def _set_global_limits(

@@ -33,7 +33,7 @@ def open_port(clock):
         ports.append(serial.serial_for_url(url, **{"timeout": 1.0, **options}))
         return ports[-1]
 
-    assert "gyrobench.drivers.emulators.serial_urls" in serial.protocol_handler_packages
+    assert "gyrobench.drivers.emulators" in serial.protocol_handler_packages
     yield open_port
     for port in ports:
         port.close()
