@@ -8,17 +8,15 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_procedure
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
-from gyrobench.bench.cli.json_output import JsonOption, print_json
 from gyrobench.bench.cli.options import (
     EMULATED,
     FaultsOption,
     SeedOption,
     StationArgument,
     WorldOption,
+    complete_procedure,
 )
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 
 def check(
@@ -47,7 +45,7 @@ def check(
     """
     from gyrobench.bench.engine.preflight.answer import nobody_answers
     from gyrobench.bench.engine.preflight.session import check_bench
-    from gyrobench.bench.report.terminal.preflight import preflight_report
+    from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
 

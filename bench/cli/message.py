@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT
 from gyrobench.bench.cli.options import StationArgument
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT
 
 
 def message(
@@ -20,7 +20,7 @@ def message(
 
     Example: gyrobench message my_bench.yaml "A test of the bench's messages."
     """
-    from gyrobench.bench.messages.trial import send_test
+    from gyrobench.bench.messages.messenger import send_test
 
     answers = send_test(station, text)
     for answer in answers:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
 from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
+from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
@@ -42,7 +41,8 @@ def plan(
     """
     from gyrobench.bench.engine.session import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
-    from gyrobench.bench.report.figures import plan_figure, save_figure
+    from gyrobench.bench.report.figures.style import save_figure
+    from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
 
     if as_json and separability:
@@ -87,11 +87,11 @@ def _print_separability(job: Job, target_dph: float) -> None:
 
     from gyrobench.bench.closure.effects import all_effects
     from gyrobench.bench.closure.planned_campaign import planned_campaign
+    from gyrobench.bench.closure.procedure_changes import advise
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.closure.separability_advice import advise
-    from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
-    from gyrobench.bench.report.figures import save_figure
-    from gyrobench.bench.report.figures.separability import separability_figure
+    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
+    from gyrobench.bench.report.figures.campaigns import separability_figure
+    from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import separability_summary
 
     unit, name = planned_unit(job.station), job.plan.procedure.procedure

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.cli.run_selection import (
     BatchOption,
     BenchOption,
@@ -122,8 +121,8 @@ def _trends(
         raise DocumentError(f"a trend is of one unit; {what}. Give --unit")
     fitted = trends(read_run_biases(index, [run["path"] for run in found]))
     if figure is not None:
-        from gyrobench.bench.report.figures.trend import trend_figure
-        from gyrobench.bench.report.style import save_figure
+        from gyrobench.bench.report.figures.campaigns import trend_figure
+        from gyrobench.bench.report.figures.style import save_figure
 
         save_figure(trend_figure(units[0], fitted), figure)
     content = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}

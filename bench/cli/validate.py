@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_station
-from gyrobench.bench.cli.exit_codes import EXIT_WRONG_INPUT
-from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.options import complete_station
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT, JsonOption, print_json
 
 if TYPE_CHECKING:
     from gyrobench.bench.authoring.checking import FileCheck
 
 
 class Kind(StrEnum):
-    """Kinds of file; the names are those of gyrobench.bench.authoring.kinds."""
+    """Kinds of file; the names are those of gyrobench.bench.authoring.file_kinds."""
 
     PROCEDURE = "procedure"
     STATION = "station"
@@ -50,8 +49,8 @@ def validate(
     Example: gyrobench validate my_procedure.yaml --station my_bench.yaml
     """
     from gyrobench.bench.authoring.checking import check_file
-    from gyrobench.bench.authoring.kinds import KINDS
-    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.authoring.file_kinds import KINDS
+    from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.station.station import Station
 
     kind = KINDS[as_kind.value] if as_kind else None

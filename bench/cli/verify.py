@@ -8,22 +8,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_procedure, complete_station, complete_world
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
-from gyrobench.bench.cli.json_output import JsonOption, print_json
-from gyrobench.bench.cli.options import STATION_HELP, RunArgument, View, ViewOption
-from gyrobench.bench.cli.search import search
+from gyrobench.bench.cli.close import search
+from gyrobench.bench.cli.options import (
+    STATION_HELP,
+    RunArgument,
+    View,
+    ViewOption,
+    complete_procedure,
+    complete_station,
+    complete_world,
+)
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.verify import Verification
-    from gyrobench.bench.live.console import PatientConsole
+    from gyrobench.bench.monitor.terminal import PatientConsole
     from gyrobench.bench.runs.folder import RunFolder
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.dwells.comparison."""
+    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -104,8 +109,8 @@ def _search(run: RunFolder) -> Closure:
 
 def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
-    from gyrobench.bench.live.watched import watched
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.monitor.terminal_view import watched
+    from gyrobench.bench.report.run_report import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")
     with watched(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
@@ -119,10 +124,10 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
 
 def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
-    from gyrobench.bench.dwells.comparison import write_comparison
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.page import write_verify_page
     from gyrobench.bench.report.verification.terminal import verify_summary
+    from gyrobench.bench.verification.comparison import write_comparison
 
     folder, comparison = verification.folder, verification.comparison()
     table = folder / "comparison.csv"

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.closure.loop import Closure, FoundEffect, separating_measurement, statement, whereabouts
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
-from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import make_folder
-from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.foundations.files import make_folder, parse_json, read_limited
 from gyrobench.bench.navigation.positions import AXES
 
 _DOCUMENT = "closure.json"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import can
 
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.drivers.ins.frames import FrameBlock, concatenate
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
 
 _FRAMES_PER_BLOCK = 2000
 

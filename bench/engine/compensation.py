@@ -14,7 +14,7 @@ from gyrobench.bench.engine.operator import Operator, asked
 from gyrobench.bench.foundations.errors import RefusedError, RunStoppedError
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 from gyrobench.drivers.ins.ins_status import InsStatus
 
 _CLEAR, _KEEP, _STOP = "clear", "keep", "stop"

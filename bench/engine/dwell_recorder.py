@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.live import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 
 #: One reading of the table may differ by this much from that at the window's begin, deg.
 _STILL_DEG = 0.001

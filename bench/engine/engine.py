@@ -26,9 +26,9 @@ from gyrobench.bench.foundations.errors import (
     FaultError,
     GyrobenchError,
     InstrumentError,
+    InvalidDwellError,
     RunFolderError,
     RunStoppedError,
-    SpoiltDwellError,
     StepTimeoutError,
 )
 from gyrobench.bench.guard.link import Guard
@@ -39,7 +39,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import add_identity
 from gyrobench.bench.station.safe_state import SafeAction
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: A dwell that was given up so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
@@ -165,7 +165,7 @@ class Engine:
                     index -= 1
             except TrippedError as error:
                 standing = self._recover(index, error.trips)
-            except (SpoiltDwellError, StepTimeoutError) as error:
+            except (InvalidDwellError, StepTimeoutError) as error:
                 index, standing = self._after_failed_step(index, error)
             except InstrumentError as error:
                 standing = self._recover(index, [trip_of(error, self._bench.station)])

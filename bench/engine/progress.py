@@ -10,7 +10,7 @@ from typing import Any
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.runs.run_facts import LONGEST_RUN_S
+from gyrobench.bench.runs.journal import LONGEST_RUN_S
 
 #: What no run reaches; more is a damaged journal.
 _MOST_POWER_ONS = 1_000_000

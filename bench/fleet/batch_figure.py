@@ -12,8 +12,8 @@ from gyrobench.bench.fleet.batch_model import EffectSize, TraitInBatch, standing
 from gyrobench.bench.fleet.batch_wording import batch_scale
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.style import house_style, new_figure, say_empty
-from gyrobench.bench.report.wording import BiasScale
+from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity
 
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

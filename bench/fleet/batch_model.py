@@ -29,18 +29,18 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from gyrobench.bench.bias.many_comparisons import holm
-from gyrobench.bench.bias.random_effects import (
+from gyrobench.bench.bias.statistics import (
     ExcessSigma,
     excess_information,
     excess_sigma,
     excess_variance,
+    holm,
     restricted_deviance,
     weighted_fit,
 )
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
 
 #: With fewer units there is no spread to speak of.
@@ -60,7 +60,7 @@ class EffectSize:
     @property
     def label(self) -> str:
         """Say what it is."""
-        return f"effect {spoken(self.effect)}"
+        return f"effect {plain_name(self.effect)}"
 
 
 Trait = Quantity | EffectSize

@@ -26,10 +26,8 @@ from gyrobench.bench.fleet.batch_wording import (
 )
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.report.page.findings import Findings
-from gyrobench.bench.report.page.findings_page import write_findings
-from gyrobench.bench.report.page.sections import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.parts import plain_table
+from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+from gyrobench.bench.report.terminal.tables import plain_table
 
 _BAND = (
     "The line is the batch's mean, the bands are one and two standard deviations of the units about it, with "

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from gyrobench.bench.fleet.batch_model import FALSE_ALARM, EffectSize, TraitInBatch, UnitInBatch, standing_out
 from gyrobench.bench.foundations.text import counted, listed
-from gyrobench.bench.report.wording import BiasScale, dph_with_sigma, p_text
+from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.runs.index_run_biases import LEVEL
 
 OUT_HEADER = ("unit", "runs", "in", "its value", "others lead to", "p all")

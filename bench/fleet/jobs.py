@@ -12,9 +12,9 @@ from types import MappingProxyType
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError, MeasurementError
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.station.bench_lock import RunLock
+from gyrobench.bench.station.locks import RunLock
 
 #: The style of figures is the whole process's, so of several threads one draws at a time.
 _DRAWING = threading.Lock()
@@ -81,7 +81,7 @@ def do_job(kind: JobKind, path: str) -> JobResult:
 
 def inputs_of(kind: JobKind, path: Path) -> str:
     """Sizes and times of what a job is made from: another text after that changed."""
-    from gyrobench.bench.report.page.findings_file import FINDINGS_FILE
+    from gyrobench.bench.report.page import FINDINGS_FILE
 
     folder = RunFolder(path)
     files = {
@@ -107,8 +107,8 @@ def _measured(folder: RunFolder) -> str:
 
 
 def _closed(folder: RunFolder) -> str:
-    from gyrobench.bench.closure.closure import close_loop
-    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.closure.loop import close_loop
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
     from gyrobench.bench.report.closure.search_files import write_search
 
     try:
@@ -117,12 +117,12 @@ def _closed(folder: RunFolder) -> str:
         return f"not searched: {error}"  # of one cycle, for instance: that is no failure of the run
     with _DRAWING:
         write_search(closure, folder.path)
-    effects = [spoken(each.candidate.effect.name) for each in closure.effects]
+    effects = [plain_name(each.candidate.effect.name) for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 
 
 def _reported(folder: RunFolder) -> str:
-    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.run_report import write_report
 
     with _DRAWING:
         return write_report(folder).name

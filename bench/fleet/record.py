@@ -7,11 +7,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.fleet.jobs import JobKind, JobResult, JobState, inputs_of
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import make_folder, write_whole
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
 
 RECORD = "fleet.json"
 _MAX_BYTES = 500_000_000
@@ -71,9 +70,7 @@ class FleetRecord:
         RunFolderError
             It can't be written.
         """
-        content = _Content(
-            kind=self.kind, gyrobench=gyrobench.__version__, runs=dict(sorted(self.runs.items()))
-        )
+        content = _Content(kind=self.kind, gyrobench=__version__, runs=dict(sorted(self.runs.items())))
         make_folder(self.folder)
         write_whole(self.folder / RECORD, (content.model_dump_json(indent=1) + "\n").encode())
 

@@ -13,8 +13,7 @@ from gyrobench.bench.guard.watch import Ending
 from gyrobench.bench.messages.message import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.run_facts import RunFacts, facts_of
+from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.station.station import Station
 
 #: The guard has nothing else to do; networks come back.

@@ -13,7 +13,7 @@ import io
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -28,9 +28,8 @@ from can.io.blf import (
 )
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, make_folder, sync_folder
-from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.bench.runs.parts import find_parts, part_path
+from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited, sync_folder
+from gyrobench.bench.runs.folder import find_parts, part_path
 
 _SUFFIX = ".blf"
 #: A dwell of some hours on a bus that is never idle.
@@ -126,11 +125,13 @@ class _OpenPart:
             self._stream.close()
 
 
-def read_can_log(folder: Path) -> Iterator[tuple[int, list[can.Message]]]:
+def read_can_log(
+    folder: Path, numbers: Container[int] | None = None
+) -> Iterator[tuple[int, list[can.Message]]]:
     """Frames of a run's log in the order received, part by part: its number and its frames.
 
     A part that was never ended, or is damaged, gives the frames before its first container that is
-    not whole; it may give none.
+    not whole; it may give none. ``numbers`` selects parts; by default all are read.
 
     Raises
     ------
@@ -141,6 +142,8 @@ def read_can_log(folder: Path) -> Iterator[tuple[int, list[can.Message]]]:
     if not parts:
         raise RunFolderError(f"{folder}: holds no CAN log")
     for number, path in parts.items():
+        if numbers is not None and number not in numbers:
+            continue
         content = read_limited(path, MAX_PART_BYTES, RunFolderError)
         yield number, _frames(content[: _whole_bytes(content)])
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from gyrobench.bench.bias.many_comparisons import holm
-from gyrobench.bench.bias.random_effects import excess_variance, weighted_fit
+from gyrobench.bench.bias.statistics import excess_variance, holm, weighted_fit
 from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
 
 #: Mean length of a month, days.

@@ -61,7 +61,7 @@ def test_the_station_written_reaches_the_bench_at_its_speed(emulate, tmp_path):
 def test_people_are_told_where_it_is_and_the_emulators_end_with_it_even_if_it_is_killed(emulate, tmp_path):
     link = tmp_path / "table"
     process, line = emulate("--table-port", link)
-    assert line == "The emulated bench lives in real time, until Ctrl-C.\n"
+    assert line == "The emulated bench runs in real time until Ctrl-C.\n"
     process.stdout.readline()
     assert process.stdout.readline() == f"Table    {link}  acutrol3000\n"
     assert link.is_symlink()

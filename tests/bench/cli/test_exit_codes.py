@@ -5,8 +5,8 @@ import os
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock
 from gyrobench.bench.station.station import Station
 from tests.bench.command_line import gyrobench
 

@@ -1,6 +1,6 @@
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import gyrobench
 from tests.bench.messages.servers import Server, free_port
 

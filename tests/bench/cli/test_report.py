@@ -2,11 +2,10 @@
 
 import pytest
 
-from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.tables.acceptance_file import write_acceptance
 from tests.bench.command_line import gyrobench
 
 

@@ -10,14 +10,14 @@ import pytest
 import yaml
 from rich.console import Console
 
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import write_closure
-from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.dwells.closure_inputs import read_campaign
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
 from gyrobench.bench.engine.verify import Verification, new_emulation
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

@@ -7,7 +7,7 @@ import pytest
 from gyrobench.bench.fleet.jobs import JobKind, JobState, do_job, inputs_of
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.bench_lock import RunLock
+from gyrobench.bench.station.locks import RunLock
 from tests.bench.runs.index.sample_runs import copy_run
 
 

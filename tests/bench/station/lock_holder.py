@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock, RunLock
+from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock, RunLock
 from gyrobench.bench.station.station import Station
 
 _CONTEXT = get_context("forkserver")
