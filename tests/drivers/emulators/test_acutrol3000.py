@@ -21,7 +21,7 @@ def controller():
 
 
 class Dialogue:
-    """Sends messages at a time of its own and takes the replies apart."""
+    """Sends messages at its own time and parses the replies."""
 
     def __init__(self, controller):
         self.controller = controller

@@ -238,7 +238,7 @@ def test_align_navigate_and_standby_commands_act(bus):
     assert bus.newest("HEADING")["ATTITUDE_VALID"] == 0
 
 
-def test_the_euler_sequence_is_commanded_and_told(bus):
+def test_the_euler_sequence_is_commanded_and_reported(bus):
     for sequence in (1, 0, 1):
         bus.command(4, sequence)
         bus.run(1.0)
@@ -253,7 +253,7 @@ def load(bus, axis, coefficients, low_c, high_c):
         bus.send("COMPENSATION_COEFFICIENT", AXIS=axis, INDEX=index, VALUE=value)
 
 
-def test_a_compensation_is_loaded_applied_told_and_cleared(bus):
+def test_a_compensation_is_loaded_applied_reported_and_cleared(bus):
     coefficients = [0.5, -0.25, 0.125, 0.0, 0.0, 2.0**-20]
     load(bus, 2, coefficients, -20.0, 50.0)
     bus.run(1.0)
@@ -279,7 +279,7 @@ def test_loading_does_not_change_what_is_applied(bus):
     assert bus.unit.compensation.bias_dph[0] == 0.5
 
 
-def test_the_status_tells_the_checksums_of_what_is_loaded_and_in_use(bus):
+def test_the_status_has_the_checksums_of_the_loaded_and_applied_tables(bus):
     bus.run(1.0)
     empty = bus.newest("COMPENSATION_STATUS")
     assert empty["IN_USE"] == 0

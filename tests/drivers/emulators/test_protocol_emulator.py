@@ -161,10 +161,10 @@ def test_settings_of_a_real_port_are_taken_and_have_no_effect(chamber):
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("oven?world=ideal", "'oven'; there are: chamber, table"),
-        ("?world=ideal", "there are: chamber, table"),
+        ("oven?world=ideal", "'oven'; available: chamber, table"),
+        ("?world=ideal", "available: chamber, table"),
         ("table?world=atlantis", "atlantis"),
-        ("table?clock=clock-of-nobody", "clock-of-nobody"),
+        ("table?clock=unknown-clock", "unknown-clock"),
         ("table?wrold=ideal", "wrold"),
         ("table?ideal", "'ideal'"),
         ("table?seed=-1", "seed"),

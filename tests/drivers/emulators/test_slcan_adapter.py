@@ -12,6 +12,7 @@ from gyrobench.drivers.emulators.can_adapters import SlcanAdapter
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.dialect import Connection
 from gyrobench.drivers.emulators.world.inertial_unit import Mode
+from tests.drivers.emulators.quick_world import LIMIT_S
 
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 OK, BELL = b"\r", b"\a"
@@ -63,8 +64,8 @@ class PythonCan:
             asked = b""
         os.write(self.master, self.bench.adapter.feed(asked, 0.0) + self.bench.adapter.from_bus())
 
-    def receive_all(self):
-        return list(iter(lambda: self.bus.recv(0.02), None))
+    def receive(self, count):
+        return [self.bus.recv(LIMIT_S) for _ in range(count)]
 
     def close(self):
         self.bus.shutdown()
@@ -87,9 +88,9 @@ def test_python_can_receives_what_the_ins_sends(bench, client):
     bench.sent.clear()
     bench.world.advance(4.0)
     client.exchange()
-    received = client.receive_all()
-    assert len(received) >= 45
-    assert content(received) == content(bench.sent)
+    assert len(bench.sent) >= 45
+    assert content(client.receive(len(bench.sent))) == content(bench.sent)
+    assert client.bus.recv(0.0) is None
 
 
 def test_python_can_commands_the_ins(bench, client):
@@ -139,7 +140,7 @@ def test_good_settings_get_a_carriage_return(bench, line, reply):
     assert bench.ask(line) == reply
 
 
-def test_version_and_number_are_told(bench):
+def test_version_and_number_are_answered(bench):
     assert bench.ask("V") == b"V1013\r"
     assert bench.ask("N") == b"NEMUL\r"
 
@@ -214,7 +215,7 @@ def test_random_bytes_never_break_it_and_each_line_gets_one_answer(make_world, c
     assert bench.ask("V") == b"V1013\r"
 
 
-def test_after_bus_off_the_channel_has_to_be_opened_anew(make_world):
+def test_after_bus_off_the_channel_must_be_reopened(make_world):
     connection = Connection()
     world = make_world("ideal", ins={"boot_s": 1.0})
     adapter = SlcanAdapter(CanInsEmulator(world), connection)

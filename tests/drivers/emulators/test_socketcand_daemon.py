@@ -69,7 +69,7 @@ def test_a_new_client_has_to_open_the_bus_itself(client):
     assert client.frames(3.0) == ""
 
 
-def test_after_bus_off_the_bus_has_to_be_opened_anew(client):
+def test_after_bus_off_the_bus_must_be_reopened(client):
     client.say("open can0", "rawmode")
     client.connection.disconnect()
     assert client.frames(3.0) == ""

@@ -29,10 +29,10 @@ def mistake(tmp_path, entry):
         ("{fault: lost_reply, target: table, at_s: 1, reply: 2}", "2:49", "did you mean 'replies'"),
         ("{fault: lost_reply, target: table}", "2:5", "exactly one of the keys at_s, every_s and during"),
         ("{fault: bus_off, at_s: 1, every_s: 5, for_s: 1}", "2:5", "exactly one of the keys"),
-        ("{fault: bus_off, every_s: 5}", "2:5", "a fault that comes again has to end: for_s is missing"),
+        ("{fault: bus_off, every_s: 5}", "2:5", "a fault that repeats must end: add for_s"),
         ("{fault: table_trips, at_s: 5, for_s: 3}", "2:5", "this fault happens at one moment"),
         ("{fault: table_trips, at_s: 5, times: 3}", "2:5", "at_s is one moment"),
-        ("{fault: table_trips, at_s: 5, nth: 3}", "2:5", "nth goes with during alone"),
+        ("{fault: table_trips, at_s: 5, nth: 3}", "2:5", "nth is allowed only with during"),
         ("{fault: table_trips, during: lunch}", "2:26", "during"),
         ("{fault: table_trips, at_s: -5}", "2:26", "greater than or equal to 0"),
         ("{fault: bus_off, every_s: 0, for_s: 1}", "2:22", "greater than or equal to 1"),
@@ -42,10 +42,10 @@ def mistake(tmp_path, entry):
         ("{fault: frames_lost, at_s: 5, ids: [4096]}", "2:41", "less than or equal to 2047"),
     ],
 )
-def test_a_mistake_is_told_with_its_place(tmp_path, entry, place, message):
-    told = mistake(tmp_path, entry)
-    assert told.startswith(f"{place}: ")
-    assert message in told
+def test_a_mistake_is_reported_with_its_place(tmp_path, entry, place, message):
+    reported = mistake(tmp_path, entry)
+    assert reported.startswith(f"{place}: ")
+    assert message in reported
 
 
 @pytest.mark.parametrize("name", ["../injected.jsonl", "/tmp/injected.jsonl", ".hidden", ""])  # noqa: S108

@@ -19,7 +19,7 @@ QUICK = {"boot_s": 0.0, "levelling_s": 2.0, "coarse_alignment_s": 5.0, "fine_ali
 
 
 class Line:
-    """A unit and the samples that come to it, at rest unless told otherwise."""
+    """A unit and the samples that come to it, at rest by default."""
 
     def __init__(self, attitude=None, gyro_error=0.0, accelerometer_error=0.0, **behaviour):
         self.unit = InertialUnit(InsBehaviour(**behaviour), LATITUDE, HEIGHT)
@@ -81,7 +81,7 @@ def test_alignment_is_coarse_and_then_fine_after_levelling_and_their_times():
     assert line.unit.align_time_s == 249.0  # the second under way is not counted yet
 
 
-def test_the_unit_that_aligns_tells_no_attitude_before_it_is_coarse():
+def test_the_unit_outputs_no_attitude_before_coarse_alignment():
     line = Line(Rotation.from_rotvec([0.1, 0.2, 1.0]).as_matrix(), **QUICK).switch_on()
     epochs = line.align(8)
     assert all(np.array_equal(each.states[:, :4], [[1, 0, 0, 0]] * 10) for each in epochs[:7])
@@ -89,7 +89,7 @@ def test_the_unit_that_aligns_tells_no_attitude_before_it_is_coarse():
 
 
 @pytest.mark.parametrize("rate_dps", [0.03, -0.03, 5.0])
-def test_motion_starts_the_alignment_afresh(rate_dps):
+def test_motion_restarts_the_alignment(rate_dps):
     line = Line(**QUICK).switch_on()
     line.align(9)
     assert line.unit.alignment is Alignment.COARSE
@@ -110,7 +110,7 @@ def test_what_a_resting_table_does_is_no_motion():
     assert line.unit.alignment is Alignment.COARSE
 
 
-def test_a_new_align_command_starts_the_alignment_afresh():
+def test_a_new_align_command_restarts_the_alignment():
     line = Line(**QUICK).switch_on()
     line.align(9)
     assert [epochs.alignment for epochs in line.align(8)] == [Alignment.INVALID] * 7 + [Alignment.COARSE]
@@ -130,7 +130,7 @@ def test_it_navigates_only_from_an_alignment_that_is_coarse_at_least():
     assert epochs.alignment is Alignment.COARSE
 
 
-def test_navigation_at_rest_goes_on_from_the_alignment():
+def test_navigation_at_rest_continues_from_the_alignment():
     attitude = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
     line = Line(attitude, **QUICK).switch_on()
     line.align(9)
@@ -191,7 +191,7 @@ def test_alignment_is_turned_by_the_east_gyro_over_the_horizontal_earth_rate(att
     np.testing.assert_allclose(phi[:2], 0.0, atol=1e-9)
 
 
-def test_the_latitude_it_was_told_is_the_one_it_starts_with():
+def test_navigation_starts_with_the_latitude_entered():
     line = Line(latitude_error_arcmin=3.0, **QUICK).switch_on()
     latitude = line.align(1)[0].states[0, 6]
     assert np.degrees(latitude) == pytest.approx(36.4 + 3.0 / 60.0, abs=1e-12)

@@ -134,7 +134,7 @@ def course(*turning_points_c):
     ],
 )
 @pytest.mark.parametrize("applied_late", [True, False])
-def test_the_play_goes_on_from_power_on_whenever_it_is_applied(turning_points_c, behind_k, applied_late):
+def test_the_play_starts_at_power_on_however_late_it_is_applied(turning_points_c, behind_k, applied_late):
     numbers = numbers_of(hysteresis=0.5, half_width=3.0)
     sense = TemperatureHistory()
     compensation = None
@@ -148,7 +148,7 @@ def test_the_play_goes_on_from_power_on_whenever_it_is_applied(turning_points_c,
     assert compensation.bias_dph[1] == pytest.approx(0.5 * behind_k, abs=0.06 if applied_late else 1e-6)
 
 
-def test_the_checksum_tells_tables_apart_that_differ_in_one_number():
+def test_the_checksum_distinguishes_tables_that_differ_in_one_number():
     tables = [empty_table()]
     for index in range(COEFFICIENTS):
         tables.append(empty_table())

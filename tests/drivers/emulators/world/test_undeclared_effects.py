@@ -263,7 +263,7 @@ def test_a_unit_that_is_off_does_not_warm_up(conditions):
     assert not WARM_UP.added_dph(conditions(since_power_on_s=None)).any()
 
 
-def test_each_power_on_begins_the_warm_up_anew(make_world):
+def test_each_power_on_restarts_the_warm_up(make_world):
     world = make_world(undeclared_effects=[WARM_UP.model_dump()])
     assert not world.undeclared_bias().any()
     for power_on_s in (100.5, 9000.25):
@@ -277,7 +277,7 @@ def test_each_power_on_begins_the_warm_up_anew(make_world):
         assert not world.undeclared_bias().any()
 
 
-def test_the_drift_counts_from_the_beginning_of_the_world_whatever_the_unit_does(conditions, make_world):
+def test_the_drift_counts_from_the_start_of_the_world_in_any_state_of_the_unit(conditions, make_world):
     np.testing.assert_allclose(TIME_DRIFT.added_dph(conditions(time_s=43_200.0)), SIZE / 2)
     world = make_world(undeclared_effects=[TIME_DRIFT.model_dump()])
     assert not world.undeclared_bias().any()

@@ -80,12 +80,12 @@ def test_a_number_may_be_a_polynomial_over_temperature():
         ("[0.0, -0.8, 0.6]", "[0.0, -0.8]", "11:7", "at least 3 items"),
         ("[0.0, -0.8, 0.6]", "[0, 0.0, 0]", "11:7", "not zero"),
         ("position_error_arcsec: 0.0", "outer_axis: west", "17:3", "'east' or 'up'"),
-        ("serial_number: 1000", "epoch_period_s: 0.03", "15:3", "make one second"),
+        ("serial_number: 1000", "epoch_period_s: 0.03", "15:3", "must divide one second"),
         ("serial_number: 1000", "epoch_period_s: 0.015", "15:3", "multiple of 0.01"),
         ("serial_number: 1000", "serial_number: 1000.5", "15:3", "valid integer"),
     ],
 )
-def test_a_mistake_is_told_with_its_place(old, new, place, words):
+def test_a_mistake_is_reported_with_its_place(old, new, place, words):
     message = complaint(replaced(old, new))
     assert message.startswith(f"w.yaml:{place}: ")
     assert words in message
@@ -108,7 +108,7 @@ def test_values_that_have_no_meaning_are_mistakes(old, new):
     assert re.match(r"w\.yaml:\d+:\d+: ", complaint(replaced(old, new)))
 
 
-def test_all_mistakes_are_told_at_once():
+def test_all_mistakes_are_reported_at_once():
     text = replaced("height_m: 60", "hight_m: 60").replace("36.4", "95").replace("serial_number", "serial")
     places = [line.split(": ")[0] for line in complaint(text).splitlines()]
     assert places == ["w.yaml:2:1", "w.yaml:3:1", "w.yaml:15:3"]
@@ -166,7 +166,7 @@ def test_several_effects_may_stand_in_a_file():
         ("{bias_dph: [1, 0, 0]}", "19", "kind"),
     ],
 )
-def test_a_mistake_in_an_effect_is_told_with_its_place(effect, place, words):
+def test_a_mistake_in_an_effect_is_reported_with_its_place(effect, place, words):
     message = complaint(with_effects(effect))
     assert message.startswith(f"w.yaml:{place}:")
     assert words in message
