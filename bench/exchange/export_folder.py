@@ -75,7 +75,7 @@ def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
     return pa.field(column, kind or type_of(column), metadata={"unit": unit} if unit else None)
 
 
-def origin_of(folder: RunFolder) -> dict[str, Any]:
+def data_origin(folder: RunFolder) -> dict[str, Any]:
     """Plain data: run, unit, versions, hashes, and how the run ended; None for what is not known.
 
     Raises
@@ -105,7 +105,7 @@ _MAX_ABOUT_BYTES = 10_000_000
 
 
 @dataclass
-class Destination:
+class ExportFolder:
     """Where files go, and what is said of them.
 
     Attributes
@@ -195,7 +195,7 @@ class Destination:
                             writer.write_table(batch.cast(schema))
 
     def finish(self) -> None:
-        """Write what is said of all files; what was said of others of the same run stays.
+        """Write what is said of all files; what was said of others of the same run bars.
 
         Raises
         ------

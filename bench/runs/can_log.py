@@ -39,7 +39,7 @@ _FAST = 1
 #: Bytes before compression, some 340 frames: what a kill loses at most.
 _CONTAINER_BYTES = 16 * 1024
 #: What no program packs into one container; a few damaged bytes could ask for gigabytes.
-_MOST_UNPACKED_BYTES = 16 * 1024 * 1024
+_MAX_UNPACKED_BYTES = 16 * 1024 * 1024
 
 
 class CanLog:
@@ -158,7 +158,7 @@ def _whole_bytes(content: bytes) -> int:
             method, unpacked_size = LOG_CONTAINER_STRUCT.unpack_from(packed)
             if kind != LOG_CONTAINER or method != ZLIB_DEFLATE or end + size > len(content):
                 break
-            if unpacked_size > _MOST_UNPACKED_BYTES:
+            if unpacked_size > _MAX_UNPACKED_BYTES:
                 break
             unpacking = zlib.decompressobj()
             unpacked = unpacking.decompress(packed[LOG_CONTAINER_STRUCT.size :], unpacked_size + 1)

@@ -19,7 +19,9 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_bench_that_somebody_else_holds_is_not_touched_and_ends_with_three(command, tmp_path, monkeypatch):
+def test_a_bench_that_a_receiver_else_holds_is_not_touched_and_ends_with_three(
+    command, tmp_path, monkeypatch
+):
     monkeypatch.setenv(LOCK_DIR_VARIABLE, str(tmp_path))
     text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
     path = tmp_path / "real.yaml"

@@ -23,7 +23,7 @@ def bias_dph(temperature_c):
     return np.column_stack([2.0 * temperature_c, -0.5 * temperature_c, np.full_like(temperature_c, 30.0)])
 
 
-class MadeUpLog:
+class SampleLog:
     """A unit that is heated from 10 to 40 degC and cooled again, 40 min, 5 Hz."""
 
     def __init__(self, folder: Path) -> None:
