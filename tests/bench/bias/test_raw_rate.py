@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.raw_rate import RateRecording, estimate_rate, up_down_pair
-from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrix
 from gyrobench.bench.navigation.positions import POSITIONS
