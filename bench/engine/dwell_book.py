@@ -57,7 +57,7 @@ class DwellBook:
         """Measure the dwell that is over; tells whether it stays, or has to be repeated."""
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
-        measure = measure_check_dwell if marks.is_verification else measure_dwell
+        measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, self._setup)
         if measured.is_disturbed and self.may_repeat(marks.dwell):
             self._drop(marks.dwell, measured.flags, counts=True)
@@ -71,8 +71,8 @@ class DwellBook:
             write_dwells(self._folder.dwells, [each.row for each in self._outcome.dwells])
             self._progress.dwell_measured(self._outcome.dwells[-1].row)
         else:
-            self._outcome.verifications.append(measured)
-            text = measured.flags or "taken for verification"
+            self._outcome.check_dwells.append(measured)
+            text = measured.flags or "measured for the calibration check"
             self._progress.told(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
         return True
 

@@ -37,7 +37,7 @@ class DwellRecorder:
         Counts power-ons.
     dwell, cycle : int
         Numbers of the dwell, set by the engine from the plan.
-    is_verification : bool
+    is_calibration_check : bool
         Whether the dwell verifies a calibration; set by the engine from the plan.
     position, azimuth_deg : str, float
         Where the table was sent last.
@@ -49,7 +49,7 @@ class DwellRecorder:
     run: int = 0
     dwell: int = 0
     cycle: int = 1
-    is_verification: bool = False
+    is_calibration_check: bool = False
     position: str = ""
     azimuth_deg: float = 0.0
     _power_on_s: float = 0.0
@@ -148,7 +148,7 @@ class DwellRecorder:
             since_power_on_s=round(self._start_s - self._power_on_s, 6),
             chamber_set_c=self.bench.commanded_c,
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
-            is_verification=self.is_verification,
+            is_calibration_check=self.is_calibration_check,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )

@@ -228,7 +228,7 @@ class Engine:
         self._progress.step_started(planned, bench)
         bench.step, bench.dwell = planned.number, planned.dwell or 0
         self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
-        self._recorder.is_verification = planned.is_verification
+        self._recorder.is_calibration_check = planned.is_calibration_check
         self._context.retries = planned.step.retries
         if isinstance(planned.step, Align) and not self._recorder.unit:
             self._identify_unit()  # one that is always on

@@ -22,8 +22,8 @@ class RunOutcome:
         Why it did not finish; empty where it did.
     dwells : list of MeasuredDwell
         What was measured.
-    verifications : list of CheckDwell
-        What was taken to verify a calibration.
+    check_dwells : list of CheckDwell
+        Dwells of a calibration check.
     results : RunResults
         What the dwells give together.
     duration_s : float
@@ -37,7 +37,7 @@ class RunOutcome:
     ended: str = "finished"
     reason: str = ""
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[CheckDwell] = field(default_factory=list)
+    check_dwells: list[CheckDwell] = field(default_factory=list)
     results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)

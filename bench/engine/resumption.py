@@ -78,8 +78,8 @@ def resume_run(
         clock = VirtualClock(last_s + RESUME_STEP_S)
     else:
         clock = WallClock.resumed(started_utc(folder), last_s, job.station.file.speed)
-    dwells, verifications = replay(folder, measurement_setup(job.station))
-    outcome = RunOutcome(dwells=dwells, verifications=verifications)
+    dwells, check_dwells = replay(folder, measurement_setup(job.station))
+    outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
 
     def begin(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
         _check_unchanged(resumption)

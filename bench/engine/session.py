@@ -99,7 +99,7 @@ def prepare_job(
     Parameters
     ----------
     calibration : Path, optional
-        Run folder or dwell table that verifications are compared with.
+        Run folder or dwell table of the calibration to check.
     compensation : Compensation, optional
         Loaded into the INS after each power-on.
 
@@ -112,10 +112,10 @@ def prepare_job(
     bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
     plan = bench.plan(document, model)
-    if calibration and not any(planned.is_verification for planned in plan.steps):
+    if calibration and not any(planned.is_calibration_check for planned in plan.steps):
         raise DocumentError(
             f"{document.path}: verifies nothing, so there is nothing to compare with {calibration}. "
-            "Leave --calibration out, or take a procedure with `purpose: verification`"
+            "Leave --calibration out, or take a procedure with `purpose: calibration_check`"
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
     if compensation is not None:
@@ -257,7 +257,7 @@ def carry_out(
             procedure.acceptance,
             planned,
             calibration_check_rows(
-                outcome.verifications, job.calibration or [dwell.row for dwell in outcome.dwells], setup
+                outcome.check_dwells, job.calibration or [dwell.row for dwell in outcome.dwells], setup
             ),
         )
         write_results(folder, outcome.results)
@@ -304,12 +304,12 @@ def measure_again(path: Path) -> RunFolder:
     document, procedure = load_procedure(folder.procedure)
     station = Station(folder.station)
     setup = measurement_setup(station)
-    dwells, verifications = replay(folder, setup)
+    dwells, check_dwells = replay(folder, setup)
     rows = [dwell.row for dwell in dwells]
     write_dwells(folder.dwells, rows)
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else rows
     planned = planned_dwells(station.plan(document, procedure))
-    check = calibration_check_rows(verifications, calibration, setup)
+    check = calibration_check_rows(check_dwells, calibration, setup)
     results = evaluate(dwells, setup, procedure.bin_width_c, procedure.acceptance, planned, check)
     write_results(folder, results)
     return folder

@@ -146,7 +146,7 @@ class Verification:
         folder, outcome = run_job(self.jobs[name], self.folder / name, progress, operator)
         if outcome.ended == "finished":
             rows = [dwell.row for dwell in outcome.dwells]
-            self._measured[name] = _Measured(rows, outcome.verifications)
+            self._measured[name] = _Measured(rows, outcome.check_dwells)
         return folder, outcome
 
     def comparison(self) -> Comparison:

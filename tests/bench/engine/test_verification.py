@@ -42,7 +42,7 @@ VERIFICATION = """
             steps:
               - go_to: {position: $position, azimuth_deg: $azimuth_deg}
               - align: {duration_s: 180}
-              - navigate: {duration_s: 300, purpose: verification}
+              - navigate: {duration_s: 300, purpose: calibration_check}
 """
 
 
@@ -71,7 +71,7 @@ def later_run(tmp_path_factory, one_run):
 
 def test_each_position_shows_the_gyros_that_point_east_and_north(one_run):
     _, outcome = one_run
-    assert [(row.position, row.gyro, row.method) for row in outcome.results.verification] == [
+    assert [(row.position, row.gyro, row.method) for row in outcome.results.calibration_check] == [
         ("z_up", "x", "alignment"),
         ("z_up", "y", "velocity"),
         ("z_up", "y", "velocity"),
@@ -82,7 +82,7 @@ def test_each_position_shows_the_gyros_that_point_east_and_north(one_run):
 
 
 def test_without_noise_the_biases_are_those_of_the_world_and_of_the_calibration(one_run):
-    for row in one_run[1].results.verification:
+    for row in one_run[1].results.calibration_check:
         truth_dph = BIAS_DPH[AXES.index(row.gyro)]
         assert row.flags == ""
         assert row.bias_dph == pytest.approx(truth_dph, abs=2e-4)
@@ -96,18 +96,18 @@ def test_without_noise_the_biases_are_those_of_the_world_and_of_the_calibration(
 def test_dwells_of_the_verification_are_no_calibration(one_run):
     folder, outcome = one_run
     assert [row.dwell for row in read_dwells(folder.dwells)] == [1, 4, 5, 8]
-    assert len(outcome.verifications) == 4
+    assert len(outcome.check_dwells) == 4
     finished = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished"]
     assert [entry["marks"]["is_verification"] for entry in finished] == [False, True, True, False] * 2
     assert {entry["flags"] for entry in finished} == {""}
 
 
 def test_the_temperatures_are_those_of_each_part(one_run):
-    verifications = one_run[1].verifications
+    verifications = one_run[1].check_dwells
     for each in verifications:
         assert all(np.less(each.aligning_c, each.temperatures.gyro_c))  # the unit warms up
         assert 180.0 <= each.marks.align_s < 185.0
-    alignment = one_run[1].results.verification[0]
+    alignment = one_run[1].results.calibration_check[0]
     first_c, second_c = (each.aligning_c[0] for each in verifications[:2])
     assert first_c < alignment.temperature_c < second_c
 
@@ -115,8 +115,8 @@ def test_the_temperatures_are_those_of_each_part(one_run):
 def test_the_table_holds_what_was_found(one_run):
     folder, outcome = one_run
     rows = read_calibration_check(folder.verification)
-    assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.verification]
-    for read, found in zip(rows, outcome.results.verification, strict=True):
+    assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.calibration_check]
+    for read, found in zip(rows, outcome.results.calibration_check, strict=True):
         assert read.bias_dph == pytest.approx(found.bias_dph)
         assert read.p_value == pytest.approx(found.p_value)
 
@@ -134,7 +134,7 @@ def test_measured_again_from_the_log_the_table_is_the_same_to_the_last_digit(req
 def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, later_run):
     _, outcome = later_run
     assert outcome.dwells == []
-    rows = outcome.results.verification
+    rows = outcome.results.calibration_check
     assert [row.flags for row in rows] == [""] * 6
     calibrated = [row for row in rows if row.is_compared]
     # The later run is as warm as the earlier one was at its beginning.
