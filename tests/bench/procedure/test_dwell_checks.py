@@ -63,7 +63,7 @@ WRONG = {
     "until in a calibration check": (
         "- navigate: {purpose: calibration_check, until: {bias_sigma_below_dph: 1}, at_most_s: 900}\n"
         + OPPOSITE,
-        "6:37",
+        "6:42",
         "Use duration_s",
     ),
     "alignment interrupted": ("- soak: {for_s: 5}\n" + WINDOW, "7:3", "belongs to no dwell"),
