@@ -13,7 +13,7 @@
     ├── InterlockError                    a limit of the station is broken, or a value too old to tell
     ├── BenchInUseError                   another process holds the bench or the run folder
     ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
-    ├── SpoiltDwellError                  a dwell under way can't give a result any more
+    ├── InvalidDwellError                 a dwell in progress can't give a result
     ├── RunStoppedError                   somebody asked the run to stop
     ├── MeasurementError (ValueError)     measured data that can't give a result
     ├── RunFolderError (OSError)          a run folder that can't be written or read
@@ -84,12 +84,12 @@ class StepTimeoutError(GyrobenchError, TimeoutError):
     """A step of the procedure did not reach its end in its time."""
 
 
-class SpoiltDwellError(GyrobenchError):
-    """A dwell under way can't give a result any more, as when the INS did not align; it is repeated."""
+class InvalidDwellError(GyrobenchError):
+    """A dwell in progress can't give a result, as when the INS did not align; it is repeated."""
 
 
 class RunStoppedError(GyrobenchError):
-    """The run is to end: by an order or an answer, or because it was held for too long."""
+    """The run ends: by a command or an answer of the operator, or because a hold lasted too long."""
 
 
 class MeasurementError(GyrobenchError, ValueError):

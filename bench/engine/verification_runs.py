@@ -1,4 +1,4 @@
-"""The proof of a compensation: new measurements without it, with the declared model, with the effects."""
+"""The runs of a verification: without compensation, with the declared model, with the effects."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison
 from gyrobench.bench.dwells.replay import replay
 from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.dwells.verification_dwell import VerificationDwell
+from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
+from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import Job, emulation_of, prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
@@ -40,11 +40,11 @@ class _Measured:
     verifications: Sequence[VerificationDwell]
 
 
-class Verification:
-    """Measures with each compensation that a closed campaign gives, and compares what they leave.
+class VerificationRuns:
+    """Measures with each compensation of a closed campaign, and compares the remaining errors.
 
-    Each compensation has a run of its own, in a folder by its name. A run that is finished there
-    already is not made again.
+    Each compensation has a separate run, in a folder with its name. A run that is finished is not
+    repeated.
 
     Parameters
     ----------
@@ -53,28 +53,28 @@ class Verification:
     closure : Closure
         Outcome of the search in it.
     procedure, station : str
-        What to run, and on what.
+        What to run, and on which station.
     emulation : Emulation
         World and seed behind emulated instruments, the same for each compensation.
     folder : Path
-        Where the runs go.
+        Holds the runs.
     only : sequence of str, optional
         Compensations to measure with; all if none is given.
 
     Attributes
     ----------
     models : mapping of str to LoadableModel
-        What there is to load. "effect" is missing where no effect was found that can be loaded.
+        Models that can be loaded; "effect" is missing where the search found no effect to load.
     jobs : mapping of str to Job
-        One for each compensation that is to be measured, or that there is a run of, in order.
-    wanted : list of str
-        Compensations to be measured.
+        One for each compensation that is selected or has a run already, in order.
+    selected : list of str
+        Compensations to measure with.
 
     Raises
     ------
     DocumentError
-        Procedure or station are wrong; the INS can't be given a compensation; there is nothing to load for
-        one that is to be measured; the campaign was measured with a compensation, or with the same seed.
+        Procedure or station are wrong; the INS does not accept a compensation; a selected one does not
+        exist; the campaign was measured with a compensation, or with the same seed.
     """
 
     def __init__(
@@ -97,27 +97,26 @@ class Verification:
         compensations |= {name: model.compensation for name, model in self.models.items()}
         if set(only) - compensations.keys():
             raise DocumentError(
-                f"{run.path}: the search found no effect that an INS can compensate, so there is none to "
-                f"verify. Leave --only {EFFECT} out"
+                f"{run.path}: the search found no effect that an INS can compensate. Leave --only {EFFECT} out"
             )
-        self.wanted = [name for name in compensations if name in only or not only]
+        self.selected = [name for name in compensations if name in only or not only]
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {
                 name: prepare_job(procedure, station, emulation, compensation=compensation)
                 for name, compensation in compensations.items()
-                if name in self.wanted or (folder / name).exists()
+                if name in self.selected or (folder / name).exists()
             }
         )
-        self._job = self.jobs[self.wanted[0]]
+        self._job = self.jobs[self.selected[0]]
         _check_new(run, self._job)
 
     def is_there(self, name: str) -> bool:
-        """Whether the run with a compensation has been made, as this one would be.
+        """Whether the run with a compensation is finished, with the same job.
 
         Raises
         ------
         RunFolderError
-            In its folder there is something else.
+            Its folder holds another run, or an unfinished one.
         """
         folder = RunFolder(self.folder / name)
         if name in self._measured:
@@ -126,32 +125,33 @@ class Verification:
             return False
         if not folder.journal.is_file() or not _is_run_of(folder, self.jobs[name]):
             raise RunFolderError(
-                f"{folder.path}: holds a run of another model, procedure or world. Remove it, or give "
+                f"{folder.path}: holds a run of another model, procedure or world. Remove it, or choose "
                 "another --out"
             )
         if not _is_finished(folder):
             raise RunFolderError(
-                f"{folder.path}: holds a run that is not finished. Finish it with: gyrobench resume "
-                f"{folder.path}"
+                f"{folder.path}: holds an unfinished run. Finish it with: gyrobench resume {folder.path}"
             )
         return True
 
-    def measure(self, name: str, progress: Progress, operator: Operator) -> tuple[RunFolder, RunOutcome]:
+    def measure(
+        self, name: str, observer: RunObserver, operator: Operator
+    ) -> tuple[RunFolder, RunOutcome]:
         """Run the procedure with one compensation.
 
         Raises
         ------
         InstrumentError, RunFolderError
-            As :func:`gyrobench.bench.engine.session.run_job`.
+            As :func:`gyrobench.bench.engine.run.run_job`.
         """
-        folder, outcome = run_job(self.jobs[name], self.folder / name, progress, operator)
+        folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
             rows = [dwell.row for dwell in outcome.dwells]
             self._measured[name] = _Measured(rows, outcome.verifications)
         return folder, outcome
 
     def comparison(self) -> Comparison:
-        """Compare all that has been measured, now or earlier.
+        """Compare all finished runs.
 
         Raises
         ------
@@ -189,24 +189,24 @@ class Verification:
             others = {row.unit for row in each.dwells} - units
             if others:
                 yield (
-                    f"The run {name} measured the unit {', '.join(sorted(others))}, the model is of "
+                    f"The run {name} measured the unit {', '.join(sorted(others))}, but the model belongs to "
                     f"{', '.join(sorted(units))}."
                 )
             flagged = sum(bool(row.flags) for row in each.dwells)
             if flagged:
-                yield f"In the run {name} {flagged} of {len(each.dwells)} dwells have flags and are left out."
+                yield f"In the run {name} {flagged} of {len(each.dwells)} dwells have flags and are not used."
         kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in measured else []
         if kept:
-            yield f"In the run {NONE} the INS kept a compensation of its own ({', '.join(kept)})."
+            yield f"In the run {NONE} the INS applied a stored compensation ({', '.join(kept)})."
 
 
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
-    """World of a run, with the next seed: the same unit with new noise and new power-ons, without faults.
+    """World of a run with the next seed: the same unit with new noise and power-ons, without faults.
 
     Parameters
     ----------
     world, seed : str or None, int or None
-        To be taken instead.
+        Replacements.
     """
     known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
@@ -221,16 +221,15 @@ def _check_uncompensated(run: RunFolder) -> None:
     in_use = _compensations_in_use(run)
     if in_use:
         raise DocumentError(
-            f"{run.path}: was measured while the INS compensated its gyros ({', '.join(in_use)}), so its "
-            "model is of what that leaves and can't stand alone. Measure the campaign with the compensation "
-            "cleared"
+            f"{run.path}: was measured while the INS applied a stored compensation ({', '.join(in_use)}), so "
+            "its model describes only the remaining biases. Measure the campaign with the compensation cleared"
         )
 
 
 def _compensations_in_use(run: RunFolder) -> list[str]:
-    """Checksums of the compensations that an INS had in a run."""
+    """Checksums of the compensations that the INS applied in a run."""
     found = [
-        str(entry["in_use"].get("checksum") or "checksum not known")
+        str(entry["in_use"].get("checksum") or "checksum unknown")
         for entry in read_journal(run.journal)
         if entry.get("event") == "compensation" and entry.get("in_use", {}).get("active")
     ]
@@ -242,8 +241,8 @@ def _check_new(run: RunFolder, job: Job) -> None:
     emulated = job.emulated_world()
     if emulated and all(options.get(key) == value for key, value in emulated.items()):
         raise DocumentError(
-            f"--seed {job.emulation.seed} is that of {run.path}: its noise would come again. Give another "
-            "one, or none"
+            f"--seed {job.emulation.seed} is the seed of {run.path}, so the noise would be the same. Choose "
+            "another seed, or leave --seed out"
         )
 
 
@@ -252,7 +251,7 @@ def _is_finished(folder: RunFolder) -> bool:
 
 
 def _is_run_of(folder: RunFolder, job: Job) -> bool:
-    """Whether a run was made of the same procedure, in the same world, with the same compensation."""
+    """Whether a run has the same procedure, world and compensation as a job."""
     options = read_provenance(folder).get("options", {})
     same_world = all(options.get(key) == value for key, value in job.emulated_world().items())
     same_files = (folder.procedure.read_bytes(), folder.station.read_bytes()) == (
@@ -261,15 +260,15 @@ def _is_run_of(folder: RunFolder, job: Job) -> bool:
     )
     if job.compensation is None or not folder.compensation.exists():
         return same_world and same_files and (job.compensation is None) == (not folder.compensation.exists())
-    loaded, wanted = read_compensation(folder.compensation), job.compensation
+    loaded, required = read_compensation(folder.compensation), job.compensation
     same_numbers = all(
-        np.array_equal(getattr(loaded, each.name), getattr(wanted, each.name)) for each in fields(wanted)
+        np.array_equal(getattr(loaded, each.name), getattr(required, each.name)) for each in fields(required)
     )
     return same_world and same_files and same_numbers
 
 
 def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:
-    """How many dwells began where none of the others did."""
+    """How many dwells began in an attitude in which no other began."""
 
     def is_known(row: DwellRow) -> bool:
         return any(
