@@ -13,7 +13,7 @@ from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOpti
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.engine.session import Job
+    from gyrobench.bench.engine.job import Job
 
 
 def plan(
@@ -40,7 +40,7 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
-    from gyrobench.bench.engine.session import prepare_job
+    from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
     from gyrobench.bench.report.figures import plan_figure, save_figure
     from gyrobench.bench.report.terminal.tables import timeline_table

@@ -33,7 +33,8 @@ def resume(
 
     Example: gyrobench resume runs/six_position_fig7-001
     """
-    from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
+    from gyrobench.bench.engine.run import resume_run
+    from gyrobench.bench.engine.resume import describe_resumption, prepare_resumption
     from gyrobench.bench.live.watched import watched
 
     terminal = console(as_json)

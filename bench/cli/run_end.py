@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from gyrobench.bench.engine.outcome import RunOutcome
+    from gyrobench.bench.engine.observers import RunOutcome
     from gyrobench.bench.runs.folder import RunFolder
 
 

@@ -17,7 +17,7 @@ from gyrobench.bench.cli.search import search
 
 if TYPE_CHECKING:
     from gyrobench.bench.closure.closure import Closure
-    from gyrobench.bench.engine.verify import Verification
+    from gyrobench.bench.engine.verification_runs import VerificationRuns
     from gyrobench.bench.live.console import PatientConsole
     from gyrobench.bench.runs.folder import RunFolder
 
@@ -67,14 +67,14 @@ def verify(
 
     Example: gyrobench verify runs/six_position_fig7-001
     """
-    from gyrobench.bench.engine.verify import Verification, new_emulation
+    from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
     from gyrobench.bench.report.verification.terminal import verify_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
     run = open_run_folder(run_folder)
     closure = _search(run)
-    verification = Verification(
+    verification = VerificationRuns(
         run,
         closure,
         procedure,
@@ -102,7 +102,7 @@ def _search(run: RunFolder) -> Closure:
     return closure
 
 
-def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
+def _measure(terminal: PatientConsole, verification: VerificationRuns, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
     from gyrobench.bench.live.watched import watched
     from gyrobench.bench.report.html import write_report
@@ -117,7 +117,7 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
+def _tell(terminal: PatientConsole, verification: VerificationRuns, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
     from gyrobench.bench.dwells.comparison import write_comparison
     from gyrobench.bench.report.html import write_report

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
-from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.outputs import SafeOutputs
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError

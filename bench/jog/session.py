@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 
-from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.engine.progress import WITHOUT_A_WORD, progress_of
+from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.live.picture import MOST_MESSAGES, Picture, RunState, read_picture
@@ -44,7 +44,7 @@ def picture_of(path: Path) -> Picture:
     return replace(
         picture,
         state=RunState.STOPPED,
-        reason=WITHOUT_A_WORD,
+        reason=NO_END_RECORDED,
         question=None,
         step=None,
         dwell=None,
@@ -58,7 +58,7 @@ def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
         return RunState.RUNNING, ""
     if facts.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
         return RunState(facts.ended), facts.reason
-    return RunState.STOPPED, WITHOUT_A_WORD
+    return RunState.STOPPED, NO_END_RECORDED
 
 
 def picture_from_records(folder: RunFolder) -> Picture:
@@ -106,7 +106,7 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
 def _left_s(plan: Plan, content: RunContent) -> float:
     """What is left by the plan: all of it where the journal does not fit the plan."""
     try:
-        done = progress_of(content.journal, plan)
+        done = resume_state_of(content.journal, plan)
     except RunFolderError:
         return plan.duration_s
     return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.next_index].start_s

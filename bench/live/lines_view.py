@@ -10,7 +10,7 @@ from rich.text import Text
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
@@ -23,7 +23,7 @@ _HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z   
 _INDENT = 8
 
 
-class LinesView(Progress):
+class LinesView(RunObserver):
     """Prints each dwell as soon as it is measured; on a terminal also a line that says where it is.
 
     Parameters

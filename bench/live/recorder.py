@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.observers import RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import write_whole
@@ -31,7 +31,7 @@ from gyrobench.bench.runs.folder import RunFolder
 _WRITE_EVERY_S = 2.0
 
 
-class PictureRecorder(Progress):
+class PictureRecorder(RunObserver):
     """Watches a run and has its picture at every moment.
 
     The picture is written now and then. A disk that is full, or a file that can't be written, costs
@@ -168,9 +168,9 @@ class PictureRecorder(Progress):
         """Take all dwells anew: the last one may have flagged earlier ones."""
         self._take_dwells()
 
-    def held(self, why: str, needs_person: bool, ordered: Order | None) -> None:
+    def held(self, why: str, needs_person: bool, ordered: RunCommand | None) -> None:
         """The run holds; a dwell that was under way is done again."""
-        if ordered is Order.PAUSE:
+        if ordered is RunCommand.PAUSE:
             self._state = RunState.PAUSED
         elif needs_person and ordered is None:
             self._state = RunState.WAITING

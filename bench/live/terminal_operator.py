@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.live.keyboard import Keyboard
 
 
@@ -37,11 +37,11 @@ class TerminalOperator:
         """Expect no answer any more."""
         self._answers = ()
 
-    def order(self) -> Order | None:
+    def order(self) -> RunCommand | None:
         """An order that has been typed; other words are answered with what can be typed."""
         typed = "" if self._answers else self._keyboard.line()
-        if typed in list(Order):
-            return Order(typed)
+        if typed in list(RunCommand):
+            return RunCommand(typed)
         if typed:
-            self._console.print(f"Type one of: {', '.join(Order)}", soft_wrap=True)
+            self._console.print(f"Type one of: {', '.join(RunCommand)}", soft_wrap=True)
         return None

@@ -11,9 +11,9 @@ from rich.live import Live
 from rich.text import Text
 
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.observers import RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.live.c_locale import is_c_locale
 from gyrobench.bench.live.keyboard import Keyboard
@@ -28,7 +28,7 @@ _SHORTEST = 4
 _PICTURE_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
 
 
-class TerminalView(Progress):
+class TerminalView(RunObserver):
     """Shows the newest picture, and what is being typed below it.
 
     The picture is taken where the run tells its progress; it is drawn in a thread of its own.
@@ -84,7 +84,7 @@ class TerminalView(Progress):
         if self._clock.now() >= self._next_picture_s:
             self._take()
 
-    def held(self, why: str, needs_person: bool, ordered: Order | None) -> None:  # noqa: ARG002
+    def held(self, why: str, needs_person: bool, ordered: RunCommand | None) -> None:  # noqa: ARG002
         """Show at once that the run holds."""
         self._take()
 
@@ -124,5 +124,5 @@ class TerminalView(Progress):
         if typed:
             return Text(f"> {typed}_", no_wrap=True)
         question = picture.question if picture else None
-        choice = "an answer" if question else ", ".join(Order)
+        choice = "an answer" if question else ", ".join(RunCommand)
         return Text.assemble("> ", (f"type {choice}", "dim"), no_wrap=True)

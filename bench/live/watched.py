@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TextIO, cast
 
-from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.observers import ObserverGroup
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import Job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.job import Job
 from gyrobench.bench.live.console import PatientConsole
 from gyrobench.bench.live.keyboard import Keyboard, is_in_foreground
 from gyrobench.bench.live.lines_view import LinesView
@@ -23,7 +23,7 @@ _LONGEST_DRAIN_S = 10.0
 
 
 @contextmanager
-def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tuple[Progress, Operator]]:
+def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tuple[RunObserver, Operator]]:
     """Record the picture of a run, and show the run, while the context lasts.
 
     Parameters
@@ -38,7 +38,7 @@ def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tup
 
     Returns
     -------
-    Progress, Operator
+    RunObserver, Operator
         The one who watches, and the one who answers: the person at the terminal, but on virtual time, where
         nobody can be waited for, one who consents to all.
     """
@@ -49,11 +49,11 @@ def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tup
     with ExitStack() as shown:
         stream = shown.enter_context(_never_waited_for(console))
         lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
-        watchers: list[Progress] = [recorder, lines]
+        watchers: list[RunObserver] = [recorder, lines]
         if is_live:
             view = TerminalView(console, recorder, keyboard, not job.is_virtual, lambda: not stream.is_behind)
             watchers.append(shown.enter_context(view))
-        yield Audience(*watchers), operator
+        yield ObserverGroup(*watchers), operator
 
 
 @contextmanager

@@ -17,9 +17,12 @@ from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.files import read_held_out_cycles
 from gyrobench.bench.dwells.campaign import read_campaign
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
-from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
-from gyrobench.bench.engine.verify import new_emulation
+from gyrobench.bench.engine.run import resume_run
+from gyrobench.bench.engine.resume import describe_resumption, prepare_resumption
+from gyrobench.bench.dwells.replay import recompute_run
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.verification_runs import new_emulation
 from gyrobench.bench.live.console import PatientConsole
 from gyrobench.bench.live.lines_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
@@ -72,7 +75,7 @@ def use_journal(run: Path) -> Callable[[Path, bytes], None]:
         (copy / "journal.jsonl").write_bytes(data)
         read_run(RunFolder(copy))
         new_emulation(open_run_folder(copy))
-        measure_again(copy)
+        recompute_run(copy)
 
     return use
 
@@ -96,11 +99,11 @@ def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
         frames = _frames(copy, _PART_OF_NO_DWELL)
         if frames != sound_frames[: len(frames)]:
             raise WrongResultError("the damaged part gives frames that were not in it")
-        if measure_again(copy).dwells.read_bytes() != measured:
+        if recompute_run(copy).dwells.read_bytes() != measured:
             raise WrongResultError("a part of no dwell changed the dwells")
         shutil.copy(run / _PART_OF_NO_DWELL, copy / _PART_OF_NO_DWELL)
         (copy / PART).write_bytes(data)
-        measure_again(copy)
+        recompute_run(copy)
         for row, sound in zip(read_dwells(copy / "dwells.csv"), expected, strict=True):
             if not row.flags and not np.allclose(
                 row.bias_dph, sound.bias_dph, rtol=0.0, atol=5.0 * max(sound.sigma_dph)
@@ -220,7 +223,7 @@ def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
     def use(folder: Path, data: bytes) -> None:
         copy = RunFolder(_copied(run, folder))
         copy.calibration.write_bytes(data)
-        measure_again(copy.path)
+        recompute_run(copy.path)
         for row in read_verification(copy.verification):
             difference_dph = row.bias_dph - row.calibrated_dph
             if row.is_compared and not math.isclose(

@@ -3,8 +3,9 @@
 import pytest
 
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from tests.bench.engine.test_resumption import Watcher
@@ -31,7 +32,7 @@ class PausingOperator(ConsentingOperator):
 
     def order(self):
         self.ticks += 1
-        return Order.PAUSE if self.ticks == self.pause_tick else None
+        return RunCommand.PAUSE if self.ticks == self.pause_tick else None
 
     def answer(self):
         return super().answer() if self.ticks >= self.continue_tick else None

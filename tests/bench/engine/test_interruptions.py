@@ -8,8 +8,9 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -224,7 +225,7 @@ def test_a_skipped_dwell_is_left_out(tmp_path, two):
 
 def test_orders_can_be_typed(tmp_path, two):
     class Typist(ConsentingOperator):
-        typed = [None] * 100 + [Order.SKIP]
+        typed = [None] * 100 + [RunCommand.SKIP]
 
         def order(self):
             return self.typed.pop(0) if self.typed else None

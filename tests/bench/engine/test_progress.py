@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from gyrobench.bench.engine.progress import progress_of
-from gyrobench.bench.engine.session import prepare_job
+from gyrobench.bench.engine.resume import resume_state_of
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.errors import RunFolderError
 
 
@@ -28,7 +28,7 @@ def entries(plan):
 
 
 def test_a_sound_journal_tells_what_is_done(plan, entries):
-    progress = progress_of(entries, plan)
+    progress = resume_state_of(entries, plan)
     assert progress.finished == {1, 2}
     assert plan.steps[progress.next_index - 1].dwell == 2
     assert plan.steps[progress.next_index].dwell != 2
@@ -38,17 +38,17 @@ def test_a_sound_journal_tells_what_is_done(plan, entries):
 
 
 def test_a_dwell_is_done_with_its_entry_and_not_before(plan, entries):
-    before = progress_of(entries[:-1], plan)
+    before = resume_state_of(entries[:-1], plan)
     assert before.finished == {1}
     assert plan.steps[before.next_index - 1].dwell != 2
-    skipped = progress_of([*entries[:-1], {"time_s": 1e4, "event": "dwell_skipped", "dwell": 2}], plan)
+    skipped = resume_state_of([*entries[:-1], {"time_s": 1e4, "event": "dwell_skipped", "dwell": 2}], plan)
     assert (skipped.finished, skipped.skipped) == ({1}, {2})
 
 
 def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
     without = [entry for entry in entries if entry.get("marks") != {"dwell": 1}]
     with pytest.raises(RunFolderError, match=r"lacks the end of dwell 1, .* `gyrobench bins` still"):
-        progress_of(without, plan)
+        resume_state_of(without, plan)
 
 
 @pytest.mark.parametrize(
@@ -77,5 +77,5 @@ def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
 )
 def test_an_entry_that_no_run_writes_is_refused(plan, entries, entry, message):
     with pytest.raises(RunFolderError, match="does not belong to this procedure") as error:
-        progress_of([*entries, entry], plan)
+        resume_state_of([*entries, entry], plan)
     assert message in str(error.value)

@@ -9,15 +9,12 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.resumption import (
-    MOST_RESUMED_IN_VAIN,
-    describe_resumption,
-    prepare_resumption,
-    resume_run,
-)
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.run import resume_run
+from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, describe_resumption, prepare_resumption
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
@@ -51,7 +48,7 @@ class KilledError(BaseException):
     """Stands for a kill where a process of its own would cost seconds."""
 
 
-class Watcher(Progress):
+class Watcher(RunObserver):
     """Ends the run in the nth step of a kind by an exception that nothing catches."""
 
     def __init__(self, kind="", nth=1):
@@ -192,7 +189,7 @@ def test_an_aborted_run_can_be_gone_on_with(procedure, undisturbed, tmp_path):
 
         def order(self):
             self.left -= 1
-            return Order.ABORT if self.left == 0 else None
+            return RunCommand.ABORT if self.left == 0 else None
 
     folder, outcome = run_job(job, tmp_path / "run", Watcher(), Aborter())
     assert outcome.ended == "stopped"
@@ -216,7 +213,7 @@ def test_a_run_under_way_is_not_resumed(procedure, tmp_path):
 
 def test_a_run_that_never_gets_on_has_to_be_looked_at(procedure, tmp_path):
     path = broken_off(procedure, tmp_path / "run", "soak")
-    for _ in range(MOST_RESUMED_IN_VAIN):
+    for _ in range(MAX_RESUMES_WITHOUT_PROGRESS):
         with pytest.raises(KilledError):
             resume_run(prepare_resumption(path), Watcher("soak"), ConsentingOperator())
     with pytest.raises(RunFolderError, match="--anyway"):

@@ -6,8 +6,9 @@ import pytest
 
 from gyrobench.bench.engine import run_news
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -57,7 +58,7 @@ def run_told(tmp_path, server):
             (tmp_path / "faults.yaml").write_text(faults)
             faults = str(tmp_path / "faults.yaml")
         job = prepare_job(str(procedure), str(station), Emulation("ideal", 0, faults))
-        folder, outcome = run_job(job, tmp_path / "run", Progress(), operator)
+        folder, outcome = run_job(job, tmp_path / "run", RunObserver(), operator)
         told = [json.loads(body) for _, _, body in server.received]
         return list(read_journal(folder.journal)), told, outcome
 

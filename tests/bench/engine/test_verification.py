@@ -9,7 +9,9 @@ from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
+from gyrobench.bench.dwells.replay import recompute_run
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.live.lines_view import LinesView
 from gyrobench.bench.navigation.positions import AXES
@@ -127,7 +129,7 @@ def test_measured_again_from_the_log_the_table_is_the_same_to_the_last_digit(req
     shutil.copytree(folder.path, tmp_path / "run")
     copy = RunFolder(tmp_path / "run")
     copy.verification.unlink()
-    measure_again(copy.path)
+    recompute_run(copy.path)
     assert copy.verification.read_bytes() == folder.verification.read_bytes()
 
 

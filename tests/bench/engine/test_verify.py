@@ -14,8 +14,9 @@ from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.dwells.campaign import read_campaign
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.engine.verify import Verification, new_emulation
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.live.lines_view import LinesView
 from gyrobench.bench.runs.compensation_file import read_compensation
@@ -84,7 +85,7 @@ def campaign(tmp_path_factory):
 def verification_of(campaign, folder, only=(), **emulation):
     run, closure, procedure = campaign
     again = new_emulation(run, **emulation)
-    return Verification(run, closure, procedure, str(run.station), again, folder, only)
+    return VerificationRuns(run, closure, procedure, str(run.station), again, folder, only)
 
 
 @pytest.fixture(scope="module")
@@ -182,9 +183,9 @@ def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_
     poor = tmp_path / "poor.yaml"
     poor.write_text(yaml.safe_dump(station))
     with pytest.raises(DocumentError, match="load_compensation does not take"):
-        Verification(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out")
+        VerificationRuns(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out")
     only = ["none", "declared"]
-    able = Verification(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out", only)
+    able = VerificationRuns(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out", only)
     assert able.wanted == only
 
 
@@ -196,7 +197,7 @@ def test_a_campaign_that_the_ins_compensated_already_is_refused(campaign, tmp_pa
     entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}}
     compensated.journal.write_text(json.dumps(entry) + "\n")
     with pytest.raises(DocumentError, match=r"measured while the INS compensated its gyros \(0badcafe\)"):
-        Verification(compensated, closure, procedure, str(run.station), new_emulation(run), tmp_path / "out")
+        VerificationRuns(compensated, closure, procedure, str(run.station), new_emulation(run), tmp_path / "out")
 
 
 def test_the_command_prints_what_it_does_and_what_is_left(campaign, verified):

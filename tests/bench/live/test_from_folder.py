@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.engine.progress import WITHOUT_A_WORD
+from gyrobench.bench.engine.resume import NO_END_RECORDED
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.live.from_folder import picture_from_records, picture_of
@@ -83,7 +83,7 @@ def running(folder):
 def test_a_run_that_was_killed_is_not_said_to_go_on(folder):
     folder.live.write_bytes(running(folder).to_json())
     picture = picture_of(folder.path)
-    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert (picture.state, picture.reason) == (RunState.STOPPED, NO_END_RECORDED)
     assert picture.question is None
 
 
@@ -100,7 +100,7 @@ def test_a_run_that_was_killed_before_it_left_a_picture_has_what_was_on_the_disk
     folder.dwells.unlink()
     cut_off(folder, "powered_on")
     picture = picture_of(folder.path)
-    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert (picture.state, picture.reason) == (RunState.STOPPED, NO_END_RECORDED)
     assert picture.dwells == ()
     assert picture.left_s == pytest.approx(picture.planned_s)
 
@@ -109,7 +109,7 @@ def test_a_run_that_ended_and_was_resumed_and_killed_does_not_tell_its_old_end(f
     folder.live.unlink()
     add(folder, event="run_resumed", procedure="short")
     picture = picture_of(folder.path)
-    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert (picture.state, picture.reason) == (RunState.STOPPED, NO_END_RECORDED)
 
 
 def test_a_run_whose_procedure_is_damaged_has_its_dwells_still(folder):

@@ -7,7 +7,8 @@ from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.live.lines_view import LinesView
 from gyrobench.bench.station.instruments import Emulation
 

@@ -5,10 +5,11 @@ import signal
 
 import pytest
 
-from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.observers import ObserverGroup
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.live.picture import RunState, read_picture
 from gyrobench.bench.live.recorder import PictureRecorder
@@ -48,7 +49,7 @@ class SlowOperator(ConsentingOperator):
         return self._word if self._ticks <= 0 else None
 
 
-class Witness(Progress):
+class Witness(RunObserver):
     """Does something in the first step of a kind; keeps a picture of each state, and one after it."""
 
     def __init__(self, recorder, kind, deed):
@@ -81,7 +82,7 @@ def witnessed(tmp_path):
         recorder = PictureRecorder(job.plan)
         witness = Witness(recorder, kind, deed)
         operator = SlowOperator(refuses)
-        folder, _ = run_job(job, tmp_path / "run", Audience(recorder, witness), operator)
+        folder, _ = run_job(job, tmp_path / "run", ObserverGroup(recorder, witness), operator)
         return witness.seen, read_picture(folder.live)
 
     return run

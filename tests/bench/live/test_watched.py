@@ -12,7 +12,8 @@ import termios
 
 import pytest
 
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.live.console import PatientConsole
 from gyrobench.bench.live.picture import RunState, read_picture
 from gyrobench.bench.live.watched import watched

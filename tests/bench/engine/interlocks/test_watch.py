@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.engine.interlocks import Expected, text_of
+from gyrobench.bench.engine.bench_state import ExpectedState
+from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
@@ -106,7 +107,7 @@ def test_an_ins_that_was_off_may_have_been_silent_until_now(watched):
 
 def test_what_was_not_commanded_yet_trips_nothing(watched):
     bench = watched()
-    bench.expected = Expected()
+    bench.expected = ExpectedState()
     bench.chamber, bench.table = ChamberReading(20.0, -40.0, False), TableReading((0, 0), (0, 0), False)
     bench.table_faults, bench.ins.age_s = ("axis 1: interlock 1",), math.inf
     assert bench.poll() == {}
@@ -271,7 +272,7 @@ def test_what_is_wrong_in_many_places_is_advised_once(station_of):
     bench = WatchedBench(station_of())
     bench.ins.optics_c = bench.ins.electronics_c = np.full(3, 200.0)
     bench.ins.case_c = 200.0
-    text = text_of(bench.poll().values())
+    text = text_of_trips(bench.poll().values())
     assert text.count("Check the sensor and the signal map; let the unit come back") == 1
     assert text.count("above the limit") == 7
     assert ".;" not in text
