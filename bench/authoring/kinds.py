@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.foundations.documents import Document, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.procedure.document import Procedure
 from gyrobench.bench.runs.compensation_file import CompensationFile
-from gyrobench.bench.sensor_log.document import LogMap
 from gyrobench.bench.station.document import StationFile
 
 

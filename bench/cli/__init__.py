@@ -31,7 +31,7 @@ from gyrobench.bench.cli import (
     verify,
 )
 from gyrobench.bench.cli.command_groups import CommandGroups
-from gyrobench.bench.cli.exit_codes import (
+from gyrobench.bench.cli.output import (
     EXIT_CODES_HELP,
     EXIT_INSTRUMENT,
     EXIT_NOT_FINISHED,

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.cli.bias_tables import print_biases
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
 from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.cli.output import JsonOption, console, print_biases, print_json
 
 
 def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:

@@ -8,17 +8,15 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_procedure
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
-from gyrobench.bench.cli.json_output import JsonOption, print_json
 from gyrobench.bench.cli.options import (
     EMULATED,
     FaultsOption,
     SeedOption,
     StationArgument,
     WorldOption,
+    complete_procedure,
 )
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 
 def check(
@@ -45,8 +43,7 @@ def check(
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
-    from gyrobench.bench.engine.preflight.answer import nobody_answers
-    from gyrobench.bench.engine.preflight.session import check_bench
+    from gyrobench.bench.engine.preflight.bench_check import check_bench, no_instrument_answers
     from gyrobench.bench.report.terminal.preflight import preflight_report
     from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
@@ -58,7 +55,7 @@ def check(
         print_json({"station": station, "fit": is_fit, "checks": records})
     else:
         console().print(preflight_report(checks))
-    if nobody_answers(checks):
+    if no_instrument_answers(checks):
         raise typer.Exit(EXIT_INSTRUMENT)
     if not is_fit:
         raise typer.Exit(EXIT_NOT_FINISHED)

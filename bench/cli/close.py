@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_run
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
-from gyrobench.bench.cli.search import search
+from gyrobench.bench.cli.options import complete_run
+from gyrobench.bench.cli.output import JsonOption, console, print_json
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
+
+if TYPE_CHECKING:
+    from gyrobench.bench.closure.loop import Closure
+
+
+def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
+    """Search in a dwell table or run folder.
+
+    Raises
+    ------
+    DocumentError
+        It can't be used for a search.
+    """
+    from gyrobench.bench.closure.loop import close_loop
+    from gyrobench.bench.dwells.campaign import read_campaign
+
+    try:
+        return close_loop(read_campaign(campaign), hold_out_cycles)
+    except (MeasurementError, RunFolderError) as error:
+        raise DocumentError(str(error)) from error
 
 
 def close(

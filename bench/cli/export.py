@@ -38,8 +38,7 @@ def export(
 
     Example: gyrobench export runs/six_position_fig7-001 --what dwells,can --format csv,mf4
     """
-    from gyrobench.bench.export.run_export import export_run
-    from gyrobench.bench.export.wanted import Format, Wanted, What
+    from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
     from gyrobench.bench.runs.folder import open_run_folder
 
     wanted = Wanted(

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gyrobench.bench.cli import fleet_batch
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
-from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 from gyrobench.bench.cli.run_selection import (
     BatchOption,
     BenchOption,

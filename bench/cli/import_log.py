@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_import_map
+from gyrobench.bench.cli.options import complete_import_map
 
 
 def import_log(
@@ -26,7 +26,7 @@ def import_log(
 
     Example: gyrobench import imu.csv --map my_imu.yaml --out dwells.csv
     """
-    from gyrobench.bench.sensor_log.log_import import import_logs, write_import
+    from gyrobench.bench.exchange.log_import import import_logs, write_import
 
     imported = import_logs(logs, mapping)
     record = write_import(out, imported)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
 from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED
 
 
 def jog(

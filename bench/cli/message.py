@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT
 from gyrobench.bench.cli.options import StationArgument
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT
 
 
 def message(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_run
+from gyrobench.bench.cli.options import complete_run
 
 _HELP = "Run folder, or a folder of runs: then a list of them, each with its page."
 

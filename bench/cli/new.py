@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_chamber, complete_table, complete_template, complete_world
+from gyrobench.bench.cli.options import complete_chamber, complete_table, complete_template, complete_world
 from gyrobench.bench.foundations.errors import DocumentError
 
 _STANDARD_OUTPUT = Path("-")

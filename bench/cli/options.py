@@ -1,20 +1,72 @@
-"""Options that several commands have."""
+"""Options that several commands share, and what the shell completes for them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import (
-    complete_faults,
-    complete_procedure,
-    complete_run,
-    complete_station,
-    complete_world,
-)
+from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
+from gyrobench.bench.runs.folder import RUNS, RunFolder
+
+_MOST_RUNS = 200
+
+Completion = Callable[[str], list[str]]
+
+
+def _shipped(kind: str) -> Completion:
+    def complete(incomplete: str) -> list[str]:
+        return _beginning_with(incomplete, shipped_names(kind))
+
+    return complete
+
+
+complete_procedure = _shipped("procedures")
+complete_station = _shipped("stations")
+complete_world = _shipped("worlds")
+complete_faults = _shipped("faults")
+complete_import_map = _shipped("imports")
+
+
+def complete_template(incomplete: str) -> list[str]:
+    """Names of templates of a new procedure."""
+    return _beginning_with(incomplete, [*TEMPLATES, *shipped_names("procedures")])
+
+
+def complete_table(incomplete: str) -> list[str]:
+    """Installed dialects of rate tables."""
+    from gyrobench.drivers.dialects import RATE_TABLES, installed
+
+    return _beginning_with(incomplete, installed(RATE_TABLES))
+
+
+def complete_chamber(incomplete: str) -> list[str]:
+    """Installed dialects of chambers."""
+    from gyrobench.drivers.dialects import CHAMBERS, installed
+
+    return _beginning_with(incomplete, installed(CHAMBERS))
+
+
+def complete_run(incomplete: str) -> list[str]:
+    """Run folders under ``runs``, or under the folder that is being typed; the newest first."""
+    typed = Path(incomplete)
+    folder = typed if incomplete.endswith("/") else typed.parent
+    if not incomplete:
+        folder = RUNS
+    try:
+        found = [path.parent for path in folder.glob(str(RunFolder(Path("*")).journal))]
+    except OSError:
+        return []
+    newest_first = sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+    return _beginning_with(incomplete, map(str, newest_first[:_MOST_RUNS]))
+
+
+def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
+
 
 #: The station of commands that are given none.
 EMULATED = "emulated"

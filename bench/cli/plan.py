@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
 from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
+from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
@@ -87,8 +86,8 @@ def _print_separability(job: Job, target_dph: float) -> None:
 
     from gyrobench.bench.closure.effects import all_effects
     from gyrobench.bench.closure.planned_campaign import planned_campaign
+    from gyrobench.bench.closure.procedure_changes import advise
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.closure.separability_advice import advise
     from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
     from gyrobench.bench.report.figures import save_figure
     from gyrobench.bench.report.figures.separability import separability_figure

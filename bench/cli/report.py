@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_run
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.cli.options import RunArgument, complete_run
+from gyrobench.bench.cli.output import console
 
 
 def report(

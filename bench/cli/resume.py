@@ -6,10 +6,8 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption
 from gyrobench.bench.cli.options import RunArgument, View, ViewOption
-from gyrobench.bench.cli.run_end import print_end
+from gyrobench.bench.cli.output import JsonOption, console, print_end
 
 
 def resume(
@@ -33,13 +31,13 @@ def resume(
 
     Example: gyrobench resume runs/six_position_fig7-001
     """
+    from gyrobench.bench.engine.resume import prepare_resumption
     from gyrobench.bench.engine.run import resume_run
-    from gyrobench.bench.engine.resume import describe_resumption, prepare_resumption
-    from gyrobench.bench.live.watched import watched
+    from gyrobench.bench.monitor.terminal_view import watched
 
     terminal = console(as_json)
     resumption = prepare_resumption(run_folder, anyway)
-    terminal.print(describe_resumption(resumption), soft_wrap=True)
+    terminal.print(resumption.describe(), soft_wrap=True)
     if look:
         return
     job = resumption.job

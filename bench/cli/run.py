@@ -7,9 +7,6 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_run
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption
 from gyrobench.bench.cli.options import (
     EMULATED,
     FaultsOption,
@@ -19,8 +16,9 @@ from gyrobench.bench.cli.options import (
     View,
     ViewOption,
     WorldOption,
+    complete_run,
 )
-from gyrobench.bench.cli.run_end import print_end
+from gyrobench.bench.cli.output import JsonOption, console, print_end
 
 
 def run(
@@ -50,9 +48,9 @@ def run(
 
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
-    from gyrobench.bench.engine.run import run_job
     from gyrobench.bench.engine.job import prepare_job
-    from gyrobench.bench.live.watched import watched
+    from gyrobench.bench.engine.run import run_job
+    from gyrobench.bench.monitor.terminal_view import watched
     from gyrobench.bench.runs.compensation_file import read_compensation
     from gyrobench.bench.station.instruments import Emulation
 

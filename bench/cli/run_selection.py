@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.console import console
+from gyrobench.bench.cli.output import console
 
 if TYPE_CHECKING:
     from gyrobench.bench.runs.index import RunIndex

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.cli.run_selection import (
     BatchOption,
     BenchOption,

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_station
-from gyrobench.bench.cli.exit_codes import EXIT_WRONG_INPUT
-from gyrobench.bench.cli.json_output import JsonOption, print_json
+from gyrobench.bench.cli.options import complete_station
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT, JsonOption, print_json
 
 if TYPE_CHECKING:
     from gyrobench.bench.authoring.checking import FileCheck

@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.completion import complete_procedure, complete_station, complete_world
-from gyrobench.bench.cli.console import console
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED
-from gyrobench.bench.cli.json_output import JsonOption, print_json
-from gyrobench.bench.cli.options import STATION_HELP, RunArgument, View, ViewOption
-from gyrobench.bench.cli.search import search
+from gyrobench.bench.cli.close import search
+from gyrobench.bench.cli.options import (
+    STATION_HELP,
+    RunArgument,
+    View,
+    ViewOption,
+    complete_procedure,
+    complete_station,
+    complete_world,
+)
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.closure import Closure
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.verification_runs import VerificationRuns
-    from gyrobench.bench.live.console import PatientConsole
+    from gyrobench.bench.monitor.terminal import PatientConsole
     from gyrobench.bench.runs.folder import RunFolder
 
 
@@ -83,8 +88,8 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
     )
-    missing = [name for name in verification.wanted if not verification.is_there(name)]
-    job = verification.jobs[verification.wanted[0]]
+    missing = [name for name in verification.selected if not verification.is_there(name)]
+    job = verification.jobs[verification.selected[0]]
     terminal.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
         _measure(terminal, verification, name, view)
@@ -104,7 +109,7 @@ def _search(run: RunFolder) -> Closure:
 
 def _measure(terminal: PatientConsole, verification: VerificationRuns, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
-    from gyrobench.bench.live.watched import watched
+    from gyrobench.bench.monitor.terminal_view import watched
     from gyrobench.bench.report.html import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.closure.loop import Closure, FoundEffect, separating_measurement, statement, whereabouts
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
-from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder

@@ -1,19 +1,20 @@
-"""Small changes of a procedure that help to tell effects apart, made to the file's own steps.
-
-A change takes the steps of a procedure as its YAML file has them and gives the changed ones, or
-None where there is nothing to change. What it gives is checked and planned like any other file.
-"""
+"""The smallest change of a procedure after which effects can be distinguished."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.document import variable_in
 from gyrobench.bench.procedure.navigation_steps import Align, Navigate
+from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.steps import Chamber, GoTo, PowerOff, PowerOn, Soak, Turn, Wait
 
 #: A step or loop: its name alone, or ``{name: {key: value}}``.
@@ -268,3 +269,106 @@ def _temperature_variable(entry: Entry) -> str | None:
 def _ramp_variables(entries: Steps) -> set[str]:
     ramps = [entry[Chamber.name]["ramp_c_per_min"] for entry in entries if _name(entry) == Chamber.name]
     return {name for ramp in ramps if (name := variable_in(ramp)) is not None}
+
+
+#: Checks and plans a changed procedure on the same station.
+Planner = Callable[[Document], Plan]
+
+_S_PER_H = 3600.0
+_SENSORS = ("measure the temperature of each gyro's electronics",)
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A change, and what it helps against.
+
+    Attributes
+    ----------
+    what : tuple of str
+        What to do, for a person, each a clause; empty where no change known is enough.
+    added_h : float
+        How much longer the procedure takes.
+    found : tuple of str
+        Effects that with it are found at the target size and told from all others; without it
+        they were not found.
+    pairs : tuple of (str, str)
+        Pairs that are told apart with it at the target size and were not without it.
+    lost : tuple of (str, str)
+        Pairs that are told apart without it and are not with it.
+    """
+
+    what: tuple[str, ...]
+    added_h: float
+    found: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    lost: tuple[tuple[str, str], ...] = ()
+
+
+def advise(
+    document: Document,
+    plan: Plan,
+    planner: Planner,
+    unit: PlannedUnit,
+    now: Separability,
+    target_dph: float,
+) -> list[Advice]:
+    """Find, for each effect and pair that a plan can't tell at some size, the smallest change that helps.
+
+    Parameters
+    ----------
+    document, plan : Document, Plan
+        The procedure.
+    planner : callable
+        Gives the plan of a changed procedure; a DocumentError says that it can't be run.
+    unit : PlannedUnit
+        The unit under test.
+    now : Separability
+        Of the plan as it is.
+    target_dph : float
+        Size of effect that matters, deg/h rms.
+
+    Returns
+    -------
+    list of Advice
+        The least added time first; what no change known helps against is last.
+    """
+    effects = [each.effect for each in now.detections]
+    hidden = set(now.not_found(target_dph))
+    pairs = set(now.not_told(target_dph))
+    advice = []
+    for what, added_h, changed_plan, changed_unit in _changed(document, plan, planner, unit):
+        if not (hidden or pairs):
+            break
+        campaign = planned_campaign(changed_plan, changed_unit)
+        if campaign.cycle.min() == campaign.cycle.max():  # a search holds one cycle out
+            continue
+        then = separability(searched_dwells(campaign), effects)
+        found = {name for name in hidden if then.is_settled(name, target_dph)}
+        told = {pair for pair in pairs if then.told_both_ways_dph(pair) <= target_dph}
+        if found or told:
+            lost = [pair for pair in then.not_told(target_dph) if now.told_both_ways_dph(pair) <= target_dph]
+            advice.append(Advice(what, added_h, tuple(sorted(found)), tuple(sorted(told)), tuple(lost)))
+            hidden -= found
+            pairs -= told
+    if hidden or pairs:
+        advice.append(Advice((), 0.0, tuple(sorted(hidden)), tuple(sorted(pairs))))
+    return advice
+
+
+def _changed(
+    document: Document, plan: Plan, planner: Planner, unit: PlannedUnit
+) -> list[tuple[tuple[str, ...], float, Plan, PlannedUnit]]:
+    """What each change makes of a procedure, the least added time first."""
+    result = []
+    for change in CHANGES:
+        steps = change.apply(document.data["steps"])
+        if steps is None:
+            continue
+        try:
+            changed = planner(replace(document, data=document.data | {"steps": steps}))
+        except DocumentError:  # this station can't do it
+            continue
+        result.append((change.what, (changed.duration_s - plan.duration_s) / _S_PER_H, changed, unit))
+    if not unit.has_boards:
+        result.append((_SENSORS, 0.0, plan, replace(unit, has_boards=True)))
+    return sorted(result, key=lambda each: each[1])

@@ -8,8 +8,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from gyrobench.bench.closure.candidate import Candidate, best_start, refine, stack, tried
-from gyrobench.bench.closure.effect_set import EffectSet, evaluate
+from gyrobench.bench.closure.candidates import (
+    Candidate,
+    EffectSet,
+    best_start,
+    evaluate,
+    refine,
+    stack,
+    tried,
+)
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import Problem
 

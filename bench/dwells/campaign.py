@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
-from gyrobench.bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES

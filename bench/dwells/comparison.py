@@ -11,8 +11,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import LoadableModel
+from gyrobench.bench.closure.loadable_model import LoadableModel
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.residual_check import ResidualCheck, check_residuals
 from gyrobench.bench.dwells.verification_dwell import VerificationDwell
 from gyrobench.bench.foundations.arrays import FloatArray

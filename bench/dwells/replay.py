@@ -1,19 +1,25 @@
-"""Measuring a run anew from its raw CAN log."""
+"""Recomputing a run from its raw CAN log."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import can
 
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.results import evaluate, planned_dwells, write_results
 from gyrobench.bench.dwells.run_dwells import add_dwell
+from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.dwells.verification_dwell import VerificationDwell, measure_verification
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.runs.can_log import read_can_log
-from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.frames import FrameBlock
 
 
@@ -37,6 +43,31 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
         else:
             add_dwell(dwells, measure_dwell(marks, frames, setup))
     return dwells, verifications
+
+
+def recompute_run(path: Path) -> RunFolder:
+    """Measure a run again from its raw log, and write its tables.
+
+    Raises
+    ------
+    RunFolderError
+        The folder is no run folder, or its log can't be read.
+    DocumentError
+        The procedure, station or DBC file in it is wrong.
+    """
+    folder = open_run_folder(path)
+    document, procedure = load_procedure(folder.procedure)
+    station = Station(folder.station)
+    setup = measurement_setup(station)
+    dwells, verifications = replay(folder, setup)
+    write_dwells(folder.dwells, [dwell.row for dwell in dwells])
+    calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
+    planned = planned_dwells(station.plan(document, procedure))
+    results = evaluate(
+        dwells, verifications, calibration, setup, procedure.bin_width_c, procedure.acceptance, planned
+    )
+    write_results(folder, results)
+    return folder
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:

@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
 from gyrobench.bench.engine.dwell_recording import DwellRecorder
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -23,8 +22,8 @@ from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     FaultError,
     InstrumentError,
-    RunStoppedError,
     InvalidDwellError,
+    RunStoppedError,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles
@@ -56,8 +55,6 @@ _OVERSHOOT_S = 10.0
 _BOOT_FRAMES_AGE_S = 2.0
 #: A bus on which the INS stays silent for this long after power-on is reopened.
 _BUS_SILENCE_S = 15.0
-#: The chamber's air has reached its set point within this.
-_REACHED_C = 2.0
 _POWER_CYCLE_S = 5.0
 #: Period of the estimates of the dwell in progress.
 _ESTIMATE_PERIOD_S = 30.0
@@ -147,7 +144,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
         or abs(bench.readings.chamber.temperature_c - step.temperature_c) > step.within_c
     ):
         yield
-    _check_set_point_reached(bench)
+    bench.check_set_point_reached()
 
 
 @perform.register
@@ -161,7 +158,7 @@ def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG0
 @perform.register
 def _soak(step: Soak, context: StepContext) -> Ticks:
     yield from _soaking(step, context.bench)
-    _check_set_point_reached(context.bench)
+    context.bench.check_set_point_reached()
 
 
 def _soaking(step: Soak, bench: LiveBench) -> Ticks:
@@ -267,13 +264,6 @@ def _wait(step: Wait, context: StepContext) -> Ticks:
 @perform.register
 def _ask_operator(step: AskOperator, context: StepContext) -> Ticks:
     yield from _confirmed(context, step.question, step.answers)
-
-
-def _check_set_point_reached(bench: LiveBench) -> None:
-    """Expect the air to stay at a set point that it has reached."""
-    set_c, air_c = bench.state.commanded_c, bench.readings.chamber.temperature_c
-    if set_c is not None and abs(air_c - set_c) <= _REACHED_C:
-        bench.state.chamber_set_point_reached()
 
 
 def _lasting(bench: LiveBench, duration_s: float) -> Ticks:

@@ -71,7 +71,10 @@ class DwellRecorder:
 
     def end_window(self) -> None:
         """End the window; a table that moved disturbs the dwell."""
-        read_deg = [*(self._bench.capture.table_deg if self._bench.capture else ()), self._bench.table_angles()]
+        read_deg = [
+            *(self._bench.capture.table_deg if self._bench.capture else ()),
+            self._bench.table_angles(),
+        ]
         moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
         if moved_deg > _STILL_DEG:
             self.disturb(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
@@ -136,7 +139,7 @@ class DwellRecorder:
 
 
 def _creep_deg(read_deg: FloatArray) -> float:
-    """How far readings in time order, shape (n, 2), creep beyond their scatter, deg; zero where they do not."""
+    """Creep of readings in time order, shape (n, 2), beyond their scatter, deg; else zero."""
     count = len(read_deg) // 3
     if count == 0:
         return 0.0

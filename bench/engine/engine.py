@@ -146,7 +146,7 @@ class Engine:
         return RetainedState(is_ins_on and not self._state.has_ins_restarted, is_at_temperature, chamber_c)
 
     def _retained_for_repeat(self, dwell: int) -> RetainedState:
-        """The INS may cause a dwell's invalid data: after some repeats it is switched off and on if possible."""
+        """The INS may cause the invalid data: after some repeats it is switched off and on if possible."""
         can_switch = self._bench.station.unit.power == "chamber_event"
         is_ins_on = self._run.state.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
         return self._retained(is_ins_on, is_at_temperature=True)
@@ -199,9 +199,9 @@ class Engine:
             if deadline.expired():
                 place = self._run.job.document.place(planned.location)
                 raise StepTimeoutError(
-                    f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) did not end "
-                    f"within {planned.timeout_s:.0f} s. Check the instrument that it waits for, or increase the "
-                    "step's timeout_s"
+                    f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) did not "
+                    f"end within {planned.timeout_s:.0f} s. Check the instrument that it waits for, or "
+                    "increase the step's timeout_s"
                 )
 
     def _finish_step(self, planned: PlannedStep, took_s: float, is_approach: bool) -> None:
@@ -293,7 +293,9 @@ class Engine:
         """Make the bench safe and hold until the run may continue."""
         why = text_of_trips(trips)
         names = [trip.name for trip in trips]
-        actions = self._bench.make_safe(meanwhile=self._heartbeat.signal_guard)  # before a slow disk can delay it
+        actions = self._bench.make_safe(
+            meanwhile=self._heartbeat.signal_guard
+        )  # before a slow disk can delay it
         self._run.journal.record("tripped", interlocks=names, why=why)
         self._dwells.discard(self._plan.steps[index].dwell, why, counts=False)
         self._report_safe(actions)

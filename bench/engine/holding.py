@@ -65,7 +65,8 @@ class Heartbeat:
         if abs(offset_s - self._calendar_offset_s) > _CALENDAR_STEP_S:
             self._calendar_offset_s = offset_s
             self._run.note(
-                f"this machine's calendar was set and is {offset_s:+.1f} s from the run's time, which is unaffected"
+                f"this machine's calendar was set and is {offset_s:+.1f} s from the run's time, "
+                "which is unaffected"
             )
 
 

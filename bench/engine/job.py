@@ -49,7 +49,7 @@ class Job:
 
 
 def emulation_of(folder: RunFolder) -> Emulation:
-    """World, seed and faults behind the emulated instruments of a run; the default where none was emulated."""
+    """World, seed and faults behind the emulated instruments of a run; the default without any."""
     options = read_provenance(folder).get("options", {})
     return Emulation(
         str(options.get("world", Emulation.world)),

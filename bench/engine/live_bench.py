@@ -35,6 +35,8 @@ _EPOCH_COUNT_TOLERANCE_S = 3.0
 _BUS_SILENCE_S = 4.0
 #: Period at which a disconnected port is reopened.
 _REOPEN_PERIOD_S = 5.0
+#: The chamber's air has reached its set point within this.
+_REACHED_C = 2.0
 _FRAMES_PER_BLOCK = 2000
 #: Bins of lateness are evenly wide in the logarithm; below the first edge a tick counts as on time.
 _LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
@@ -399,6 +401,12 @@ class LiveBench:
         actions = make_safe(self.station, self.instruments, release_table, meanwhile=meanwhile)
         self.state.made_safe()
         return actions
+
+    def check_set_point_reached(self) -> None:
+        """Expect the chamber's air to stay at the set point once it has reached it."""
+        set_c, air_c = self.state.commanded_c, self.readings.chamber.temperature_c
+        if set_c is not None and abs(air_c - set_c) <= _REACHED_C:
+            self.state.chamber_set_point_reached()
 
     def prepare_table(self) -> None:
         """Set the limits of motion, clear latched faults and close the servos, unless that is done.

@@ -14,8 +14,7 @@ from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.run_facts import LONGEST_RUN_S
+from gyrobench.bench.runs.journal import LONGEST_RUN_S, read_journal
 
 #: After so many resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
@@ -206,7 +205,8 @@ class Resumption:
         )
         if state.next_index:
             lines.append(
-                "Before that the INS is switched off and on, and temperature and position are approached again."
+                "Before that the INS is switched off and on, and temperature and position are approached "
+                "again."
             )
         return "\n".join(lines)
 

@@ -19,7 +19,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.notifications import RunNotifier
 from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import CommandQueue, Operator
-from gyrobench.bench.engine.resume import Resumption, ResumeState
+from gyrobench.bench.engine.resume import ResumeState, Resumption
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError

@@ -10,8 +10,8 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
 from gyrobench.bench.dwells.replay import replay
 from gyrobench.bench.dwells.setup import measurement_setup
@@ -23,9 +23,8 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.run_facts import facts_of
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.compensation import Compensation
 
@@ -97,7 +96,8 @@ class VerificationRuns:
         compensations |= {name: model.compensation for name, model in self.models.items()}
         if set(only) - compensations.keys():
             raise DocumentError(
-                f"{run.path}: the search found no effect that an INS can compensate. Leave --only {EFFECT} out"
+                f"{run.path}: the search found no effect that an INS can compensate. "
+                f"Leave --only {EFFECT} out"
             )
         self.selected = [name for name in compensations if name in only or not only]
         self.jobs: Mapping[str, Job] = MappingProxyType(
@@ -134,9 +134,7 @@ class VerificationRuns:
             )
         return True
 
-    def measure(
-        self, name: str, observer: RunObserver, operator: Operator
-    ) -> tuple[RunFolder, RunOutcome]:
+    def measure(self, name: str, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
         """Run the procedure with one compensation.
 
         Raises
@@ -222,7 +220,7 @@ def _check_uncompensated(run: RunFolder) -> None:
     if in_use:
         raise DocumentError(
             f"{run.path}: was measured while the INS applied a stored compensation ({', '.join(in_use)}), so "
-            "its model describes only the remaining biases. Measure the campaign with the compensation cleared"
+            "its model describes only the remaining biases. Clear it and measure the campaign again"
         )
 
 

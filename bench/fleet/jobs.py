@@ -107,7 +107,7 @@ def _measured(folder: RunFolder) -> str:
 
 
 def _closed(folder: RunFolder) -> str:
-    from gyrobench.bench.closure.closure import close_loop
+    from gyrobench.bench.closure.loop import close_loop
     from gyrobench.bench.dwells.campaign import read_campaign
     from gyrobench.bench.report.closure.search_files import write_search
 

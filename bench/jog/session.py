@@ -16,7 +16,7 @@ from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
-from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.jog.display import Display
 from gyrobench.bench.jog.hand import Hand
 from gyrobench.bench.jog.interruptions import Interruptions

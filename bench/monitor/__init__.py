@@ -1,1 +1,5 @@
-"""The page that shows a run in a browser: read only, on loopback, with nothing from outside."""
+"""One snapshot of a run, shown in the terminal and on a page in the browser.
+
+``snapshot`` is all that a view needs at one moment. ``recorder`` makes it during a run and leaves it in the
+run folder; ``run_list`` makes it from what a run left.
+"""

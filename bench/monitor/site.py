@@ -2,22 +2,139 @@
 
 from __future__ import annotations
 
+import math
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
+from functools import cache
 from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.bench.live.from_folder import picture_of
-from gyrobench.bench.monitor.answer import HTML, RECORD_POLICY, Answer, page_policy, refusal
-from gyrobench.bench.monitor.list_rows import ListRow, list_row, unreadable_row
-from gyrobench.bench.monitor.memory import FolderMemory
-from gyrobench.bench.monitor.news import news_of
-from gyrobench.bench.monitor.page import list_fragment, problem_fragment, run_fragment, whole_page
-from gyrobench.bench.monitor.runs import is_run, records_of, runs_in, signature_of, summarise
+from gyrobench.bench.monitor.attitude_drawing import axes_drawing
+from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
+from gyrobench.bench.monitor.page_content import (
+    ListRow,
+    News,
+    bin_tables,
+    headline,
+    list_row,
+    news_of,
+    reading_rows,
+    shown_dwells,
+    unreadable_row,
+)
+from gyrobench.bench.monitor.run_list import (
+    FolderMemory,
+    is_run,
+    picture_of,
+    records_of,
+    runs_in,
+    signature_of,
+    summarise,
+)
+from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Answer, page_policy, refusal
+from gyrobench.bench.monitor.snapshot import Attitude, Picture
+from gyrobench.bench.navigation.positions import POSITIONS, position_label
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.report.wording import true_minus
+
+
+def run_fragment(picture: Picture, news: News, records: Mapping[str, str], home: str) -> str:
+    """Draw a run: the content of its page, which the page itself asks for anew.
+
+    Parameters
+    ----------
+    picture : Picture
+        The run.
+    news : News
+        How fresh the picture is.
+    records : mapping
+        Addresses and titles of pages that the run has left.
+    home : str
+        Address of the list of runs; empty where there is none.
+    """
+    dwell = picture.dwell
+    return _filled(
+        "run.html.j2",
+        title=_title(picture, news),
+        picture=picture,
+        news=news,
+        records=records,
+        home=home,
+        top=headline(picture),
+        step_label=_step_label(picture),
+        profile=profile_chart(picture),
+        axes=axes_drawing(picture.attitude) if picture.attitude else None,
+        azimuth=_azimuth(picture.attitude),
+        readings=reading_rows(picture.bench) if picture.bench else [],
+        windows=window_charts(dwell) if dwell else [],
+        biases=bias_charts(dwell) if dwell else [],
+        bins=bin_tables(picture.bins),
+        dwells=shown_dwells(picture.dwells),
+    )
+
+
+def list_fragment(folder: str, rows: Sequence[ListRow], left_out: int) -> str:
+    """Draw the list of the runs of a folder, ``left_out`` of which are not in ``rows``."""
+    return _filled("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)
+
+
+def problem_fragment(title: str, problem: str, home: str) -> str:
+    """Say why there is nothing to draw."""
+    return _filled("problem.html.j2", title=title, problem=problem, home=home)
+
+
+def whole_page(fragment: str, nonce: str) -> str:
+    """Put style and script around a fragment."""
+    return _filled("page.html.j2", fragment=fragment, nonce=nonce)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("gyrobench.bench.monitor"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["position"] = position_label
+    environment.filters["hours"] = hours_minutes
+    return environment
+
+
+def _filled(template: str, **content: object) -> str:
+    return _environment().get_template(template).render(**content)
+
+
+def _title(picture: Picture, news: News) -> str:
+    """Title of the browser's tab: what matters most comes first."""
+    if news.warning:
+        return f"▲ silent: {picture.name}"
+    if picture.alarms and not news.is_over:
+        return f"▲ ALARM: {picture.name}"
+    left = "" if news.is_over else f", {hours_minutes(picture.left_s)} h left"
+    return f"{picture.state.value}{left}: {picture.name}"
+
+
+def _step_label(picture: Picture) -> str:
+    """Where the step is, with positions as people write them."""
+    if picture.step is None:
+        return ""
+    parts = picture.step.label.split(", ")
+    return ", ".join(position_label(part) if part in POSITIONS else part for part in parts)
+
+
+def _azimuth(attitude: Attitude | None) -> str:
+    if attitude is None or math.isnan(attitude.azimuth_deg):
+        return ""
+    return true_minus(f"{attitude.azimuth_deg:zg}°")
+
 
 _MOST_LISTED = 200
 _MOST_PICTURES = 8

@@ -29,7 +29,7 @@ from gyrobench.bench.foundations.documents import (
     validate,
 )
 from gyrobench.bench.procedure.navigation_steps import Until
-from gyrobench.bench.procedure.step import Step
+from gyrobench.bench.procedure.step import Celsius, Step
 from gyrobench.bench.procedure.steps import STEP_KINDS
 
 #: A value that a loop variable can take.
@@ -87,6 +87,11 @@ class Procedure(StrictModel):
         default=[], description="what its source does not tell and was chosen here"
     )
     bin_width_c: float = Field(default=5.0, ge=0.1, le=100.0, description="width of a temperature bin, degC")
+    marked_temperatures_c: list[Celsius] = Field(
+        default=[],
+        max_length=10,
+        description="gyro temperatures that figures mark with a line, degC, such as the onset of an effect",
+    )
     acceptance: AcceptanceLimits | None = Field(
         default=None, description="what the gyros have to keep; without it the unit is not judged"
     )

@@ -20,9 +20,8 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.report.page.findings import Findings
 from gyrobench.bench.report.page.findings_file import FINDINGS_FILE, read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.run_facts import RunFacts, facts_of
 from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,

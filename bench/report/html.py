@@ -34,8 +34,7 @@ from gyrobench.bench.report.run.head import (
 from gyrobench.bench.report.run.joint_section import joint_section
 from gyrobench.bench.report.run.noise_section import noise_section
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.manifest import DataHash, data_hashes
-from gyrobench.bench.runs.provenance import note_preparer
+from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 
 _TEMPLATE = "report.html.j2"
 

@@ -30,7 +30,7 @@ from can.io.blf import (
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, sync_folder
 from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.bench.runs.parts import find_parts, part_path
+from gyrobench.bench.runs.folder import find_parts, part_path
 
 _SUFFIX = ".blf"
 #: A dwell of some hours on a bus that is never idle.

@@ -23,8 +23,7 @@ from gyrobench.bench.runs.folder import (
     PROVENANCE,
 )
 from gyrobench.bench.runs.index_run_files import CLOSURE_FILE, CLOSURE_FINDINGS, RunFiles
-from gyrobench.bench.runs.journal import parse_journal
-from gyrobench.bench.runs.run_facts import facts_of
+from gyrobench.bench.runs.journal import facts_of, parse_journal
 
 #: How a run ended that does not say so: it was killed, or is under way.
 NOT_ENDED = "not ended"

@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.bench.runs.parts import find_parts, part_path
+from gyrobench.bench.runs.folder import find_parts, part_path
 
 #: Columns, in order; all are 64-bit floats, NaN where a value is not known.
 COLUMNS = (

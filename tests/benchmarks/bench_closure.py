@@ -22,8 +22,8 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import write_closure
+from gyrobench.bench.closure.loop import close_loop
 from tests.benchmarks.stock_methods import METHODS
 from tests.benchmarks.stock_methods import write_closure as write_stock_closure
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
-from gyrobench.bench.sensor_log.log_import import import_logs
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.exchange.log_import import import_logs
 from tests.benchmarks.stock_methods import METHODS, held_out_errors
 
 IMU = Path(__file__).parents[3] / "shared" / "data" / "imu_thermal" / "imu_raw_data.csv"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrobench.bench.sensor_log.log_import import import_logs
+from gyrobench.bench.exchange.log_import import import_logs
 from tests.benchmarks.stock_methods import lagged
 
 IMU = Path(__file__).parents[3] / "shared" / "data" / "imu_thermal" / "imu_raw_data.csv"

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.observers import RunObserver
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.station.instruments import Emulation
 

@@ -16,15 +16,14 @@ from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.files import read_held_out_cycles
 from gyrobench.bench.dwells.campaign import read_campaign
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.run import resume_run
-from gyrobench.bench.engine.resume import describe_resumption, prepare_resumption
 from gyrobench.bench.dwells.replay import recompute_run
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.engine.verification_runs import new_emulation
-from gyrobench.bench.live.console import PatientConsole
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal import PatientConsole
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.report.calibration_check.section import verification_section
 from gyrobench.bench.report.content import read_run
@@ -160,12 +159,12 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         copy = _copied(run, folder)
         (copy / "journal.jsonl").write_bytes(data)
         resumption = prepare_resumption(copy)
-        describe_resumption(resumption)
+        resumption.describe()
         told = _whole_entries(data)
         finished = {each["marks"]["dwell"] for each in told if each.get("event") == "dwell_finished"}
-        if resumption.done.finished != finished:
+        if resumption.state.finished != finished:
             raise WrongResultError(
-                f"dwells {resumption.done.finished} are finished, the journal says {finished}"
+                f"dwells {resumption.state.finished} are finished, the journal says {finished}"
             )
         plan = resumption.job.plan
         with Path(os.devnull).open("w") as nowhere, _unseen(nowhere, plan) as view:
@@ -176,7 +175,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
             raise WrongResultError(f"resumed, the run {outcome.ended}: {outcome.reason}")
         measured = {row.dwell for row in read_dwells(resumed.dwells)}
         verified = {each.marks.dwell for each in outcome.verifications}
-        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.done.skipped
+        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.state.skipped
         if missing:
             raise WrongResultError(f"the dwells {missing} are lost")
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.exchange.log_import import import_logs, write_import
 from gyrobench.bench.foundations.documents import read_document
-from gyrobench.bench.sensor_log.log_import import import_logs, write_import
 from tests.fuzz.checks import WrongResultError, check_document, written
 
 MAP = """\

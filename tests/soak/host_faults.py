@@ -18,8 +18,7 @@ from typing import Any
 from unittest import mock
 
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.procedure.steps import STEP_KINDS
 from gyrobench.bench.runs.journal import read_journal

@@ -25,11 +25,10 @@ from scipy.stats import chi2 as chi2_distribution
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.dwells.replay import replay
 from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.resume import resume_state_of
-from gyrobench.bench.engine.resume import describe_resumption, prepare_resumption
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.job import Job, prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.steps import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
@@ -136,7 +135,7 @@ class KilledRun:
 
     def _look(self, anyway: bool = True) -> str:
         try:
-            return describe_resumption(prepare_resumption(self._path, anyway))
+            return prepare_resumption(self._path, anyway).describe()
         except RunFolderError as error:
             return str(error)
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver
-from gyrobench.bench.engine.job import Job
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
 from gyrobench.drivers.emulators.world.document import load_world

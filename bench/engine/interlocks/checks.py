@@ -105,7 +105,7 @@ class RateWindow:
             values.popleft()
 
     def per_s(self) -> float | None:
-        """Return the change from the oldest to the newest value, per second; None until half the window is filled."""
+        """Return the change from oldest to newest value, per s; None until half the window is filled."""
         if not self._values:
             return None
         (first_s, first), (last_s, last) = self._values[0], self._values[-1]
@@ -170,7 +170,9 @@ class TableChecks:
         ):
             if problem := _out_of_range(f"the angle of the {axis} axis", angle_deg, *range_deg, "deg"):
                 yield Finding(
-                    f"{axis}_angle", problem, "Check cables and mechanical stops before the table moves again."
+                    f"{axis}_angle",
+                    problem,
+                    "Check cables and mechanical stops before the table moves again.",
                 )
             for interlock, what, value, limit, unit in (
                 ("table_rate", "rate", rate_dps, self._rate_dps, "deg/s"),
@@ -243,8 +245,8 @@ class ChamberChecks:
             if not abs(off_c) <= self._deviation_c:
                 yield Finding(
                     "chamber_deviation",
-                    f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point that it had "
-                    f"reached; the limit is {self._deviation_c:g} K",
+                    f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point that it "
+                    f"had reached; the limit is {self._deviation_c:g} K",
                     "Check the chamber's machinery and door.",
                 )
 
@@ -360,9 +362,7 @@ def _temperatures(station: Station) -> Iterator[_Temperature]:
         return _Temperature(f"the temperature of {what}", read, kind, level, limit_c_per_min, window)
 
     if signals.case_temperature is not None:
-        yield temperature(
-            "the case", lambda ins: ins.case_c, "case", rules.case_temperature, rules.case_rate
-        )
+        yield temperature("the case", lambda ins: ins.case_c, "case", rules.case_temperature, rules.case_rate)
     for part, mapped in (
         ("optics", signals.gyro_optics_temperature),
         ("electronics", signals.gyro_electronics_temperature),

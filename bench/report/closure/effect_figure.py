@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.closure.closure import Closure, FoundEffect
+from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.navigation.positions import AXES, gyro_label

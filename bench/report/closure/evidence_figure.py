@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from gyrobench.bench.closure.closure import Closure, Evidence
+from gyrobench.bench.closure.loop import Closure, Evidence
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.report.closure.residuals import rests_on_noise

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.report.closure.residuals import held_out_cycles

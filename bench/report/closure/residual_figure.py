@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors

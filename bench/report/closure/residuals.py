@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from gyrobench.bench.closure.candidate import tried
-from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure
-from gyrobench.bench.closure.confirmation import measured_minus
+from gyrobench.bench.closure.candidates import tried
+from gyrobench.bench.closure.loop import LEFT_OVER_P, Closure
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.closure.validation import measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.report.wording import BiasScale

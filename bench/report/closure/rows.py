@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import listed, spoken
 from gyrobench.bench.report.closure.residuals import rests_on_noise, scale_of_errors
 from gyrobench.bench.report.closure.wording import gains_text, odds_text, share_text

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.wording import whereabouts
+from gyrobench.bench.closure.loop import Closure, whereabouts
 from gyrobench.bench.foundations.text import spoken
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure import wording

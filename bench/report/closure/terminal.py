@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.closure.closure import Closure
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.report.closure.residuals import held_out_cycles, noise_dph, rms, scale_of_errors
 from gyrobench.bench.report.closure.rows import effect_table, evidence_table, tried_caption
 from gyrobench.bench.report.closure.wording import chain, verdict_sentence

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import math
 
-from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure, Evidence, FoundEffect
-from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
+from gyrobench.bench.closure.loop import (
+    LEFT_OVER_P,
+    Closure,
+    Evidence,
+    FoundEffect,
+    separating_measurement,
+    statement,
+    whereabouts,
+)
 from gyrobench.bench.foundations.text import counted, listed, spoken
 from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,

@@ -11,7 +11,7 @@ from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.calibration_check.section import dwells_text
 from gyrobench.bench.report.content import Entry, RunContent
-from gyrobench.bench.runs.run_facts import RunFacts
+from gyrobench.bench.runs.journal import RunFacts
 
 _PROGRAMS = ("gyrobench", "python", "platform")
 _CUT_OFF = "It was killed or cut off, or has not ended yet: the journal does not tell of its end."

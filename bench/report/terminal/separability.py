@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
-from gyrobench.bench.closure.separability_advice import Advice
 from gyrobench.bench.foundations.text import counted, listed
 
 _MOST_INFLATION = 1000.0
@@ -41,7 +41,7 @@ def separability_summary(
     target_dph : float
         Size that matters, deg/h rms.
     advice : sequence of Advice
-        What :func:`gyrobench.bench.closure.separability_advice.advise` says for the target.
+        What :func:`gyrobench.bench.closure.procedure_changes.advise` says for the target.
     """
     seen = [each for each in separability.detections if each.lacks is None]
     parts: list[RenderableType] = [

@@ -8,8 +8,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.closure.closure import Closure
-from gyrobench.bench.closure.compensation import LoadableModel
+from gyrobench.bench.closure.loadable_model import LoadableModel
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.procedure.timeline import hours_minutes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from gyrobench.bench.closure.closure import LEFT_OVER_P, Closure
-from gyrobench.bench.closure.compensation import LoadableModel
+from gyrobench.bench.closure.loadable_model import LoadableModel
+from gyrobench.bench.closure.loop import LEFT_OVER_P, Closure
 from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
 from gyrobench.bench.foundations.text import listed, spoken
 from gyrobench.bench.report.closure.wording import found_names, p_phrase, size_text

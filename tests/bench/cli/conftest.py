@@ -1,6 +1,6 @@
 import pytest
 
-from tests.bench.sensor_log.made_up_log import MadeUpLog
+from tests.bench.exchange.made_up_log import MadeUpLog
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gyrobench.bench.cli import app
-from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
 from gyrobench.bench.foundations.documents import find_document
 
 

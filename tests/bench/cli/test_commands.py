@@ -10,7 +10,7 @@ import time
 import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.cli.exit_codes import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 from tests.bench.report.made_up_closure import made_up_rows
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
 from tests.bench.runs.index.sample_runs import copy_run, emulated_run
 from tests.benchmarks.fleet_runs import OUTLIER, make_runs

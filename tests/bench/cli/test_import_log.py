@@ -1,7 +1,7 @@
 """``gyrobench import`` as an engineer types it."""
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.cli.exit_codes import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.cli.json_output import plain
+from gyrobench.bench.cli.output import plain
 from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
 

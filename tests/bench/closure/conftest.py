@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import declared_problem
 from tests.bench.closure.thermal_bench import measure
 

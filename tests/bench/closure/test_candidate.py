@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.candidate import Candidate, best_start, refine, stack, starts
+from gyrobench.bench.closure.candidates import Candidate, best_start, refine, stack, starts
 from gyrobench.bench.closure.effects import (
     attitude_thermal,
     bias_jump,

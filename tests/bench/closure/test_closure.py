@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import LEFT_OVER_P, PROVEN_SHARE, close_loop
 from gyrobench.bench.closure.effects import (
     all_effects,
     bias_jump,
@@ -15,6 +14,7 @@ from gyrobench.bench.closure.effects import (
     time_drift,
     warm_up,
 )
+from gyrobench.bench.closure.loop import LEFT_OVER_P, PROVEN_SHARE, close_loop
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.foundations.errors import MeasurementError

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
-from gyrobench.bench.closure.compensation import declared_model, model_with_effects
 from gyrobench.bench.closure.effects import all_effects, attitude_thermal
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
+from gyrobench.bench.closure.loop import close_loop
 from tests.bench.closure.thermal_bench import STEP_S, measure
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 

@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.candidate import solve_with
-from gyrobench.bench.closure.confirmation import (
+from gyrobench.bench.closure.candidates import solve_with
+from gyrobench.bench.closure.effects import bias_jump, g_sensitivity, temperature_rate, time_drift, warm_up
+from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.closure.problem import declared_problem
+from gyrobench.bench.closure.validation import (
     LeftOut,
     leave_out_cycles,
     measured_minus,
     pooled_gain,
     without_unseen_constants,
 )
-from gyrobench.bench.closure.effects import bias_jump, g_sensitivity, temperature_rate, time_drift, warm_up
-from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.problem import declared_problem
 from tests.bench.closure.test_candidate import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, WARM_UP_H, jump
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.effect_set import evaluate, price
+from gyrobench.bench.closure.candidates import evaluate, price
 from gyrobench.bench.closure.effects import g_sensitivity, time_drift
 from tests.bench.closure.test_candidate import whole
 

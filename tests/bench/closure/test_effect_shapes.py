@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.effect_shapes import basis_of, rivals, truths, unit_parts
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
+from gyrobench.bench.closure.separability import basis_of, rivals, truths, unit_parts
 from tests.bench.closure.plans import shipped
 
 

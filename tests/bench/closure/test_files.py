@@ -9,7 +9,6 @@ import pytest
 import yaml
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.effects import all_effects, bias_jump, g_sensitivity, time_drift
 from gyrobench.bench.closure.files import (
     closure_document,
@@ -19,6 +18,7 @@ from gyrobench.bench.closure.files import (
     read_held_out_cycles,
     write_closure,
 )
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.errors import RunFolderError
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from gyrobench.bench.closure.closure import LEFT_OVER_P
-from gyrobench.bench.closure.lack_of_fit import lack_of_fit
+from gyrobench.bench.closure.loop import LEFT_OVER_P
+from gyrobench.bench.closure.validation import lack_of_fit
 
 
 @pytest.fixture(scope="module")

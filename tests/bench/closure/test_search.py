@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.effect_set import evaluate
+from gyrobench.bench.closure.candidates import evaluate
 from gyrobench.bench.closure.effects import all_effects, bias_jump, time_drift
 from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.problem import declared_problem

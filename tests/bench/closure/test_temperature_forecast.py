@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.temperature_forecast import ELECTRONICS_ABOVE_OPTICS_K, forecast_temperatures
+from gyrobench.bench.closure.planned_campaign import ELECTRONICS_ABOVE_OPTICS_K, forecast_temperatures
 from tests.bench.closure.plans import planned, station
 
 RAMP = "  - chamber: {temperature_c: 60, ramp_c_per_min: 4}\n"

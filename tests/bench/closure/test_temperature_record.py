@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.temperature_record import TemperatureRecord, record_of_dwells
+from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dwells
 from tests.bench.closure.thermal_bench import measure
 
 DWELL_S = 1800.0

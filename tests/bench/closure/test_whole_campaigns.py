@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.dwells.campaign import read_campaign
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
 

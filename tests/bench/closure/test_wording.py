@@ -2,9 +2,14 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import FoundEffect, close_loop
 from gyrobench.bench.closure.effects import attitude_thermal, g_sensitivity, thermal_hysteresis, warm_up
-from gyrobench.bench.closure.wording import separating_measurement, statement, whereabouts
+from gyrobench.bench.closure.loop import (
+    FoundEffect,
+    close_loop,
+    separating_measurement,
+    statement,
+    whereabouts,
+)
 from tests.bench.closure.test_candidate import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 

@@ -7,10 +7,10 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.dwells.residual_check import check_residuals
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins import Compensation
 

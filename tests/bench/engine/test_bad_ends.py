@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.compensation_file import read_compensation

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.operator import RunCommand
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -227,7 +226,7 @@ def test_orders_can_be_typed(tmp_path, two):
     class Typist(ConsentingOperator):
         typed = [None] * 100 + [RunCommand.SKIP]
 
-        def order(self):
+        def command(self):
             return self.typed.pop(0) if self.typed else None
 
     job = prepare_job(str(two), "emulated", Emulation("ideal", 0))

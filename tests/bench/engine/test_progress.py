@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from gyrobench.bench.engine.resume import resume_state_of
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.resume import resume_state_of
 from gyrobench.bench.foundations.errors import RunFolderError
 
 

@@ -8,13 +8,11 @@ import time
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.operator import RunCommand
-from gyrobench.bench.engine.observers import RunObserver
-from gyrobench.bench.engine.run import resume_run
-from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, describe_resumption, prepare_resumption
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
@@ -54,7 +52,7 @@ class Watcher(RunObserver):
     def __init__(self, kind="", nth=1):
         self.kind, self.left, self.told_texts = kind, nth, []
 
-    def told(self, text):
+    def noted(self, text):
         self.told_texts.append(text)
 
     def step_started(self, planned, bench):
@@ -166,7 +164,7 @@ def test_times_go_on_and_power_ons_are_counted_on(procedure, tmp_path):
 
 def test_it_says_in_words_what_it_found_and_what_it_will_do(procedure, tmp_path):
     path = broken_off(procedure, tmp_path / "run", "turn", 3)
-    words = describe_resumption(prepare_resumption(path))
+    words = prepare_resumption(path).describe()
     assert "2 of 4 dwells are finished and stay" in words
     assert "dwell 3 (25 degC, z_up), whole" in words
     assert "unit 1003" in words
@@ -187,7 +185,7 @@ def test_an_aborted_run_can_be_gone_on_with(procedure, undisturbed, tmp_path):
     class Aborter(ConsentingOperator):
         left = 500
 
-        def order(self):
+        def command(self):
             self.left -= 1
             return RunCommand.ABORT if self.left == 0 else None
 

@@ -8,12 +8,12 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.dwells.replay import recompute_run
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.html import write_report
 from gyrobench.bench.runs.folder import RunFolder

@@ -10,15 +10,15 @@ import pytest
 import yaml
 from rich.console import Console
 
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.files import write_closure
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
-from gyrobench.bench.live.lines_view import LinesView
+from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -197,7 +197,9 @@ def test_a_campaign_that_the_ins_compensated_already_is_refused(campaign, tmp_pa
     entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}}
     compensated.journal.write_text(json.dumps(entry) + "\n")
     with pytest.raises(DocumentError, match=r"measured while the INS compensated its gyros \(0badcafe\)"):
-        VerificationRuns(compensated, closure, procedure, str(run.station), new_emulation(run), tmp_path / "out")
+        VerificationRuns(
+            compensated, closure, procedure, str(run.station), new_emulation(run), tmp_path / "out"
+        )
 
 
 def test_the_command_prints_what_it_does_and_what_is_left(campaign, verified):

@@ -10,8 +10,8 @@ import pytest
 import serial
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.link import GuardLink
-from gyrobench.bench.guard.orders import Orders
+from gyrobench.bench.guard.process import GuardProcess
+from gyrobench.bench.guard.protocol import GuardConfig
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.bench_lock import BenchLock
 from tests.bench.guard.served_bench import is_running, wait_for
@@ -24,7 +24,7 @@ def orphaned_guard(bench, folder):
     """A guard whose engine died right after it had started the guard."""
     with subprocess.Popen(["true"]) as engine:
         pass
-    orders = Orders(
+    orders = GuardConfig(
         str(bench.station.path), str(folder), 5.0, engine.pid, "2026-01-01T00:00:00+00:00", 7.0
     )  # fmt: skip
     command = [sys.executable, "-m", "gyrobench.bench.guard"]
@@ -117,14 +117,14 @@ def test_a_busy_port_is_tried_again_and_the_other_instrument_does_not_wait_for_i
 def test_a_guard_left_unreleased_acts_when_the_bench_is_free_and_lets_the_process_live(served, tmp_path):
     served.disturb()
     clock = WallClock()
-    with BenchLock(served.station, tmp_path, clock), GuardLink(served.station, tmp_path, clock) as guard:
+    with BenchLock(served.station, tmp_path, clock), GuardProcess(served.station, tmp_path, clock) as guard:
         pass
     assert guard._process.wait(60) == 0
     assert_safe(served)
 
 
 def test_a_released_guard_leaves_the_bench_as_it_is(served, tmp_path):
-    with GuardLink(served.station, tmp_path, WallClock()) as guard:
+    with GuardProcess(served.station, tmp_path, WallClock()) as guard:
         pid = guard.pid
         assert is_running(pid)
         assert guard.beat() is None

@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.guard.link import GuardLink, NoGuard, guard_for
+from gyrobench.bench.guard.process import GuardProcess, NoGuard, guard_for
 from gyrobench.bench.station.station import Station
 from tests.bench.guard.served_bench import station_file
 
@@ -27,18 +27,21 @@ def test_a_bench_inside_the_process_has_no_guard(tmp_path):
 
 
 def test_a_bench_behind_ports_has_one(station, tmp_path):
-    assert isinstance(guard_for(station, tmp_path, WallClock()), GuardLink)
+    assert isinstance(guard_for(station, tmp_path, WallClock()), GuardProcess)
 
 
 def test_a_guard_that_can_not_start_is_told(station, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(GyrobenchError, match="did not get ready"), GuardLink(station, tmp_path, WallClock()):
+    with (
+        pytest.raises(GyrobenchError, match="did not get ready"),
+        GuardProcess(station, tmp_path, WallClock()),
+    ):
         pass
 
 
 def test_a_guard_that_can_not_be_replaced_is_noted_once_a_minute(station, tmp_path, monkeypatch):
     clock = WallClock()
-    with GuardLink(station, tmp_path, clock) as guard:
+    with GuardProcess(station, tmp_path, clock) as guard:
         monkeypatch.setattr(sys, "executable", "/bin/false")
         guard._process.kill()
         guard._process.wait()
@@ -48,7 +51,7 @@ def test_a_guard_that_can_not_be_replaced_is_noted_once_a_minute(station, tmp_pa
 
 
 def test_nobody_but_the_engine_holds_its_end_of_the_pipe(station, tmp_path):
-    with GuardLink(station, tmp_path, WallClock()) as guard:
+    with GuardProcess(station, tmp_path, WallClock()) as guard:
         assert not os.get_inheritable(guard._pipe)
         pipe = os.fstat(guard._pipe).st_ino
         ends = [path.name for path in Path(f"/proc/{guard.pid}/fd").iterdir() if path.stat().st_ino == pipe]
@@ -57,7 +60,7 @@ def test_nobody_but_the_engine_holds_its_end_of_the_pipe(station, tmp_path):
 
 
 def test_a_guard_that_died_is_replaced(station, tmp_path):
-    with GuardLink(station, tmp_path, WallClock()) as guard:
+    with GuardProcess(station, tmp_path, WallClock()) as guard:
         dead = guard.pid
         guard._process.kill()
         guard._process.wait()
@@ -68,7 +71,7 @@ def test_a_guard_that_died_is_replaced(station, tmp_path):
 
 
 def test_a_guard_that_hangs_is_replaced(station, tmp_path):
-    with GuardLink(station, tmp_path, WallClock()) as guard:
+    with GuardProcess(station, tmp_path, WallClock()) as guard:
         hanging = guard.pid
         os.kill(hanging, signal.SIGSTOP)
         notes = [note for _ in range(5000) if (note := guard.beat())]

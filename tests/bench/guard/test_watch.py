@@ -3,8 +3,8 @@ import os
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.orders import Orders
-from gyrobench.bench.guard.watch import Ending, watch
+from gyrobench.bench.guard.protocol import GuardConfig
+from gyrobench.bench.guard.watching import EngineEnd, watch_engine
 
 
 @pytest.fixture
@@ -29,34 +29,34 @@ class JumpingClock(WallClock):
 def test_an_engine_that_closes_the_pipe_has_ended(pipe):
     os.write(pipe["ours"], b"...")
     os.close(pipe.pop("ours"))
-    assert watch(pipe["theirs"], 5.0, WallClock()) is Ending.CLOSED
+    assert watch_engine(pipe["theirs"], 5.0, WallClock()) is EngineEnd.CLOSED
 
 
 def test_a_release_counts_also_behind_beats_and_before_the_end(pipe):
     os.write(pipe["ours"], b"..R")
     os.close(pipe.pop("ours"))
-    assert watch(pipe["theirs"], 5.0, WallClock()) is Ending.RELEASED
+    assert watch_engine(pipe["theirs"], 5.0, WallClock()) is EngineEnd.RELEASED
 
 
 def test_silence_ends_the_watch(pipe):
-    assert watch(pipe["theirs"], 0.05, WallClock()) is Ending.SILENT
+    assert watch_engine(pipe["theirs"], 0.05, WallClock()) is EngineEnd.SILENT
 
 
 def test_a_suspended_machine_is_no_silence(pipe):
     clock = JumpingClock()
     os.write(pipe["ours"], b".")
-    assert watch(pipe["theirs"], 3.0, clock) is Ending.SILENT
+    assert watch_engine(pipe["theirs"], 3.0, clock) is EngineEnd.SILENT
     assert clock.jumps >= 4
 
 
 def test_orders_come_through_a_pipe_as_they_are(pipe):
-    orders = Orders("/a/station.yaml", "/a/run\n1", 60.0, 123, "2026-01-01T00:00:00+00:00", 7.5)
+    orders = GuardConfig("/a/station.yaml", "/a/run\n1", 60.0, 123, "2026-01-01T00:00:00+00:00", 7.5)
     os.write(pipe["ours"], orders.line() + b"..")
-    assert Orders.read(pipe["theirs"]) == orders
+    assert GuardConfig.read(pipe["theirs"]) == orders
     assert os.read(pipe["theirs"], 10) == b".."
 
 
 def test_an_engine_gone_before_it_gave_orders_gives_none(pipe):
     os.write(pipe["ours"], b'{"station": ')
     os.close(pipe.pop("ours"))
-    assert Orders.read(pipe["theirs"]) is None
+    assert GuardConfig.read(pipe["theirs"]) is None

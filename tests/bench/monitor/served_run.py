@@ -10,7 +10,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.monitor.server import MonitorServer
 from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.station.bench_lock import RunLock
-from tests.bench.live.made_up_picture import made_up_picture
+from tests.bench.monitor.sample_snapshots import made_up_picture
 
 NOW = datetime(2026, 3, 2, 16, 42, 1, tzinfo=UTC)
 

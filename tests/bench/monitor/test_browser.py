@@ -11,10 +11,10 @@ from http import HTTPStatus
 import matplotlib.image
 import pytest
 
-from gyrobench.bench.live.picture import RunState
-from gyrobench.bench.monitor.answer import refusal
+from gyrobench.bench.monitor.server import refusal
 from gyrobench.bench.monitor.site import Site
-from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
+from gyrobench.bench.monitor.snapshot import RunState
+from tests.bench.monitor.sample_snapshots import made_up_picture, waiting_picture
 from tests.bench.monitor.served_run import now, run_under_way, served, write_picture
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -6,11 +6,10 @@ from html.parser import HTMLParser
 
 import pytest
 
-from gyrobench.bench.live.picture import Picture, RunState
-from gyrobench.bench.live.picture_parts import MeasuredProfile, PlannedProfile, Question
-from gyrobench.bench.monitor.news import News
-from gyrobench.bench.monitor.page import run_fragment, whole_page
-from tests.bench.live.made_up_picture import made_up_picture, waiting_picture
+from gyrobench.bench.monitor.page_content import News
+from gyrobench.bench.monitor.site import run_fragment, whole_page
+from gyrobench.bench.monitor.snapshot import MeasuredProfile, Picture, PlannedProfile, Question, RunState
+from tests.bench.monitor.sample_snapshots import made_up_picture, waiting_picture
 
 FRESH = News(1.0, False, "")
 OVER = News(0.0, True, "")

@@ -7,8 +7,7 @@ from http import HTTPStatus
 import pytest
 
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.monitor.answer import Answer
-from gyrobench.bench.monitor.server import MonitorServer
+from gyrobench.bench.monitor.server import Answer, MonitorServer
 from tests.bench.monitor.served_run import ask, served
 
 LONG = "a long text " * 500

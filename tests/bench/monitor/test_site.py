@@ -3,10 +3,9 @@ import threading
 
 import pytest
 
-from gyrobench.bench.live.picture import RunState
-from gyrobench.bench.live.picture_parts import Note
 from gyrobench.bench.monitor.site import Site
-from tests.bench.live.made_up_picture import made_up_picture
+from gyrobench.bench.monitor.snapshot import Note, RunState
+from tests.bench.monitor.sample_snapshots import made_up_picture
 from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_picture
 
 

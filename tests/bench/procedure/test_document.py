@@ -377,3 +377,10 @@ def test_a_procedure_with_changed_characters_gives_a_plan_or_located_errors(
     end = start + data.draw(st.integers(0, 12))
     inserted = data.draw(st.text(st.sampled_from("${}[]:,-&*!|>'\"\n\t #%@0e.az\\_é"), max_size=6))
     assert_plan_or_located_errors(text[:start] + inserted + text[end:])
+
+
+def test_marked_temperatures_are_none_or_those_of_the_file():
+    _, paper = load_procedure(PROCEDURES / "six_position_fig7.yaml")
+    _, short = load_procedure(PROCEDURES / "ten_minute_check.yaml")
+    assert paper.marked_temperatures_c == [50]
+    assert short.marked_temperatures_c == []

@@ -7,7 +7,6 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
 from gyrobench.bench.closure.effects import (
     bias_jump,
     g_sensitivity,
@@ -15,6 +14,7 @@ from gyrobench.bench.closure.effects import (
     thermal_gradient,
     time_drift,
 )
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.navigation.positions import POSITIONS
 
 SIGMA_DPH = 0.002

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.compensation import declared_model, model_with_effects
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.dwells.comparison import Comparison, leftover
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS

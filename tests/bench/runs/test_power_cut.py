@@ -6,9 +6,8 @@ import sys
 
 import pytest
 
-from gyrobench.bench.dwells.replay import replay
+from gyrobench.bench.dwells.replay import recompute_run, replay
 from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.dwells.replay import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure import effects as package
-from gyrobench.bench.closure.candidate import starts
+from gyrobench.bench.closure.candidates import starts
 from gyrobench.bench.closure.effects import all_effects
 from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, ONSET_C, ONSET_WIDTH_C, WARM_UP_H
 

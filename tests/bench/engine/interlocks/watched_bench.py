@@ -4,9 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gyrobench.bench.engine.bench_state import ExpectedState
+from gyrobench.bench.engine.bench_state import ExpectedState, Readings
 from gyrobench.bench.engine.interlocks.watch import InterlockWatch
-from gyrobench.bench.engine.bench_state import Readings
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode

@@ -4,9 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.engine.preflight.answer import nobody_answers
-from gyrobench.bench.engine.preflight.disk import disk_check
-from gyrobench.bench.engine.preflight.session import check_bench
+from gyrobench.bench.engine.preflight.bench_check import check_bench, disk_check, no_instrument_answers
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
@@ -189,7 +187,7 @@ def test_a_bench_of_which_nothing_can_be_opened_is_told_instrument_by_instrument
     failed = [each for each in checks if each.verdict is Verdict.FAIL]
     assert [each.subject for each in failed] == ["rate table", "chamber", "INS"]
     assert "/dev/no_table" in failed[0].found
-    assert nobody_answers(checks)
+    assert no_instrument_answers(checks)
 
 
 def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):

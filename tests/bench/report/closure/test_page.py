@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.report.closure.page import write_closure_page
 from gyrobench.bench.report.closure.section import closure_sections

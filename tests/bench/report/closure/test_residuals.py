@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
     residuals_dph,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.closure import close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.report.closure import wording
 from tests.bench.report.made_up_closure import (
     EFFECTS,

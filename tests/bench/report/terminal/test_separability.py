@@ -11,8 +11,8 @@ from rich.console import Console, RenderableType
 
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
-from gyrobench.bench.closure.separability_advice import Advice
 from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
 

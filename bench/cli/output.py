@@ -1,0 +1,144 @@
+"""What commands print: console, JSON, tables of biases, the end of a run, exit codes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from datetime import date
+from decimal import Decimal
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from gyrobench.bench.foundations.errors import GyrobenchError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from gyrobench.bench.bias.bins import BiasBin
+    from gyrobench.bench.bias.verdicts import Acceptance
+    from gyrobench.bench.engine.observers import RunOutcome
+    from gyrobench.bench.monitor.terminal import PatientConsole
+    from gyrobench.bench.runs.folder import RunFolder
+    from gyrobench.bench.runs.tables.verification_table import VerificationRow
+
+
+#: The run did not finish, or what was looked at is not as it should be.
+EXIT_NOT_FINISHED = 1
+#: A file, table or option is wrong.
+EXIT_WRONG_INPUT = 2
+#: An instrument can't be reached.
+EXIT_INSTRUMENT = 3
+
+#: For the help; the lines stay as they are.
+EXIT_CODES_HELP = """\b
+Exit codes of all commands:
+  0  it is done; of run and resume: the run finished
+  1  it did not finish, or what was looked at is not as it should be
+  2  a file, table or option is wrong; the message says where
+  3  an instrument can't be reached, or another run holds the bench
+
+A command's own help says what it adds: gyrobench COMMAND --help
+"""
+
+
+def fail(error: GyrobenchError, code: int) -> NoReturn:
+    """Print the error and exit."""
+    typer.echo(f"gyrobench: {error}", err=True)
+    sys.exit(code)
+
+
+def console(as_json: bool = False) -> PatientConsole:
+    """Make a console that prints text as it is; on standard error where standard output is for JSON."""
+    from gyrobench.bench.monitor.terminal import PatientConsole
+
+    return PatientConsole(stderr=as_json, markup=False, highlight=False)
+
+
+JSON_HELP = "Print one JSON object in place of text; everything else goes to standard error."
+JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
+
+
+def print_json(content: dict[str, Any]) -> None:
+    """Print an object; numbers that are not finite become null, as JSON has none."""
+    typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """Turn records, arrays, times and paths into what JSON has; what else there is becomes its text."""
+    if hasattr(value, "model_dump"):  # models of pydantic
+        return value.model_dump(mode="json")
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(each) for each in value]
+    if hasattr(value, "tolist"):  # arrays and numbers of numpy
+        return plain(value.tolist())
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, date):  # a datetime is one too
+        return value.isoformat()
+    if isinstance(value, Decimal):
+        return plain(float(value))
+    return value if isinstance(value, str | int | None) else str(value)
+
+
+def print_biases(
+    console: Console, bins: list[BiasBin], verification: list[VerificationRow], acceptance: Acceptance
+) -> None:
+    """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
+    from gyrobench.bench.bias.equality import compare_positions
+    from gyrobench.bench.report.calibration_check.terminal import verification_table
+    from gyrobench.bench.report.terminal.acceptance import acceptance_summary
+    from gyrobench.bench.report.terminal.tables import bins_table
+
+    if bins or not verification:
+        console.print(bins_table(bins, compare_positions(bins)))
+    if verification:
+        console.print(verification_table(verification))
+    console.print(acceptance_summary(acceptance))
+
+
+def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
+    """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
+    from gyrobench.bench.report.html import write_report
+    from gyrobench.bench.report.terminal.tables import durations_table
+
+    safe_state = "\n".join(each.text for each in outcome.safe_state)
+    is_finished = outcome.ended == "finished"
+    if not is_finished:
+        console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        console.print(safe_state, soft_wrap=True)
+    report = write_report(folder)
+    results = outcome.results
+    print_biases(console, results.bins, results.verification, results.acceptance)
+    console.print(durations_table(outcome.took_s))
+    if is_finished:
+        console.print(safe_state, soft_wrap=True)
+    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    if as_json:
+        print_json(_end_record(folder, outcome, report))
+    if not is_finished:
+        console.print(f"Go on    gyrobench resume {folder.path}", soft_wrap=True)
+        raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[str, object]:
+    return {
+        "ended": outcome.ended,
+        "reason": outcome.reason or None,
+        "folder": folder.path,
+        "report": report,
+        "dwells": len(outcome.dwells) + len(outcome.verifications),
+        "verdict": outcome.results.acceptance.verdict,
+        "safe_state": outcome.safe_state,
+    }

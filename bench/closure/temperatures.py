@@ -1,0 +1,217 @@
+"""The course of temperatures over a campaign: each gyro at all times, the set point within dwells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+
+_STEPS_A_DWELL = 6
+_MOST_STEPS = 20_000
+_S_PER_H = 3600.0
+#: Corrections of a smooth course until its means are the measured ones.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class TemperatureRecord:
+    """Temperatures at equal steps of time.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Equally spaced, m at least 2, on the clock of the dwells.
+    gyro_c : ndarray, shape (m, 3)
+        Temperature of each gyro's optics.
+    is_of_dwells : bool
+        Whether it was made from the dwells' means and slopes.
+    """
+
+    time_s: FloatArray
+    gyro_c: FloatArray
+    is_of_dwells: bool = False
+
+    @property
+    def step_s(self) -> float:
+        """Distance of the times."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    def mean_over(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Mean of something known at the record's times (m, 3) from each start to each end, shape (n, 3)."""
+        area = np.zeros_like(values)
+        area[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * self.step_s, axis=0)
+        spans = np.maximum(end_s - start_s, 1e-9)
+        return np.stack(
+            [
+                (np.interp(end_s, self.time_s, each) - np.interp(start_s, self.time_s, each)) / spans
+                for each in area.T
+            ],
+            axis=1,
+        )
+
+
+def record_of_dwells(
+    start_s: FloatArray,
+    end_s: FloatArray,
+    gyro_c: FloatArray,
+    rate_c_per_h: FloatArray,
+    held_out: BoolArray | None = None,
+) -> TemperatureRecord:
+    """Record with the dwells' mean temperatures and, in their middles, the dwells' slopes.
+
+    Parameters
+    ----------
+    start_s, end_s : ndarray, shape (n,)
+        Times of the dwells, in order.
+    gyro_c, rate_c_per_h : ndarray, shape (n, 3)
+        Mean temperatures of the dwells and their slopes.
+    held_out : ndarray of bool, shape (n,), optional
+        Dwells that must not influence the record within the others.
+    """
+    if held_out is not None and held_out.any() and not held_out.all():
+        return _without_influence(start_s, end_s, gyro_c, rate_c_per_h, held_out)
+    middle_s, index = np.unique(0.5 * (start_s + end_s), return_index=True)
+    first_s, last_s = float(start_s.min()), float(end_s.max())
+    length_s = max(last_s - first_s, 1.0)
+    step_s = max(float(np.median(end_s - start_s)) / _STEPS_A_DWELL, length_s / _MOST_STEPS, 1e-3)
+    # Steps are counted from the begin, so that dwells added at the end do not move them.
+    steps = np.arange(max(2, math.ceil(length_s / step_s) + 1), dtype=np.float64)
+    time_s = first_s + step_s * steps
+    if len(middle_s) == 1:
+        return TemperatureRecord(time_s, np.repeat(gyro_c[index], len(time_s), axis=0))
+    rates = rate_c_per_h[index] / _S_PER_H
+    nodes_c, means_c = gyro_c[index].copy(), gyro_c[index]
+    record = _through(time_s, middle_s, nodes_c, rates)
+    for _ in range(_ROUNDS):
+        nodes_c += means_c - record.mean_over(record.gyro_c, start_s[index], end_s[index])
+        record = _through(time_s, middle_s, nodes_c, rates)
+    return record
+
+
+def _without_influence(
+    start_s: FloatArray, end_s: FloatArray, gyro_c: FloatArray, rate_c_per_h: FloatArray, held_out: BoolArray
+) -> TemperatureRecord:
+    """Record of all dwells, but within those not held out the record of these alone."""
+    every = record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h)
+    seen = ~held_out
+    alone = record_of_dwells(start_s[seen], end_s[seen], gyro_c[seen], rate_c_per_h[seen])
+    dwell = np.clip(np.searchsorted(start_s, every.time_s, side="right") - 1, 0, len(start_s) - 1)
+    inside = seen[dwell] & (every.time_s <= end_s[dwell])
+    own_c = np.stack([np.interp(every.time_s, alone.time_s, each) for each in alone.gyro_c.T], axis=1)
+    return replace(every, gyro_c=np.where(inside[:, np.newaxis], own_c, every.gyro_c))
+
+
+def _through(
+    time_s: FloatArray, middle_s: FloatArray, nodes_c: FloatArray, rates: FloatArray
+) -> TemperatureRecord:
+    """Record through nodes (k, 3) at times (k,) with slopes in K/s, straight beyond them."""
+    inside_s = np.clip(time_s, middle_s[0], middle_s[-1])
+    before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * rates[0]
+    after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * rates[-1]
+    curve_c = CubicHermiteSpline(middle_s, nodes_c, rates)(inside_s)
+    return TemperatureRecord(time_s, curve_c + before + after, is_of_dwells=True)
+
+
+#: Samples of the course in each dwell.
+SAMPLES = 60
+#: Two means of one hold differ by less; the air of a hold is nearer than this to its set point.
+_SAME_C = 0.02
+_AT_SET_POINT_C = 0.1
+#: Farther than an air lags behind a set point that ramps.
+_FAR_FROM_SET_POINT_C = 6.0
+#: Dwells follow one another if the pause between them is a smaller share of the dwell.
+_LONGEST_PAUSE = 0.05
+
+
+def set_point_path(
+    start_s: FloatArray, end_s: FloatArray, set_c: FloatArray, air_c: FloatArray
+) -> FloatArray:
+    """Set point at :data:`SAMPLES` equally spaced instants of each dwell, shape (n, SAMPLES), degC.
+
+    Dwells that share their mean with a neighbour, or whose air is at the set point, hold it. What
+    lies between two holds is a ramp of one rate; it begins and ends at instants which the means of
+    the dwells at its ends tell. A ramp within a single dwell takes the rate of the nearest other one.
+    Where a chamber ramps by itself its set point is the ramp's end; the air then tells the ramp.
+
+    Parameters
+    ----------
+    start_s, end_s : ndarray, shape (n,)
+        Times of the dwells, in order.
+    set_c, air_c : ndarray, shape (n,)
+        Means of set point and air over each dwell; the air may be NaN.
+    """
+    count = len(set_c)
+    length_s = np.maximum(end_s - start_s, 1e-9)
+    off_c = np.abs(set_c - air_c)
+    holds = off_c < _AT_SET_POINT_C
+    if np.any(off_c > _FAR_FROM_SET_POINT_C):
+        set_c = air_c
+    path = np.repeat(set_c[:, np.newaxis], SAMPLES, axis=1)
+    same = np.abs(np.diff(set_c)) < _SAME_C
+    holds[:-1] |= same
+    holds[1:] |= same
+    ramps = _ramps(holds)
+    rates = {ramp: rate for ramp in ramps if (rate := _rate(start_s, end_s, set_c, *ramp)) > 0.0}
+    for first, last in ramps if rates else ():
+        rate = rates.get((first, last)) or rates[min(rates, key=lambda ramp: abs(ramp[0] - first))]
+        for dwell in range(first, last + 1):
+            before, after = max(dwell - 1, 0), min(dwell + 1, count - 1)
+            fall = rate * length_s[dwell] * np.sign(set_c[after] - set_c[before])
+            from_c = set_c[before] if dwell == first > 0 else None
+            to_c = set_c[after] if dwell == last < count - 1 else None
+            path[dwell] = _course(set_c[dwell], from_c, to_c, fall)
+    return path
+
+
+def _ramps(holds: BoolArray) -> list[tuple[int, int]]:
+    """First and last dwell of each stretch that does not hold."""
+    edges = np.diff(np.concatenate([[1], holds.astype(int), [1]]))
+    return list(zip(np.flatnonzero(edges == -1), np.flatnonzero(edges == 1) - 1, strict=True))
+
+
+def _rate(start_s: FloatArray, end_s: FloatArray, set_c: FloatArray, first: int, last: int) -> float:
+    """Rate of a ramp, K/s, from the means of its dwells; 0 where they don't tell it."""
+    if first == last:
+        return 0.0
+    stretch = slice(max(first - 1, 0), last + 2)
+    lengths_s = end_s[stretch] - start_s[stretch]
+    pauses_s = start_s[stretch][1:] - end_s[stretch][:-1]
+    if first == 0 or last == len(set_c) - 1 or np.any(pauses_s > _LONGEST_PAUSE * lengths_s[1:]):
+        middles_s = 0.5 * (start_s + end_s)[first : last + 1]
+        return float(np.abs(np.diff(set_c[first : last + 1]) / np.diff(middles_s)).max())
+    # At each end the ramp takes the part f of a dwell and moves its mean by rate * f**2 / 2.
+    total = abs(set_c[last + 1] - set_c[first - 1])
+    ends = np.sqrt(2.0 * abs(set_c[first] - set_c[first - 1])) + np.sqrt(
+        2.0 * abs(set_c[last + 1] - set_c[last])
+    )
+    inner = last - first - 1
+    root = (
+        (np.sqrt(ends**2 + 4.0 * inner * total) - ends) / (2.0 * inner) if inner else total / max(ends, 1e-9)
+    )
+    return float(root**2 / np.mean(lengths_s))
+
+
+def _course(mean_c: float, from_c: float | None, to_c: float | None, change_c: float) -> FloatArray:
+    """Course within one dwell of a ramp that changes by ``change_c`` in a whole one.
+
+    A hold before it, or after it, is given by its temperature.
+    """
+    instants = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    if from_c is not None and to_c is not None:
+        length = min(abs(to_c - from_c) / max(abs(change_c), 1e-9), 1.0)
+        middle = (mean_c - to_c) / (from_c - to_c) if from_c != to_c else 0.5
+        begin = min(max(middle - 0.5 * length, 0.0), 1.0 - length)
+        return np.asarray(
+            from_c + (to_c - from_c) * np.clip((instants - begin) / max(length, 1e-9), 0.0, 1.0)
+        )
+    hold_c = from_c if to_c is None else to_c
+    part = 1.0 if hold_c is None else np.sqrt(2.0 * abs(mean_c - hold_c) / max(abs(change_c), 1e-9))
+    if hold_c is None or part >= 1.0:
+        return np.asarray(mean_c + change_c * (instants - 0.5))
+    if to_c is None:
+        return np.asarray(hold_c + change_c * np.maximum(instants - 1.0 + part, 0.0))
+    return np.asarray(hold_c - change_c * np.maximum(part - instants, 0.0))

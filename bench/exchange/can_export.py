@@ -1,0 +1,211 @@
+"""The raw CAN log with calendar times: as one BLF file, and decoded to navigation data.
+
+Attitude is given as a quaternion, since Euler angles have no value where an axis stands upright, and as
+roll, pitch and yaw of the sequence ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``; body axes and East-North-Up, yaw
+positive about Up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import can
+import numpy as np
+import pyarrow as pa
+from scipy.spatial.transform import Rotation
+
+from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.replay import finished_marks
+from gyrobench.bench.exchange.export_folder import Destination, field_of
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.navigation.attitude import euler_rpy321
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import started_utc
+from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import NavigationData
+
+#: The column that has them.
+UTC_FIELD = pa.field("utc", pa.timestamp("us", tz="UTC"))
+_MICROSECONDS = 1e6
+
+
+def calendar_times(began: datetime, time_s: FloatArray) -> pa.Array:
+    """Calendar times of moments (n,) in seconds after ``began``."""
+    begin_us = round(began.timestamp() * _MICROSECONDS)
+    times_us = begin_us + np.rint(time_s * _MICROSECONDS).astype(np.int64)
+    return pa.array(times_us, pa.int64()).cast(UTC_FIELD.type)
+
+
+#: 1990-01-01 UTC: no time before it is one of the calendar, for the BLF format neither.
+_FIRST_CALENDAR_S = 631_152_000.0
+
+
+@dataclass(frozen=True)
+class PlacedPart:
+    """One part of the log.
+
+    Attributes
+    ----------
+    number : int
+        Of the part.
+    messages : list of can.Message
+        In the order received, time stamps in seconds since 1970 UTC.
+    """
+
+    number: int
+    messages: list[can.Message]
+
+
+class PlacedLog:
+    """The parts of a run's log that hold frames, one after the other; one is in memory at a time.
+
+    A part that was never closed, and any part where the CAN adapter has a clock of its own, tells times
+    from its first frame on only. Where a finished dwell is in it, that tells the time.
+
+    Attributes
+    ----------
+    finished : dict of int to DwellMarks
+        Marks of the finished dwells by their part.
+    estimated : list of int
+        Parts met so far whose time is not known exactly: they are put behind the part before.
+
+    Raises
+    ------
+    RunFolderError
+        Log, journal or provenance can't be read.
+    """
+
+    def __init__(self, folder: RunFolder) -> None:
+        self.finished = {marks.log_part: marks for marks in finished_marks(folder)}
+        self.estimated: list[int] = []
+        self.began_s = started_utc(folder).timestamp()
+        self._folder = folder.can
+
+    def __iter__(self) -> Iterator[PlacedPart]:
+        end_s = self.began_s
+        for number, messages in read_can_log(self._folder):
+            if not messages:
+                continue
+            if messages[0].timestamp < _FIRST_CALENDAR_S:
+                shift_s = self._shift_s(number, messages, end_s)
+                for message in messages:
+                    message.timestamp += shift_s
+            end_s = messages[-1].timestamp
+            yield PlacedPart(number, messages)
+
+    def _shift_s(self, number: int, messages: list[can.Message], end_s: float) -> float:
+        """What to add to the times of a part."""
+        marks = self.finished.get(number)
+        if marks is not None and marks.windows[0].first_frame < len(messages):
+            begin_s = self.began_s + marks.start_s
+            return begin_s - messages[marks.windows[0].first_frame].timestamp
+        self.estimated.append(number)
+        return end_s - messages[0].timestamp
+
+
+def write_blf(path: Path, parts: Iterable[PlacedPart]) -> int:
+    """Write all frames, with calendar times; returns how many."""
+    with path.open("wb") as stream, can.BLFWriter(stream) as writer:
+        for part in parts:
+            for message in part.messages:
+                writer.on_message_received(message)
+        return int(writer.object_count)
+
+
+_ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"
+_EPOCH = datetime.fromtimestamp(0.0, UTC)
+_MEASURED = (
+    "time_s",
+    "ins_time_s",
+    *(f"velocity_{axis}_mps" for axis in ("east", "north", "up")),
+    *(f"quaternion_{part}" for part in "wxyz"),
+    *(f"{angle}_deg" for angle in ("roll", "pitch", "yaw")),
+    *(f"gyro_{axis}_c" for axis in AXES),
+    *(f"board_{axis}_c" for axis in AXES),
+    "case_c",
+)
+_WHOLE = ("part", "dwell", "segment", "mode")
+SCHEMA = pa.schema(
+    [UTC_FIELD, *(field_of(name) for name in _MEASURED), *(pa.field(name, pa.int64()) for name in _WHOLE)]
+)
+
+
+def export_navigation(
+    folder: RunFolder, setup: MeasurementSetup, name: str, destination: Destination, dwell: int | None = None
+) -> None:
+    """Write decoded navigation of a run, or of one finished dwell; one part of the log is read at a time.
+
+    Raises
+    ------
+    RunFolderError
+        The log can't be read, there is no such dwell, or the file can't be written.
+    """
+    batches = _batches(folder, setup, dwell)
+    destination.table(name, SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)
+
+
+def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
+    log = PlacedLog(folder)
+    finished = log.finished
+    wanted = {number for number, marks in finished.items() if marks.dwell == dwell}
+    if dwell is not None and not wanted:
+        numbers = sorted(marks.dwell for marks in finished.values())
+        known = f"finished are {numbers[0]} to {numbers[-1]}" if numbers else "none is finished"
+        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}; {known}")
+    for part in log:
+        if dwell is None or part.number in wanted:
+            yield _table(part, setup, finished.get(part.number), log.began_s)
+
+
+def _table(part: PlacedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
+    """Table of one part; frames beyond those of its dwell belong to none."""
+    data = setup.decode(FrameBlock.from_messages(part.messages))
+    values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))
+    columns = {name: pa.array(column, pa.float64(), from_pandas=True) for name, column in values.items()}
+    in_dwell = data.row < (marks.frame_count if marks else 0)
+    whole = {
+        "part": np.full(len(data.row), part.number),
+        "dwell": np.where(in_dwell, marks.dwell if marks else 0, 0),
+        "segment": data.segment,
+        "mode": data.mode.astype(np.int64),
+    }
+    utc = calendar_times(_EPOCH, data.timestamp_s)
+    return pa.table({UTC_FIELD.name: utc, **columns, **whole}).select(SCHEMA.names)
+
+
+def _measured(data: NavigationData, began_s: float) -> list[FloatArray]:
+    quaternion = np.full((len(data.row), 4), np.nan)
+    known = np.isfinite(data.attitude).all(axis=(1, 2))
+    if known.any():
+        quaternion[known] = Rotation.from_matrix(data.attitude[known]).as_quat(canonical=True)[
+            :, [3, 0, 1, 2]
+        ]
+    temperatures = data.temperatures
+    inside = np.column_stack([temperatures.optics_c, temperatures.electronics_c, temperatures.case_c])
+    return [
+        data.timestamp_s - began_s,
+        data.ins_time_s,
+        *data.velocity_enu_mps.T,
+        *quaternion.T,
+        *np.rad2deg(euler_rpy321(data.attitude)).T,
+        *_held(inside, temperatures.ins_time_s, data).T,
+    ]
+
+
+def _held(values: FloatArray, time_s: FloatArray, data: NavigationData) -> FloatArray:
+    """Last of the values (m, k), sent at times (m,), at each epoch (n,); NaN before the first."""
+    held = np.full((len(data.row), values.shape[1]), np.nan)
+    restarts = np.concatenate([[0], np.cumsum(np.diff(time_s) < 0.0)])[: len(time_s)]
+    for segment in np.unique(data.segment):
+        epochs, sent = data.segment == segment, restarts == segment
+        last = np.searchsorted(time_s[sent], data.ins_time_s[epochs], side="right") - 1
+        rows = np.flatnonzero(epochs)[last >= 0]
+        held[rows] = values[sent][last[last >= 0]]
+    return held

@@ -1,0 +1,219 @@
+"""The folder of an export: columns with types and units, complete files, a record of where data came from."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+import gyrobench
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import (
+    cant_be_written,
+    file_sha256,
+    make_folder,
+    sync_folder,
+    temporary_path,
+    write_whole,
+)
+from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import facts_of, read_journal
+from gyrobench.bench.runs.provenance import read_provenance
+
+_TEXT = frozenset(
+    {"unit", "run", "position", "gyro", "method", "finding", "flags", "effect", "compensation", "term"}
+)
+_WHOLE = frozenset({"dwell", "cycle", "stop", "dwells", "turned_dwell", "count", "part", "step", "mode"})
+#: By the end of the name, longer ends first.
+_UNITS = MappingProxyType(
+    {
+        "_dph_per_c_per_h": "deg/h per K/h",
+        "_dph_per_k": "deg/h per K",
+        "_dph_per_g": "deg/h per g",
+        "_c_per_h": "K/h",
+        "_arcmin": "arcmin",
+        "_dph": "deg/h",
+        "_dps": "deg/s",
+        "_mps": "m/s",
+        "_deg": "deg",
+        "_ug": "ug",
+        "_c": "degC",
+        "_k": "K",
+        "_s": "s",
+        "_ratio": "1",
+        "_value": "1",
+        "chi2_reduced": "1",
+    }
+)
+
+
+def unit_of(column: str) -> str:
+    """Unit of a column; empty where it has none."""
+    return next((unit for end, unit in _UNITS.items() if column.endswith(end)), "")
+
+
+def type_of(column: str) -> pa.DataType:
+    """Type of a column in a file that has types."""
+    if column in _TEXT:
+        return pa.string()
+    return pa.int64() if column in _WHOLE else pa.float64()
+
+
+def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
+    """Column of a schema, with its unit as metadata."""
+    unit = unit_of(column)
+    return pa.field(column, kind or type_of(column), metadata={"unit": unit} if unit else None)
+
+
+def origin_of(folder: RunFolder) -> dict[str, Any]:
+    """Plain data: run, unit, versions, hashes, and how the run ended; None for what is not known.
+
+    Raises
+    ------
+    RunFolderError
+        Provenance or journal can't be read.
+    """
+    provenance = read_provenance(folder)
+    facts = facts_of(read_journal(folder.journal))
+    return {
+        "run": folder.path.resolve().name,
+        "procedure": facts.procedure or None,
+        "station": facts.station or None,
+        "unit": facts.unit or None,
+        "ended": facts.ended or None,
+        "started_utc": provenance.get("started_utc"),
+        "instruments": provenance.get("instruments", {}),
+        "measured_by": f"gyrobench {provenance.get('gyrobench', '?')}",
+        "exported_by": f"gyrobench {gyrobench.__version__}",
+        "sha256": {**provenance.get("files_sha256", {}), folder.journal.name: file_sha256(folder.journal)},
+    }
+
+
+#: Beside the files: what they are.
+ABOUT = "export.json"
+_MAX_ABOUT_BYTES = 10_000_000
+
+
+@dataclass
+class Destination:
+    """Where files go, and what is said of them.
+
+    Attributes
+    ----------
+    folder : Path
+        Made if it isn't there.
+    origin : mapping
+        Where the data came from.
+    force : bool
+        Whether files that are there are replaced.
+    written : list of Path
+        In order.
+    """
+
+    folder: Path
+    origin: Mapping[str, Any]
+    force: bool = False
+    written: list[Path] = field(default_factory=list)
+    _about: dict[str, Any] = field(default_factory=dict)
+
+    def refuse_existing(self, names: list[str]) -> None:
+        """Look whether files are there, before the first one is written.
+
+        Raises
+        ------
+        RunFolderError
+            Some are, and they are not to be replaced.
+        """
+        there = [name for name in names if (self.folder / name).exists()]
+        if there and not self.force:
+            raise RunFolderError(
+                f"{self.folder}: holds {', '.join(there)} already. Give --force to replace what is there, or "
+                "another --out"
+            )
+
+    @contextlib.contextmanager
+    def file(self, name: str, **about: Any) -> Iterator[Path]:
+        """Give a path to write to; the file takes its place once it is whole.
+
+        Parameters
+        ----------
+        about
+            What is to be said of it.
+
+        Raises
+        ------
+        RunFolderError
+            It can't be written.
+        """
+        make_folder(self.folder)
+        path = self.folder / name
+        temporary = temporary_path(path)
+        try:
+            yield temporary
+            temporary.replace(path)
+            sync_folder(self.folder)
+        except OSError as error:
+            if isinstance(error, RunFolderError):
+                raise
+            raise cant_be_written(path, error) from error
+        finally:
+            temporary.unlink(missing_ok=True)
+        self.written.append(path)
+        self._about[name] = about
+
+    def table(self, name: str, schema: pa.Schema, batches: Iterator[pa.Table], **about: Any) -> None:
+        """Write a table as Parquet or CSV, as the name ends, batch by batch.
+
+        Raises
+        ------
+        RunFolderError
+            It can't be written.
+        """
+        units = {column: unit for column in schema.names if (unit := unit_of(column))}
+        with self.file(name, units=units, **about) as path:
+            if name.endswith(".parquet"):
+                origin = {"gyrobench": json.dumps({**self.origin, **about})}
+                with pq.ParquetWriter(path, schema.with_metadata(origin), compression="zstd") as writer:
+                    for batch in batches:
+                        writer.write_table(batch.cast(schema))
+            else:
+                options = pa.csv.WriteOptions(include_header=False)
+                with path.open("wb") as stream:
+                    stream.write((",".join(schema.names) + "\n").encode())
+                    with pa.csv.CSVWriter(stream, schema, write_options=options) as writer:
+                        for batch in batches:
+                            writer.write_table(batch.cast(schema))
+
+    def finish(self) -> None:
+        """Write what is said of all files; what was said of others of the same run stays.
+
+        Raises
+        ------
+        RunFolderError
+            It can't be written.
+        """
+        if not self.written:
+            return
+        path = self.folder / ABOUT
+        content = {"origin": self.origin, "files": self._said_before(path) | self._about}
+        write_whole(path, (json.dumps(content, indent=2, default=str) + "\n").encode())
+        self.written.append(path)
+
+    def _said_before(self, path: Path) -> dict[str, Any]:
+        if not path.exists():
+            return {}
+        try:
+            content = parse_json(read_limited(path, _MAX_ABOUT_BYTES, RunFolderError))
+            is_same_run = content["origin"]["run"] == self.origin["run"]
+            return {name: about for name, about in content["files"].items() if is_same_run}
+        except (ValueError, TypeError, LookupError, AttributeError):
+            return {}  # something else of that name

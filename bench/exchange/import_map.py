@@ -1,0 +1,278 @@
+"""The import map: a YAML file that says what each column of a foreign log holds and how it is averaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.navigation.positions import AXES
+
+#: Name of a column, or its number from 1.
+Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
+#: Up to what a dwell table can hold and no log reaches.
+Positive = Annotated[float, Field(gt=0.0, le=1e12)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e12)]
+#: A spreadsheet that opens the table must not take it for a formula.
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n-]")]
+PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
+
+
+def _plain(key: str, alone: Any, model: type[StrictModel]) -> BeforeValidator:
+    """Take a plain text or number, of the type ``alone``, for the value of one key."""
+    return BeforeValidator(
+        lambda data: {key: data} if isinstance(data, str | int) else data,
+        json_schema_input_type=alone | model,
+    )
+
+
+def _require_one(model: Any, *names: str) -> None:
+    given = [name for name in names if getattr(model, name) is not None]
+    if len(given) != 1:
+        quoted = ", ".join(f"'{name}'" for name in names)
+        found = " and ".join(f"'{name}'" for name in given) or "none of them"
+        raise ValueError(f"give exactly one of {quoted}; there is {found}")
+
+
+class TextFormat(StrictModel):
+    """A text file, one sample a line."""
+
+    separator: Literal["auto", "comma", "semicolon", "tab", "whitespace"] = Field(
+        default="auto", description="what stands between the cells"
+    )
+    header: bool = Field(default=True, description="whether the first line names the columns")
+    skip_lines: int = Field(default=0, ge=0, description="lines before the header or the first sample")
+    comment: str | None = Field(
+        default=None, min_length=1, description="what a line that is no sample begins with"
+    )
+    decimal: Literal[".", ","] = Field(default=".", description="decimal point")
+
+
+class RecordFormat(StrictModel):
+    """A binary file of records of equal length."""
+
+    fields: list[Annotated[str, Field(min_length=1)]] = Field(
+        min_length=1, description="names of the numbers of a record, in their order"
+    )
+    type: str = Field(
+        default="<f8",
+        pattern=r"^[<>](f[48]|[iu][1248])$",
+        description="type of all of them as numpy writes it: '<f8' is float64, least byte first",
+    )
+    header_bytes: int = Field(default=0, ge=0, description="bytes before the first record")
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        twice = sorted({name for name in self.fields if self.fields.count(name) > 1})
+        if twice:
+            raise ValueError(f"fields are named twice: {', '.join(twice)}")
+        return self
+
+
+class TimeRule(StrictModel):
+    """When a sample was taken."""
+
+    column: Column | None = Field(default=None, description="column with the time")
+    unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of that column")
+    sample_rate_hz: Positive | None = Field(default=None, description="instead of a column: evenly sampled")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        _require_one(self, "column", "sample_rate_hz")
+        return self
+
+
+class SignedColumn(StrictModel):
+    """A column, and which way it counts."""
+
+    column: Column = Field(description="name of the column, or its number from 1")
+    sign: Literal[1, -1] = Field(default=1, description="-1 where it counts against the body axis")
+
+
+#: A column alone counts with the axis.
+AxisColumn = Annotated[SignedColumn, _plain("column", Column, SignedColumn)]
+
+
+class GyroColumns(StrictModel):
+    """Which column measures the rate about which body axis."""
+
+    unit: Literal["rad/s", "deg/s", "deg/h"] = Field(description="unit of the rates")
+    x: AxisColumn = Field(description="column of the x gyro, with its sign")
+    y: AxisColumn = Field(description="column of the y gyro, with its sign")
+    z: AxisColumn = Field(description="column of the z gyro, with its sign")
+    full_scale: Positive | None = Field(
+        default=None, description="largest rate that the gyros can tell, in the unit above"
+    )
+
+
+class TemperatureColumns(StrictModel):
+    """Where temperatures stand; each value times ``scale`` plus ``offset_c`` is degC."""
+
+    gyros: Column | None = Field(default=None, description="one temperature for all three gyros")
+    gyro_x: Column | None = Field(default=None, description="temperature of the x gyro")
+    gyro_y: Column | None = Field(default=None, description="temperature of the y gyro")
+    gyro_z: Column | None = Field(default=None, description="temperature of the z gyro")
+    constant_c: float | None = Field(
+        default=None,
+        ge=COLDEST_C,
+        le=HOTTEST_C,
+        description="for a log without temperatures: the one that was noted, degC",
+    )
+    boards: Column | None = Field(default=None, description="one temperature for all gyros' electronics")
+    board_x: Column | None = Field(default=None, description="temperature of the x gyro's electronics")
+    board_y: Column | None = Field(default=None, description="temperature of the y gyro's electronics")
+    board_z: Column | None = Field(default=None, description="temperature of the z gyro's electronics")
+    chamber_set: Column | None = Field(default=None, description="set point of the chamber")
+    chamber: Column | None = Field(default=None, description="air of the chamber")
+    case: Column | None = Field(default=None, description="case of the unit")
+    scale: float = Field(default=1.0, description="degC per unit of the columns")
+    offset_c: float = Field(default=0.0, description="added after scale, degC")
+    least_swing_c: NotNegative = Field(
+        default=10.0, description="refuse a table whose temperatures span less, K"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        single = [name for name in ("gyro_x", "gyro_y", "gyro_z") if getattr(self, name) is not None]
+        given = (self.gyros is not None) + (self.constant_c is not None) + bool(single)
+        if given != 1 or len(single) not in (0, 3):
+            raise ValueError("give either 'gyros', or all of 'gyro_x', 'gyro_y', 'gyro_z', or 'constant_c'")
+        boards = [name for name in ("board_x", "board_y", "board_z") if getattr(self, name) is not None]
+        if len(boards) not in (0, 3) or (boards and self.boards is not None):
+            raise ValueError("give either 'boards' or all of 'board_x', 'board_y', 'board_z', or none")
+        return self
+
+    def by_quantity(self) -> dict[str, Column]:
+        """Columns by the name of what they hold: ``gyro_x_c``, ``board_x_c``, ``chamber_c``, ..."""
+        columns = {f"{name}_c": getattr(self, name) for name in ("chamber_set", "chamber", "case")}
+        for axis in AXES:
+            for what, common in (("gyro", self.gyros), ("board", self.boards)):
+                own = getattr(self, f"{what}_{axis}")
+                columns[f"{what}_{axis}_c"] = own if own is not None else common
+        return {name: column for name, column in columns.items() if column is not None}
+
+
+class StatusRule(StrictModel):
+    """Which samples are good."""
+
+    column: Column = Field(description="column with the status")
+    good: list[str | int] = Field(min_length=1, description="values of a good sample")
+
+
+class Accelerometers(StrictModel):
+    """Accelerometers that tell the position; their unit does not matter."""
+
+    x: AxisColumn = Field(description="column of the x accelerometer, with its sign")
+    y: AxisColumn = Field(description="column of the y accelerometer, with its sign")
+    z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
+    tolerance_deg: float = Field(
+        default=10.0, gt=0.0, le=45.0, description="leave windows out that are tilted more"
+    )
+
+
+class PositionRule(StrictModel):
+    """In which of the six positions the unit is."""
+
+    constant: PositionName | None = Field(default=None, description="the same in the whole log")
+    column: Column | None = Field(default=None, description="column with the position")
+    values: dict[str, PositionName] = Field(
+        default={name: name for name in get_args(PositionName)},
+        description="position by what that column says",
+    )
+    accelerometers: Accelerometers | None = Field(
+        default=None, description="the position nearest to what the accelerometers read"
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        _require_one(self, "constant", "column", "accelerometers")
+        return self
+
+
+class CycleRule(StrictModel):
+    """Which pass of the temperature profile a window belongs to."""
+
+    constant: int | None = Field(default=None, ge=0, le=10**9, description="the same for all windows")
+    column: Column | None = Field(default=None, description="column with whole numbers")
+    block_s: Positive | None = Field(default=None, description="blocks of this length are numbered from 1")
+    alternate: int | None = Field(
+        default=None, ge=2, description="with 'block_s': deal the blocks in turn to this many cycles"
+    )
+    turning_point_c: Positive | None = Field(
+        default=None,
+        description="each leg of the temperature is a cycle; it turned when it came back by this much, K",
+    )
+    each_log: Literal[True] | None = Field(default=None, description="each log is one cycle")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        _require_one(self, "constant", "column", "block_s", "turning_point_c", "each_log")
+        if self.alternate is not None and self.block_s is None:
+            raise ValueError("'alternate' deals out blocks; give 'block_s' too")
+        return self
+
+
+class EarthRate(StrictModel):
+    """Where the Earth's rotation is taken from the rates."""
+
+    latitude_deg: float = Field(ge=-90.0, le=90.0, description="geodetic latitude, deg")
+    azimuth_deg: float | None = Field(
+        default=None,
+        ge=-360.0,
+        le=360.0,
+        description="turn about Up from the position's azimuth 0; without it only the vertical axis is freed",
+    )
+
+
+class LogMap(StrictModel):
+    """What stands where in a log, and how it is averaged."""
+
+    description: str = Field(default="", description="what it is for, for people")
+    unit: Name = Field(description="serial number of the unit")
+    run: Name = Field(default="1", description="name of the power-on")
+    each_log_is_a_run: bool = Field(
+        default=False, description="several logs are of one power-on each, not of one on one clock"
+    )
+    since_power_on_s: NotNegative = Field(default=0.0, description="from power-on to the log's first sample")
+    text: TextFormat | None = Field(default=None, description="the log is text")
+    records: RecordFormat | None = Field(default=None, description="the log is binary records")
+    time: TimeRule = Field(description="how the samples are timed")
+    gyro: GyroColumns = Field(description="which columns are the rates")
+    temperatures: TemperatureColumns = Field(description="which columns are temperatures")
+    status: StatusRule | None = Field(default=None, description="which samples are good")
+    position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] = Field(
+        description="how the unit stands"
+    )
+    cycle: Annotated[CycleRule, _plain("constant", int, CycleRule)] = Field(
+        default=CycleRule(constant=1), description="what can be held out"
+    )
+    earth_rate: EarthRate | None = Field(
+        default=None, description="without it the Earth's rotation stays in the biases"
+    )
+    window_s: float = Field(ge=1e-3, le=1e12, description="length of the windows that are averaged")
+    skip_s: NotNegative = Field(default=0.0, description="left out at the begin of each log")
+    max_gap_s: Positive | None = Field(
+        default=None,
+        description="longest time between samples; by default 5 sample intervals or 1 % of a window",
+    )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        _require_one(self, "text", "records")
+        if self.cycle.block_s is not None and self.cycle.block_s < self.window_s:
+            raise ValueError(f"'cycle.block_s' is shorter than 'window_s' ({self.window_s:g} s)")
+        return self
+
+
+def load_log_map(path: Path) -> LogMap:
+    """Read a mapping file.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything that is wrong with it, each with its place.
+    """
+    return validate(read_document(path), LogMap)

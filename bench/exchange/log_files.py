@@ -1,0 +1,352 @@
+"""Logs as text or binary records, read in batches; mistakes are reported with line and column."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrobench.bench.exchange.import_map import Column, RecordFormat, TextFormat
+from gyrobench.bench.foundations.errors import DocumentError
+
+if TYPE_CHECKING:
+    from pyarrow import DataType, RecordBatch
+    from pyarrow.csv import CSVStreamingReader
+
+
+_SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": " "}
+_BLOCK_BYTES = 1 << 22
+_SHOWN_PROBLEMS = 20
+_NOT_MEASURED = (
+    "",
+    "nan",
+    "NaN",
+    "NAN",
+    "-nan",
+    "-NaN",
+    "na",
+    "NA",
+    "n/a",
+    "N/A",
+    "null",
+    "NULL",
+    "None",
+    "none",
+)
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(inf|infinity)", re.IGNORECASE)
+_MARK = b"\xef\xbb\xbf"
+
+#: Values of some samples by column: float64, or text.
+Batch = dict[Column, NDArray[Any]]
+
+
+class TextLog:
+    """A text log.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    layout : TextFormat
+        How it is written.
+
+    Attributes
+    ----------
+    columns : list of str
+        Names by its header; ``column 1``, ... where it has none.
+    truncated : bool
+        Whether the last line, once all batches are read, was found to be cut off. It is left out.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or has no sample.
+    """
+
+    def __init__(self, path: Path, layout: TextFormat) -> None:
+        self._path = path
+        self._layout = layout
+        self.truncated = False
+        try:
+            head = self._head()
+        except OSError as error:
+            raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+        if any("\0" in line for line in head):
+            raise DocumentError(f"{path}: is no text. For binary records give 'records' in the mapping")
+        if len(head) < (2 if layout.header else 1):
+            raise DocumentError(f"{path}: holds no sample. Was the logger running?")
+        self._separator = _separator(head, layout)
+        cells = self._split(head[0])
+        self.columns = cells if layout.header else [f"column {index + 1}" for index in range(len(cells))]
+
+    def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
+        """Read columns batch by batch; what was not measured is NaN.
+
+        Parameters
+        ----------
+        numbers, texts : sequence of Column
+            Which to read as float64, and which as text.
+
+        Raises
+        ------
+        DocumentError
+            A column that the file does not have, or cells that can't be read: lists them.
+        """
+        import pyarrow as pa
+
+        indices = {column: self._index(column) for column in (*numbers, *texts)}
+        if both := {indices[column] for column in numbers} & {indices[column] for column in texts}:
+            raise DocumentError(
+                f"{self._path}: the mapping takes column {self.columns[min(both)]} for a number, and for a "
+                "status or position too. Correct the mapping"
+            )
+        names = [str(index) for index in range(len(self.columns))]
+        types = {names[indices[column]]: pa.float64() for column in numbers}
+        types |= {names[indices[column]]: pa.string() for column in texts}
+        short: list[int] = []
+
+        def skip(row: Any) -> str:
+            short.append(row.actual_columns)
+            return "skip"
+
+        with self._path.open("rb") as stream:
+            source = _SampleLines(stream, self._layout, self._separator)
+            try:
+                reader = self._reader(source, names, types, skip)
+                for batch in reader:
+                    yield _batch(batch, {column: names[index] for column, index in indices.items()})
+            except pa.ArrowInvalid as error:
+                raise self._mistakes(indices, numbers, str(error)) from error
+        if len(short) > 1 or (short and short[0] > len(self.columns)):
+            raise self._mistakes(indices, numbers, "lines with another number of cells")
+        self.truncated = bool(short)
+        if self.truncated and not self._last_line_is_short():
+            raise self._mistakes(indices, numbers, "a line with another number of cells")
+
+    def _reader(
+        self, source: _SampleLines, names: list[str], types: dict[str, DataType], skip: Callable[[Any], str]
+    ) -> CSVStreamingReader:
+        import pyarrow as pa
+        from pyarrow import csv
+
+        return csv.open_csv(
+            pa.PythonFile(source, mode="r"),
+            read_options=csv.ReadOptions(column_names=names, block_size=_BLOCK_BYTES, use_threads=False),
+            parse_options=csv.ParseOptions(
+                delimiter="\t" if self._separator == " " else self._separator, invalid_row_handler=skip
+            ),
+            convert_options=csv.ConvertOptions(
+                include_columns=sorted(types),
+                column_types=types,
+                decimal_point=self._layout.decimal,
+                null_values=list(_NOT_MEASURED),
+                strings_can_be_null=False,
+            ),
+        )
+
+    def _head(self) -> list[str]:
+        """First lines that are header or samples."""
+        with self._path.open("rb") as stream:
+            lines = (line.decode("utf-8-sig", "replace").rstrip("\r\n") for line in stream)
+            wanted = (line for line in itertools.islice(lines, self._layout.skip_lines, None))
+            return list(itertools.islice((line for line in wanted if self._is_sample(line)), 20))
+
+    def _is_sample(self, line: str) -> bool:
+        comment = self._layout.comment
+        return bool(line.strip()) and not (comment and line.lstrip().startswith(comment))
+
+    def _split(self, line: str) -> list[str]:
+        cells = line.split() if self._separator == " " else line.split(self._separator)
+        return [cell.strip().strip('"') for cell in cells]
+
+    def _index(self, column: Column) -> int:
+        if isinstance(column, int):
+            if column <= len(self.columns):
+                return column - 1
+        elif self._layout.header and self.columns.count(column) == 1:
+            return self.columns.index(column)
+        elif self.columns.count(column) > 1:
+            raise DocumentError(f"{self._path}: the header gives '{column}' twice; map it by its number")
+        raise DocumentError(
+            f"{self._path}: there is no column '{column}'. It has {len(self.columns)}: "
+            f"{', '.join(self.columns)}. Correct the mapping"
+        )
+
+    def _numbered_lines(self) -> Iterator[tuple[int, list[str]]]:
+        """Cells of each sample, with the number of its line from 1."""
+        with self._path.open("rb") as stream:
+            seen_header = not self._layout.header
+            for number, raw in enumerate(stream, 1):
+                line = raw.decode("utf-8-sig", "replace").rstrip("\r\n")
+                if number <= self._layout.skip_lines or not self._is_sample(line):
+                    continue
+                if seen_header:
+                    yield number, self._split(line)
+                seen_header = True
+
+    def _last_line_is_short(self) -> bool:
+        cells: list[str] = []
+        for _, cells in self._numbered_lines():  # noqa: B007
+            pass
+        return len(cells) < len(self.columns)
+
+    def _mistakes(self, indices: dict[Column, int], numbers: Sequence[Column], why: str) -> DocumentError:
+        """Find what the fast reader stumbled over, line by line."""
+        problems: list[str] = []
+        for line, cells in self._numbered_lines():
+            if len(cells) != len(self.columns):
+                problems.append(f"{self._path}:{line}: {len(cells)} cells instead of {len(self.columns)}")
+            else:
+                problems += [
+                    f"{self._path}:{line}: column {self.columns[indices[column]]}: expected a number; "
+                    f"found '{cells[indices[column]][:60]}'"
+                    for column in numbers
+                    if not _is_number(cells[indices[column]], self._layout.decimal)
+                ]
+            if len(problems) > _SHOWN_PROBLEMS:
+                problems[_SHOWN_PROBLEMS:] = ["... and maybe more"]
+                break
+        return DocumentError("\n".join(problems) or f"{self._path}: can't be read: {why}")
+
+
+class _SampleLines(io.RawIOBase):
+    """The lines of a log that are samples, as bytes; runs of blanks become one tab where they separate."""
+
+    def __init__(self, stream: io.BufferedReader, layout: TextFormat, separator: str) -> None:
+        self._stream = stream
+        self._collapse = separator == " "
+        comment = layout.comment
+        self._comment = (
+            re.compile(rb"^[ \t]*" + re.escape(comment.encode()) + rb"[^\n]*\n?", re.MULTILINE)
+            if comment
+            else None
+        )
+        for _ in range(layout.skip_lines):
+            stream.readline()
+        if layout.header:
+            while not self._cleaned(stream.readline()).strip():
+                pass
+
+    def readable(self) -> bool:
+        """Say that it can be read."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """Give about ``size`` bytes, always whole lines; none at the end of the file."""
+        while True:
+            block = self._stream.read(_BLOCK_BYTES if size < 0 else size) + self._stream.readline()
+            cleaned = self._cleaned(block)
+            if cleaned or not block:
+                return cleaned
+
+    def _cleaned(self, block: bytes) -> bytes:
+        block = block.removeprefix(_MARK)
+        if self._comment:
+            block = self._comment.sub(b"", block)
+        # The reader prints a traceback where it can't decode a line that it hands to us.
+        if not block.isascii():
+            block = block.decode(errors="replace").encode()
+        if self._collapse:
+            block = re.sub(rb"[ \t]+", b"\t", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block))
+        return block
+
+
+def _separator(head: list[str], layout: TextFormat) -> str:
+    if layout.separator != "auto":
+        return _SEPARATORS[layout.separator]
+    candidates = "\t;" if layout.decimal == "," else "\t;,"
+    for separator in candidates:
+        if separator in head[0]:
+            return separator
+    return " "
+
+
+def _batch(batch: RecordBatch, names: dict[Column, str]) -> Batch:
+    return {
+        column: batch.column(batch.schema.get_field_index(name)).to_numpy(zero_copy_only=False)
+        for column, name in names.items()
+    }
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    return cell in _NOT_MEASURED or _NUMBER.fullmatch(cell.replace(decimal, ".")) is not None
+
+
+_BATCH_RECORDS = 100_000
+
+
+class RecordLog:
+    """A log of binary records.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    layout : RecordFormat
+        How it is written.
+
+    Attributes
+    ----------
+    columns : list of str
+        Names of the fields.
+    truncated : bool
+        Whether the file ends in the middle of a record, which is left out.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or has no record.
+    """
+
+    def __init__(self, path: Path, layout: RecordFormat) -> None:
+        self._path = path
+        self._layout = layout
+        self.columns = list(layout.fields)
+        self._type = np.dtype(layout.type)
+        self._bytes = self._type.itemsize * len(self.columns)
+        try:
+            size = path.stat().st_size - layout.header_bytes
+        except OSError as error:
+            raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+        if size < self._bytes:
+            raise DocumentError(f"{path}: holds no record of {self._bytes} bytes. Was the logger running?")
+        self.truncated = size % self._bytes > 0
+
+    def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
+        """Read columns batch by batch, as float64; those wanted as text as text.
+
+        Raises
+        ------
+        DocumentError
+            There is no such column, or the file can't be read.
+        """
+        indices = {column: self._index(column) for column in (*numbers, *texts)}
+        try:
+            with self._path.open("rb") as stream:
+                stream.seek(self._layout.header_bytes)
+                while data := stream.read(_BATCH_RECORDS * self._bytes):
+                    whole = len(data) // self._bytes
+                    count = whole * len(self.columns)
+                    records = np.frombuffer(data, self._type, count).reshape(whole, -1).astype(float)
+                    yield {column: records[:, indices[column]] for column in numbers} | {
+                        column: np.array([f"{value:g}" for value in records[:, indices[column]]])
+                        for column in texts
+                    }
+        except OSError as error:
+            raise DocumentError(f"{self._path}: can't be read: {error.strerror}") from error
+
+    def _index(self, column: Column) -> int:
+        if isinstance(column, int) and column <= len(self.columns):
+            return column - 1
+        if column in self.columns:
+            return self.columns.index(str(column))
+        raise DocumentError(
+            f"{self._path}: there is no field '{column}'. The mapping names {len(self.columns)}: "
+            f"{', '.join(self.columns)}"
+        )

@@ -1,0 +1,363 @@
+"""Columns of a log as quantities, and their means over windows.
+
+Body axes, deg/h, degC, seconds since the first sample. The unit is at rest in each window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrobench.bench.exchange.import_map import Column, LogMap, TextFormat
+from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
+from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+
+#: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x_dph``, ``gyro_x_c``, ...,
+#: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
+Samples = dict[str, FloatArray]
+
+RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
+FORCES = tuple(f"force_{axis}" for axis in AXES)
+
+#: Beyond these nothing is measured, and no log is as long; what lies there counts as NaN does.
+_LARGEST, _LONGEST_S = 1e15, 1e12
+
+_TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0}
+_TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+class SampleReader:
+    """Reads one log as its mapping says.
+
+    Attributes
+    ----------
+    first_s : float
+        Reading of the log's clock at its first sample, from the first batch on; 0 without a time column.
+    bad_status, no_time : int
+        Samples left out so far since their status is not good, or since they have no time.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or has no sample.
+    """
+
+    def __init__(self, path: Path, log_map: LogMap) -> None:
+        self._path = path
+        self._map = log_map
+        self._log = _open(path, log_map)
+        self._quantities = _quantities(log_map)
+        self.first_s = 0.0
+        self.bad_status = 0
+        self.no_time = 0
+        self._read = 0
+
+    @property
+    def truncated(self) -> bool:
+        """Whether the log's last line or record was cut off."""
+        return self._log.truncated
+
+    def batches(self) -> Iterator[Samples]:
+        """Read the log in the order of time.
+
+        A sample whose status is not good keeps its time and loses its rates.
+
+        Raises
+        ------
+        DocumentError
+            The mapping names a column that the log lacks, or a cell can't be read.
+        MeasurementError
+            Time goes back.
+        """
+        numbers = [column for column, _, _ in self._quantities.values()]
+        time = self._map.time.column
+        texts = [
+            rule.column
+            for rule in (self._map.status, self._map.position)
+            if rule is not None and rule.column is not None
+        ]
+        origin, last_s = None, -np.inf
+        for batch in self._log.batches(numbers if time is None else [*numbers, time], texts):
+            samples = self._samples(batch)
+            count = len(samples[RATES[0]])
+            if time is None:
+                time_s = (self._read + np.arange(count)) / (self._map.time.sample_rate_hz or 1.0)
+            else:
+                raw = batch[time]
+                if origin is None and np.isfinite(raw).any():
+                    origin = float(raw[np.isfinite(raw)][0])
+                    self.first_s = origin * _TO_SECONDS[self._map.time.unit]
+                with np.errstate(over="ignore"):
+                    time_s = (raw - (origin or 0.0)) * _TO_SECONDS[self._map.time.unit]
+            known = np.abs(time_s) <= _LONGEST_S
+            self.no_time += int(count - known.sum())
+            self._read += count
+            samples = {name: values[known] for name, values in samples.items()}
+            samples["time_s"] = time_s[known]
+            self._check_order(samples["time_s"], last_s)
+            if known.any():
+                last_s = float(samples["time_s"][-1])
+            yield samples
+
+    def _samples(self, batch: Batch) -> Samples:
+        samples = {
+            name: _measured(name, batch[column], scale, offset)
+            for name, (column, scale, offset) in self._quantities.items()
+        }
+        status, position = self._map.status, self._map.position
+        if status is not None:
+            good = np.isin(_words(batch[status.column]), [_word(str(each)) for each in status.good])
+            self.bad_status += int((~good).sum())
+            for name in RATES:
+                samples[name] = np.where(good, samples[name], np.nan)
+        if position.column is not None:
+            samples["position"] = self._positions(batch[position.column])
+        return samples
+
+    def _positions(self, texts: NDArray[np.str_]) -> FloatArray:
+        names, which = np.unique(_words(texts), return_inverse=True)
+        values = {_word(text): name for text, name in self._map.position.values.items()}
+        unknown = [name for name in names if name and name not in values]
+        if unknown:
+            raise DocumentError(
+                f"{self._path}: column {self._map.position.column} holds '{unknown[0]}', which is none of "
+                f"{', '.join(values)}. Add it to 'position.values' of the mapping"
+            )
+        order = list(POSITIONS)
+        return np.array([float(order.index(values[name])) if name else np.nan for name in names])[which]
+
+    def _check_order(self, time_s: FloatArray, last_s: float) -> None:
+        steps = np.diff(time_s, prepend=last_s)
+        back = np.flatnonzero(steps < 0.0)
+        if back.size:
+            raise MeasurementError(
+                f"{self._path}: time goes back by {-steps[back[0]]:g} s at {time_s[back[0]]:.3f} s after the "
+                "first sample. Cut the log there, or, where only its clock is wrong, give "
+                "'time: {sample_rate_hz: ...}' in the mapping"
+            )
+
+
+def _open(path: Path, log_map: LogMap) -> TextLog | RecordLog:
+    if log_map.records is not None:
+        return RecordLog(path, log_map.records)
+    return TextLog(path, log_map.text or TextFormat())
+
+
+def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
+    """Column, scale and offset of each number that is read."""
+    gyro, temperatures = log_map.gyro, log_map.temperatures
+    to_dph = _TO_DPH[gyro.unit]
+    quantities: dict[str, tuple[Column, float, float]] = {}
+    for name, axis in zip(RATES, (gyro.x, gyro.y, gyro.z), strict=True):
+        quantities[name] = (axis.column, axis.sign * to_dph, 0.0)
+    for name, column in temperatures.by_quantity().items():
+        quantities[name] = (column, temperatures.scale, temperatures.offset_c)
+    if (force := log_map.position.accelerometers) is not None:
+        for name, axis in zip(FORCES, (force.x, force.y, force.z), strict=True):
+            quantities[name] = (axis.column, float(axis.sign), 0.0)
+    if log_map.cycle.column is not None:
+        quantities["cycle"] = (log_map.cycle.column, 1.0, 0.0)
+    return quantities
+
+
+def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatArray:
+    """Values of a quantity; NaN where it can't have what the log says."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = raw * scale + offset
+    low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_LARGEST, _LARGEST)
+    return np.where((values >= low) & (values <= high), values, np.nan)
+
+
+def full_scale_dph(log_map: LogMap) -> float:
+    """Largest rate that the gyros can tell; infinite where not known."""
+    return np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * _TO_DPH[log_map.gyro.unit]
+
+
+def _words(texts: NDArray[Any]) -> NDArray[np.str_]:
+    """Texts that compare equal where they mean the same."""
+    unique, which = np.unique(texts.astype(str), return_inverse=True)
+    return np.array([_word(text) for text in unique], dtype=str)[which]
+
+
+def _word(text: str) -> str:
+    """Text without blanks around it; a number as short as it goes: ``0.0`` becomes ``0``."""
+    try:
+        return f"{float(text):g}"
+    except ValueError:
+        return text.strip()
+
+
+#: Into how many blocks a window may be cut, whose means show the noise; each half of the one before.
+BLOCKS = (40, 20, 10, 5)
+#: Samples that a window needs.
+MIN_SAMPLES = 10
+#: Smallest step that is no rounding error, relative to the largest value.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Means of one window.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+        Since the first sample of the log.
+    samples, dropped : int
+        Samples with all three rates, and those without.
+    widest_step_s : float
+        Longest time between two samples, also to the last one before the window.
+    covered_s : float
+        From the first to the last sample.
+    rate_dph : ndarray, shape (3,)
+        Mean rates.
+    scatter_dph : ndarray, shape (3,)
+        Standard deviation of the samples.
+    blocks_dph : ndarray, shape (blocks, 3)
+        Mean rates of as many equal parts as :data:`BLOCKS` allows, in the order of time.
+    rate_step_dph : ndarray, shape (3,)
+        Smallest change from one sample to the next; infinite where there is none.
+    extreme_dph, longest_at_extreme : ndarray, shape (3,)
+        Largest rate without its sign, and how many samples in a row it stayed.
+    longest_unchanged : ndarray, shape (3,)
+        How many samples in a row a rate was the same.
+    means, slopes_per_h, steps, spans : dict of str to float
+        Of temperatures, and of position and cycle: mean, slope, smallest change, and largest less
+        smallest value. NaN where not measured.
+    force : ndarray, shape (3,)
+        Mean of the accelerometers; NaN where the mapping names none.
+    """
+
+    start_s: float
+    end_s: float
+    samples: int
+    dropped: int
+    widest_step_s: float
+    covered_s: float
+    rate_dph: FloatArray
+    scatter_dph: FloatArray
+    blocks_dph: FloatArray
+    rate_step_dph: FloatArray
+    extreme_dph: FloatArray
+    longest_at_extreme: NDArray[np.intp]
+    longest_unchanged: NDArray[np.intp]
+    means: dict[str, float]
+    slopes_per_h: dict[str, float]
+    steps: dict[str, float]
+    spans: dict[str, float]
+    force: FloatArray
+
+
+def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> Iterator[Window]:
+    """Cut a log into windows; those with fewer than :data:`MIN_SAMPLES` good samples have NaN for all means.
+
+    No more than a batch and a window are held at a time.
+    """
+    rest: Samples = {}
+    before_s = np.nan
+    for batch in batches:
+        late = batch["time_s"] >= skip_s
+        kept = {name: values[late] for name, values in batch.items()}
+        rest = {name: np.concatenate([rest[name], kept[name]]) for name in kept} if rest else kept
+        index = _window_index(rest["time_s"], window_s, skip_s)
+        if index.size == 0 or index[0] == index[-1]:
+            continue
+        begin_of_last = int(np.searchsorted(index, index[-1]))
+        for part in _parts(rest, index, 0, begin_of_last):
+            yield _window(part, window_s, skip_s, before_s)
+            before_s = float(part["time_s"][-1])
+        rest = {name: values[begin_of_last:] for name, values in rest.items()}
+    if rest and rest["time_s"].size:
+        yield _window(rest, window_s, skip_s, before_s)
+
+
+def longest_run(same: BoolArray) -> int:
+    """How many true values stand in a row at most."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray[np.intp]:
+    return np.asarray((time_s - skip_s) // window_s, dtype=np.intp)
+
+
+def _parts(samples: Samples, index: NDArray[np.intp], begin: int, end: int) -> Iterator[Samples]:
+    borders = np.flatnonzero(np.diff(index[begin:end])) + 1 + begin
+    for first, last in zip([begin, *borders], [*borders, end], strict=True):
+        yield {name: values[first:last] for name, values in samples.items()}
+
+
+def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -> Window:
+    time_s = samples["time_s"]
+    number = int(_window_index(time_s[:1], window_s, skip_s)[0])
+    rates = np.column_stack([samples[name] for name in RATES])
+    good = np.isfinite(rates).all(axis=1)
+    rates = rates[good]
+    steps = np.diff(time_s, prepend=time_s[0] if np.isnan(before_s) else before_s)
+    means, slopes, smallest, spans = {}, {}, {}, {}
+    for name, values in samples.items():
+        if name.endswith("_c") or name in ("position", "cycle"):
+            means[name], slopes[name], smallest[name], spans[name] = _trend(time_s, values)
+    enough = len(rates) >= MIN_SAMPLES
+    nothing = np.full(3, np.nan)
+    return Window(
+        start_s=skip_s + number * window_s,
+        end_s=skip_s + (number + 1) * window_s,
+        samples=len(rates),
+        dropped=int(good.size - len(rates)),
+        widest_step_s=float(steps.max()),
+        covered_s=float(time_s[-1] - time_s[0]),
+        rate_dph=rates.mean(axis=0) if enough else nothing,
+        scatter_dph=rates.std(axis=0, ddof=1) if enough else nothing,
+        blocks_dph=_blocks(rates) if enough else np.empty((0, 3)),
+        rate_step_dph=np.array([_smallest_step(rate) for rate in rates.T]),
+        extreme_dph=np.abs(rates).max(axis=0, initial=0.0),
+        longest_at_extreme=np.array([_longest_at_extreme(rate) for rate in rates.T]),
+        longest_unchanged=np.array([1 + longest_run(np.diff(rate) == 0.0) for rate in rates.T]),
+        means=means,
+        slopes_per_h=slopes,
+        steps=smallest,
+        spans=spans,
+        force=np.array([_mean(samples[name]) if name in samples else np.nan for name in FORCES]),
+    )
+
+
+def _blocks(rates: FloatArray) -> FloatArray:
+    count = next(count for count in BLOCKS if 2 * count <= len(rates))
+    return np.array([block.mean(axis=0) for block in np.array_split(rates, count)])
+
+
+def _trend(time_s: FloatArray, values: FloatArray) -> tuple[float, float, float, float]:
+    """Mean, slope per hour, smallest step and span; NaN, NaN, infinite and NaN without values."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.nan, np.nan, np.inf, np.nan
+    time_h, known_values = (time_s[known] - time_s[known].mean()) / 3600.0, values[known]
+    mean = float(known_values.mean())
+    square = float(time_h @ time_h)
+    slope = float(time_h @ (known_values - mean)) / square if square > 0.0 else np.nan
+    return mean, slope, _smallest_step(known_values), float(np.ptp(known_values))
+
+
+def _smallest_step(values: FloatArray) -> float:
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > _ROUNDING * np.abs(values).max(initial=0.0)]
+    return float(steps.min(initial=np.inf))
+
+
+def _longest_at_extreme(rate: FloatArray) -> int:
+    sizes = np.abs(rate)
+    return longest_run(sizes == sizes.max(initial=0.0))
+
+
+def _mean(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan

@@ -1,0 +1,349 @@
+"""Which windows are valid, how noisy their means are, and whether the temperatures support a bias curve."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.exchange.import_map import EarthRate, LogMap
+from gyrobench.bench.exchange.log_windows import BLOCKS, MIN_SAMPLES, Window, full_scale_dph
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+
+
+def nearest_position(force: FloatArray) -> tuple[str, float]:
+    """Position whose vertical is nearest to a specific force.
+
+    Parameters
+    ----------
+    force : ndarray, shape (3,)
+        Specific force at rest, body axes, any unit: it points up.
+
+    Returns
+    -------
+    str, float
+        Name of the position, and the angle between the force and its vertical, deg.
+    """
+    size = float(np.linalg.norm(force))
+    if not size > 0.0:
+        return "z_up", math.nan
+    cosines = {
+        name: position.up_sign * float(force[position.up_axis]) / size for name, position in POSITIONS.items()
+    }
+    name = max(cosines, key=cosines.__getitem__)
+    return name, math.degrees(math.acos(min(1.0, cosines[name])))
+
+
+def earth_rate_dph(position: str, rule: EarthRate) -> FloatArray:
+    """Earth rate that the gyros sense, deg/h, body axes, shape (3,).
+
+    Without an azimuth only the vertical axis has a value; the others are 0.
+    """
+    attitude = POSITIONS[position]
+    rate = earth_rate_enu(math.radians(rule.latitude_deg)) * RADPS_TO_DPH
+    if rule.azimuth_deg is None:
+        rate = rate * [0.0, 0.0, 1.0]
+    return np.asarray(attitude.C_nb(math.radians(rule.azimuth_deg or 0.0)).T @ rate)
+
+
+#: Part of a window that must have been recorded, and of its samples that must be good.
+_LEAST_PART = 0.9
+#: Samples in a row at the largest rate of a log that are no chance, with noise over several steps.
+_SATURATED_RUN = 3
+_NOISY_STEPS = 3.0
+#: Share of a window that a rate may stay the same.
+_STUCK_PART = 0.5
+#: A finer temperature never stays the same for this long, in windows and seconds.
+_LIVELY_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
+#: Coarser steps of a temperature are told; fewer than these steps in its swing are refused.
+_COARSE_RESOLUTION_C, _LEAST_STEPS = 0.25, 8
+
+_GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
+
+
+def sample_interval_s(windows: Sequence[Window]) -> float:
+    """Time from one sample to the next, as most windows have it."""
+    intervals = [
+        each.covered_s / (each.samples + each.dropped - 1)
+        for each in windows
+        if each.samples + each.dropped > 1
+    ]
+    return float(np.median(intervals)) if intervals else 0.0
+
+
+def longest_gap_s(windows: Sequence[Window], log_map: LogMap) -> float:
+    """Longest time between samples of a good window."""
+    if log_map.max_gap_s is not None:
+        return log_map.max_gap_s
+    return max(5.0 * sample_interval_s(windows), 0.01 * log_map.window_s)
+
+
+def reasons_against(windows: Sequence[Window], log_map: LogMap) -> list[str]:
+    """Why each window of a log is left out; empty for a good one."""
+    interval_s, gap_s = sample_interval_s(windows), longest_gap_s(windows, log_map)
+    saturation = _saturation_dph(windows, log_map)
+    stuck = _stuck_temperature(windows, log_map)
+    return [
+        _reason_of_samples(each, log_map, interval_s, gap_s)
+        or _reason_of_rates(each, saturation)
+        or _reason_of_temperatures(each, log_map, is_stuck)
+        or _reason_of_place(each, log_map)
+        for each, is_stuck in zip(windows, stuck, strict=True)
+    ]
+
+
+def temperature_resolution_c(windows: Sequence[Window], name: str) -> float:
+    """Smallest step of a temperature; infinite where it never changes."""
+    return min((each.steps[name] for each in windows if name in each.steps), default=np.inf)
+
+
+def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], log_map: LogMap) -> list[str]:
+    """Tell what the temperatures of a table can't carry.
+
+    Raises
+    ------
+    MeasurementError
+        They swing too little, or in too few steps, for a curve over temperature.
+    """
+    if log_map.temperatures.constant_c is not None:
+        return [
+            "all rows have the one temperature of the mapping: they give biases, no curve over temperature"
+        ]
+    warnings: dict[str, None] = {}
+    for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
+        temperatures = np.array([row.gyro_c[index] for row in rows])
+        swing = float(np.ptp(temperatures))
+        _check_swing(axis, swing, temperatures, log_map)
+        resolution = temperature_resolution_c(windows, name)
+        if resolution <= _COARSE_RESOLUTION_C or swing == 0.0:
+            continue
+        if swing < _LEAST_STEPS * resolution:
+            raise MeasurementError(
+                f"the temperature of gyro {axis} swings by {swing:.2f} K in steps of {resolution:.3g} K: "
+                "too few for a curve over temperature. Log it with 0.1 K or finer, or swing it further"
+            )
+        bias = np.array([row.bias_dph[index] for row in rows])
+        slope = float(np.polyfit(temperatures, bias, 1)[0])
+        error = abs(slope) * resolution / np.sqrt(12.0)
+        noise = float(np.median([row.sigma_dph[index] for row in rows]))
+        warnings[
+            f"the temperature of gyro {axis} comes in steps of {resolution:.3g} K: at a slope of "
+            f"{slope:.3g} deg/h per K each bias may be off its curve by {error:.2g} deg/h (noise {noise:.2g} "
+            "deg/h), and slow changes of the temperature do not show. Log it with 0.1 K or finer"
+        ] = None
+    return list(warnings)
+
+
+def _check_swing(axis: str, swing: float, temperatures: FloatArray, log_map: LogMap) -> None:
+    least = log_map.temperatures.least_swing_c
+    if swing < least:
+        raise MeasurementError(
+            f"the temperature of gyro {axis} stays between {temperatures.min():.2f} and "
+            f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; {least:g} K are needed for a curve "
+            "over temperature. Log a larger swing, or allow a smaller one with "
+            "'temperatures: {least_swing_c: ...}' in the mapping"
+        )
+
+
+def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:
+    total = window.samples + window.dropped
+    if total < MIN_SAMPLES:
+        return f"fewer than {MIN_SAMPLES} samples (are 'window_s' and the unit of time right?)"
+    if window.covered_s + interval_s < _LEAST_PART * log_map.window_s:
+        return "not recorded to the end"
+    if window.widest_step_s > gap_s:
+        return f"over a gap of more than {gap_s:.3g} s"
+    if window.samples < max(_LEAST_PART * total, MIN_SAMPLES):
+        return "too many samples without a good rate"
+    return ""
+
+
+def _reason_of_rates(window: Window, saturation: FloatArray) -> str:
+    for axis, stayed, extreme, limit in zip(
+        AXES, window.longest_unchanged, window.extreme_dph, saturation, strict=True
+    ):
+        if stayed > _STUCK_PART * window.samples:
+            return f"rate of gyro {axis} stuck"
+        if extreme >= limit:
+            return f"rate of gyro {axis} saturated"
+    return ""
+
+
+def _reason_of_temperatures(window: Window, log_map: LogMap, is_stuck: bool) -> str:
+    if log_map.temperatures.constant_c is not None:
+        return ""
+    if any(np.isnan(window.slopes_per_h[name]) for name in _GYRO_TEMPERATURES):
+        return "no temperature"
+    return "temperature stuck" if is_stuck else ""
+
+
+def _reason_of_place(window: Window, log_map: LogMap) -> str:
+    for name in ("position", "cycle"):
+        if name in window.means:
+            if np.isnan(window.means[name]):
+                return f"no {name}"
+            if window.spans[name] > 0.0:
+                return f"{name} changed"
+    if log_map.position.accelerometers is not None:
+        _, tilt_deg = nearest_position(window.force)
+        if not tilt_deg <= log_map.position.accelerometers.tolerance_deg:
+            return f"over {log_map.position.accelerometers.tolerance_deg:g} deg from the nearest position"
+    return ""
+
+
+def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> FloatArray:
+    """Rate at which each gyro saturates: the declared one, or one at which it was clipped."""
+    declared = full_scale_dph(log_map) * (1.0 - 1e-6)
+    extremes = np.array([each.extreme_dph for each in windows])
+    highest = extremes.max(axis=0)
+    runs = np.array([each.longest_at_extreme for each in windows])
+    clipped = ((extremes == highest) & (runs >= _SATURATED_RUN)).any(axis=0)
+    scatters = np.array([each.scatter_dph for each in windows])
+    known = np.isfinite(scatters).all(axis=1)
+    scatter = np.median(scatters[known], axis=0) if known.any() else np.zeros(3)
+    step = np.min([each.rate_step_dph for each in windows], axis=0)
+    # A quiet gyro of coarse steps stays at its largest rate for long without being clipped.
+    clipped &= np.isfinite(step) & (scatter > _NOISY_STEPS * step)
+    return np.where(clipped, np.minimum(highest, declared), declared)
+
+
+def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> list[bool]:
+    """Whether each window lies in a long stretch of one and the same temperature, which should have noise."""
+    stuck = [False] * len(windows)
+    for name in _GYRO_TEMPERATURES:
+        if temperature_resolution_c(windows, name) > _LIVELY_RESOLUTION_C:
+            continue
+        same = [
+            (each.means[name] if each.spans[name] == 0.0 else (index,)) for index, each in enumerate(windows)
+        ]
+        begin = 0
+        for value, group in itertools.groupby(same):
+            count = len(list(group))
+            long = count >= _STUCK_WINDOWS and count * log_map.window_s >= _STUCK_S
+            if long and not isinstance(value, tuple):
+                stuck[begin : begin + count] = [True] * count
+            begin += count
+    return stuck
+
+
+#: Median of the square of a standard normal value.
+_MEDIAN_OF_SQUARE = 0.45494
+#: Mean square of a standard normal value within three standard deviations.
+_MEAN_WITHIN = 0.97334
+#: Mean square of a second difference of means by noise white in the rate, over the variance of a mean.
+_OF_WHITE_RATE = 6.0
+#: The same by noise white in the angle, over the variance of the angle at one end.
+_OF_WHITE_ANGLE = 20.0
+#: Second differences that an averaging time needs, and above which more do not count.
+_LEAST_DIFFERENCES, _MOST_DIFFERENCES = 8, 2000
+#: Excess over the noise that is drift, times the root of the number of differences.
+_TOLERANCE = 6.0
+
+
+def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
+    """Standard uncertainty of a window's mean by its noise, deg/h, shape (3,).
+
+    Second differences of neighbouring means hold no constant and no slope. Their mean square over
+    averaging time, from parts of windows to whole ones, is split into what is white in the angle
+    (a ring laser's dither, quantisation), white in the rate (angle random walk) and independent of
+    the averaging time (bias instability), as one does with an Allan variance. Averaging times that
+    show more than these can explain hold drift and do not count. What lies far out, as a
+    knock in one window, is left out. A mean is never known better than the resolution of the rate allows.
+
+    Parameters
+    ----------
+    logs : sequence of sequences of Window
+        Good windows, log by log.
+
+    Raises
+    ------
+    MeasurementError
+        A gyro's rate never changes, or there are too few windows.
+    """
+    windows = [window for log in logs for window in log]
+    differences = {
+        part: each
+        for part, each in (*_within(windows), (1.0, _between(logs)))
+        if len(each) >= _LEAST_DIFFERENCES
+    }
+    if not differences:
+        raise MeasurementError(
+            f"{len(windows)} good windows of {windows[0].samples} samples are too few to tell the noise. "
+            "Take longer or more windows"
+        )
+    squares = np.array([_mean_square(each) for each in differences.values()]) / _OF_WHITE_RATE
+    parts = np.array(list(differences))
+    counts = np.minimum([len(each) for each in differences.values()], _MOST_DIFFERENCES)
+    # A rate whose differences are mostly zero changes by its resolution alone.
+    noise = [_without_drift(parts, square, counts) if (square > 0.0).all() else 0.0 for square in squares.T]
+    sigma = np.sqrt(np.maximum(noise, _resolution_variance(windows)))
+    if not (sigma > 0.0).all():
+        raise MeasurementError("a gyro's rate never changes. Check its column in the mapping, and the gyro")
+    return np.asarray(sigma)
+
+
+def _without_drift(parts: FloatArray, squares: FloatArray, counts: NDArray[np.intp]) -> float:
+    """Variance of a whole window's mean.
+
+    Parameters
+    ----------
+    parts : ndarray, shape (n,)
+        Averaging times in windows, rising.
+    squares : ndarray, shape (n,)
+        Size of the second differences there, as variance of white noise.
+    counts : ndarray, shape (n,)
+        Number of differences, which is their weight.
+    """
+    weights = np.sqrt(counts) / squares
+    # A drift that bends leaves second differences as the square of the time, so squares as its fourth power.
+    powers = (-2.0, -1.0, 0.0, 4.0) if len(parts) > 3 else (-2.0, -1.0, 0.0)
+    design = parts[:, np.newaxis] ** powers
+    terms, _ = nnls(design * weights[:, np.newaxis], squares * weights)
+    if len(parts) > 2 and squares[-1] > design[-1] @ terms * (1.0 + _TOLERANCE / np.sqrt(counts[-1])):
+        return _without_drift(parts[:-1], squares[:-1], counts[:-1])
+    angle, rate, instability = terms[:3]
+    return float(2.0 * _OF_WHITE_RATE / _OF_WHITE_ANGLE * angle + rate + instability)
+
+
+def _within(windows: Sequence[Window]) -> Iterator[tuple[float, FloatArray]]:
+    """Second differences of the means of parts of a window, for each size of part."""
+    finest = min(len(each.blocks_dph) for each in windows)
+    for count in BLOCKS:
+        if count <= finest:
+            means = np.array([each.blocks_dph.reshape(count, -1, 3).mean(axis=1) for each in windows])
+            yield 1.0 / count, np.diff(means, n=2, axis=1).reshape(-1, 3)
+
+
+def _between(logs: Sequence[Sequence[Window]]) -> FloatArray:
+    """Second differences of the means of three windows that follow one another."""
+    triples = [
+        first.rate_dph - 2.0 * middle.rate_dph + last.rate_dph
+        for log in logs
+        for first, middle, last in zip(log, log[1:], log[2:], strict=False)
+        if first.end_s == middle.start_s and middle.end_s == last.start_s
+    ]
+    return np.array(triples).reshape(-1, 3)
+
+
+def _mean_square(differences: FloatArray) -> FloatArray:
+    """Mean square by column without what lies beyond three standard deviations."""
+    squares = differences**2
+    limit = 9.0 * np.median(squares, axis=0) / _MEDIAN_OF_SQUARE
+    return np.asarray(np.nanmean(np.where(squares <= limit, squares, np.nan), axis=0) / _MEAN_WITHIN)
+
+
+def _resolution_variance(windows: Sequence[Window]) -> FloatArray:
+    step = np.min([each.rate_step_dph for each in windows], axis=0)
+    step = np.where(np.isfinite(step), step, 0.0)
+    scatter = np.median([each.scatter_dph for each in windows], axis=0)
+    samples = float(np.median([each.samples for each in windows]))
+    # Steps average out where noise takes the rate over several of them.
+    return np.asarray(step**2 / 12.0 / np.where(scatter >= 0.5 * step, samples, 1.0))

@@ -1,0 +1,261 @@
+"""Plots in characters: dots of braille, or marks of plain ASCII on a terminal without Unicode."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from rich.text import Text
+
+from gyrobench.bench.monitor.snapshot import Attitude, Triple
+
+#: Bit of each dot of a braille character, by row from the top and column.
+_BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+_BRAILLE_BLANK = 0x2800
+#: ASCII marks by which halves of a cell are set: upper 1, lower 2.
+_ASCII = " '.:"
+_NO_STYLE = ""
+
+Point = tuple[float, float]
+
+
+class Canvas:
+    """A grid of characters, drawn on by coordinates from 0 to 1, from the left and from the bottom.
+
+    Parameters
+    ----------
+    width, height : int
+        In characters.
+    is_ascii : bool
+        Whether only ASCII may be used.
+    """
+
+    def __init__(self, width: int, height: int, is_ascii: bool = False) -> None:
+        self.width, self.height = width, height
+        self._is_ascii = is_ascii
+        self._per_column, self._per_row = (1, 2) if is_ascii else (2, 4)
+        self._bits: dict[tuple[int, int], int] = {}
+        self._styles: dict[tuple[int, int], str] = {}
+        self._letters: dict[tuple[int, int], str] = {}
+
+    def line(self, points: Sequence[Point], style: str = _NO_STYLE, every: int = 1) -> None:
+        """Join points by lines; a point that is not known breaks the line.
+
+        With ``every`` above 1 only each so many columns of dots has one: the line is dotted.
+        """
+        before: tuple[int, int] | None = None
+        for point in points:
+            now = self._dot(point)
+            if now is not None:
+                for dot in _between(before or now, now):
+                    if dot[0] % every == 0:
+                        self._set(dot, style)
+            before = now
+
+    def letter(self, point: Point, letter: str, style: str = _NO_STYLE) -> None:
+        """Write a character over whatever is at a point."""
+        dot = self._dot(point)
+        if dot is not None:
+            cell = (dot[0] // self._per_column, dot[1] // self._per_row)
+            self._letters[cell] = letter
+            self._styles[cell] = style
+
+    def rows(self) -> list[Text]:
+        """The drawing, a text for each row from the top."""
+        return [self._row(row) for row in range(self.height)]
+
+    def _row(self, row: int) -> Text:
+        cells = [(column, row) for column in range(self.width)]
+        styled = itertools.groupby(cells, key=lambda cell: self._styles.get(cell, _NO_STYLE))
+        parts = (("".join(map(self._character, same)), style) for style, same in styled)
+        return Text.assemble(*parts)
+
+    def _character(self, cell: tuple[int, int]) -> str:
+        return self._letters.get(cell) or self._mark(self._bits.get(cell, 0))
+
+    def _mark(self, bits: int) -> str:
+        if self._is_ascii:
+            return _ASCII[bits]
+        return chr(_BRAILLE_BLANK + bits) if bits else " "
+
+    def _dot(self, point: Point) -> tuple[int, int] | None:
+        """Column and row of the dot at a point, from the upper left corner."""
+        x, y = point
+        if not (math.isfinite(x) and math.isfinite(y) and -1e-9 <= x <= 1 + 1e-9 and -1e-9 <= y <= 1 + 1e-9):
+            return None
+        columns, rows = self.width * self._per_column, self.height * self._per_row
+        return round(x * (columns - 1)), round((1.0 - y) * (rows - 1))
+
+    def _set(self, dot: tuple[int, int], style: str) -> None:
+        column, row = dot
+        cell = (column // self._per_column, row // self._per_row)
+        bit = 1 << row % 2 if self._is_ascii else _BRAILLE[row % 4][column % 2]
+        self._bits[cell] = self._bits.get(cell, 0) | bit
+        if cell not in self._letters:
+            self._styles[cell] = style
+
+
+def _between(first: tuple[int, int], last: tuple[int, int]) -> Iterable[tuple[int, int]]:
+    """All dots of the straight line from one dot to another."""
+    steps = max(abs(last[0] - first[0]), abs(last[1] - first[1]), 1)
+    for step in range(steps + 1):
+        share = step / steps
+        yield (
+            round(first[0] + share * (last[0] - first[0])),
+            round(first[1] + share * (last[1] - first[1])),
+        )
+
+
+#: Most room for the numbers of the vertical axis.
+_LABEL_WIDTH = 6
+_DOTTED = 3
+_DIM = "dim"
+_STEPS = (1.0, 2.0, 5.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a plot.
+
+    Attributes
+    ----------
+    x, y : sequence of float, same length
+        NaN breaks the line.
+    style : str
+        Colour, as rich names it.
+    letter : str
+        Written at the line's end, so that it is told from others without colour; may be empty.
+    is_dotted : bool
+        Whether it is single dots.
+    """
+
+    x: Sequence[float]
+    y: Sequence[float]
+    style: str
+    letter: str = ""
+    is_dotted: bool = False
+
+
+def plot(
+    curves: Sequence[Curve],
+    width: int,
+    height: int,
+    x_range: tuple[float, float],
+    x_labels: tuple[str, str],
+    least_span: float,
+    is_ascii: bool,
+    mark_x: float | None = None,
+) -> list[Text]:
+    """Draw curves into a rectangle of characters.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the whole with labels, in characters.
+    x_range : tuple of float
+        Ends of the horizontal axis.
+    x_labels : tuple of str
+        What is written at its ends.
+    least_span : float
+        The vertical axis spans as much at least.
+    is_ascii : bool
+        Whether only ASCII may be used.
+    mark_x : float, optional
+        Where a vertical line stands.
+    """
+    low, high = _y_range(curves, least_span)
+    label_width = max(len(_number(low)), len(_number(high)))
+    canvas = Canvas(width - label_width - 1, height - 1, is_ascii)
+
+    def place(x: float, y: float) -> Point:
+        return (x - x_range[0]) / (x_range[1] - x_range[0]), (y - low) / (high - low)
+
+    if mark_x is not None:
+        canvas.line([place(mark_x, low), place(mark_x, high)], _DIM)
+    elif low < 0.0 < high:
+        canvas.line([place(x, 0.0) for x in x_range], _DIM, _DOTTED)
+    for curve in curves:
+        points = [place(x, y) for x, y in zip(curve.x, curve.y, strict=True)]
+        canvas.line(points, curve.style, _DOTTED if curve.is_dotted else 1)
+    for curve in curves:
+        ends = [
+            place(x, y)
+            for x, y in zip(curve.x, curve.y, strict=True)
+            if math.isfinite(x) and math.isfinite(y)
+        ]
+        if curve.letter and ends:
+            canvas.letter(ends[-1], curve.letter, f"bold {curve.style}")
+    return _with_axes(canvas, (_number(low), _number(high)), label_width, x_labels, "|" if is_ascii else "│")
+
+
+def _with_axes(
+    canvas: Canvas, y_labels: tuple[str, str], label_width: int, x_labels: tuple[str, str], bar: str
+) -> list[Text]:
+    lines = []
+    last = canvas.height - 1
+    for number, row in enumerate(canvas.rows()):
+        label = y_labels[1] if number == 0 else y_labels[0] if number == last else ""
+        lines.append(Text.assemble((f"{label:>{label_width}}{bar}", _DIM), row))
+    left, right = x_labels
+    below = " " * (label_width + 1) + left + right.rjust(canvas.width - len(left))
+    return [*lines, Text(below, _DIM)]
+
+
+def _y_range(curves: Iterable[Curve], least_span: float) -> tuple[float, float]:
+    """Round numbers around all values."""
+    values = [value for curve in curves for value in curve.y if math.isfinite(value)]
+    low, high = (min(values), max(values)) if values else (0.0, 0.0)
+    lacking = least_span - (high - low)
+    if lacking > 0.0:
+        low, high = low - lacking / 2.0, high + lacking / 2.0
+    step = _round_step((high - low) / 8.0)
+    return math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step
+
+
+def _round_step(span: float) -> float:
+    """Smallest 1, 2 or 5 times a power of ten that is not below a number."""
+    decade = 10.0 ** math.floor(math.log10(span))
+    return next(decade * step for step in _STEPS if decade * step >= span * (1.0 - 1e-9))
+
+
+def _number(value: float) -> str:
+    text = f"{value:z.3g}"
+    return text if len(text) <= _LABEL_WIDTH else f"{value:z.0e}"
+
+
+_STYLES = ("red", "green", "cyan")
+#: The direction that the picture is seen from: turned to the east, and raised, by these angles.
+_TURN_RAD, _RAISE_RAD = math.radians(25.0), math.radians(25.0)
+#: A character is twice as high as it is wide.
+_ASPECT = 2.0
+
+
+def axes_drawing(attitude: Attitude, width: int, height: int, is_ascii: bool) -> list[Text]:
+    """Draw the body axes in so many characters."""
+    canvas = Canvas(width, height, is_ascii)
+    reach = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
+    middle: Point = (0.5, 0.5)
+    columns = tuple(zip(*attitude.body_in_enu, strict=True))
+    # What points away from the eye is drawn first.
+    for axis in sorted(range(3), key=lambda each: -_depth(columns[each])):
+        right, up = _seen(columns[axis])
+        end = (middle[0] + reach * right, middle[1] + reach * up * width / (height * _ASPECT))
+        canvas.line([middle, end], _STYLES[axis])
+        canvas.letter(end, "xyz"[axis], f"bold {_STYLES[axis]}")
+    return canvas.rows()
+
+
+def _seen(cosines: Triple) -> Point:
+    """Where a unit vector (East, North, Up) ends on the picture."""
+    east, north, up = cosines
+    right = east * math.cos(_TURN_RAD) + north * math.sin(_TURN_RAD)
+    ahead = north * math.cos(_TURN_RAD) - east * math.sin(_TURN_RAD)
+    return right, up * math.cos(_RAISE_RAD) + ahead * math.sin(_RAISE_RAD)
+
+
+def _depth(cosines: Triple) -> float:
+    east, north, up = cosines
+    ahead = north * math.cos(_TURN_RAD) - east * math.sin(_TURN_RAD)
+    return ahead * math.cos(_RAISE_RAD) - up * math.sin(_RAISE_RAD)

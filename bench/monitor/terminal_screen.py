@@ -1,0 +1,335 @@
+"""The live view as lines of text: what there is room for, the most important first."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+
+from rich.text import Text
+
+from gyrobench.bench.monitor.snapshot import (
+    BenchNow,
+    FillingBin,
+    LiveBias,
+    Picture,
+    RunState,
+    WindowTrace,
+    directions,
+)
+from gyrobench.bench.monitor.terminal_plot import Curve, axes_drawing, plot
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.procedure.timeline import hours_minutes
+
+_STATE_STYLES = {
+    RunState.STARTING: "bold cyan",
+    RunState.RUNNING: "bold green",
+    RunState.HOLDING: "bold yellow",
+    RunState.PAUSED: "bold yellow",
+    RunState.WAITING: "bold red",
+    RunState.FINISHED: "bold green",
+    RunState.STOPPED: "bold red",
+    RunState.FAILED: "bold red",
+}
+_ALARM = "bold red"
+#: A text that a person has to act on is shown in so many lines at most.
+_MOST_LINES = 3
+#: Answers older than this are said to be old.
+_OLD_S = 30.0
+
+
+def headline(picture: Picture, width: int) -> Text:
+    """Name, unit, state, and time left: what matters most."""
+    unit = f", unit {picture.unit}" if picture.unit else ""
+    times = f"{hours_minutes(picture.now_s)} h"
+    if not picture.state.is_over:
+        times += f", {hours_minutes(picture.left_s)} h left"
+    right = Text.assemble((picture.state.upper(), _STATE_STYLES[picture.state]), f"  {times}")
+    left = Text(f"{picture.name}{unit}", "bold")
+    left.truncate(max(0, width - len(right) - 2), overflow="ellipsis", pad=True)
+    return Text.assemble(left, "  ", right)
+
+
+def attention(picture: Picture, width: int) -> list[Text]:
+    """What is wrong, why the run does not go on, and what is asked; nothing where all is well."""
+    lines: list[Text] = []
+    question = picture.question.text if picture.question else ""
+    # What led to a hold is told by its alarms, as long as they last.
+    is_told = picture.reason in question or (picture.alarms and picture.state is not RunState.PAUSED)
+    if picture.reason and not (is_told and not picture.state.is_over):
+        lines += _folded(picture.reason, width, "", "bold")
+    for alarm in picture.alarms:
+        if alarm.text not in question:
+            lines += _folded(f"{alarm.name.replace('_', ' ')}: {alarm.text}", width, "ALARM ", _ALARM)
+    if picture.question:
+        lines += _folded(question, width, "", _ALARM)
+        lines.append(Text(f"Type one of: {', '.join(picture.question.answers)}", _ALARM))
+    return lines
+
+
+def step_line(picture: Picture) -> Text:
+    """The step under way, and how far it is."""
+    step = picture.step
+    if step is None:
+        return Text("no step is under way", "dim")
+    of = f"step {step.number}/{step.count}"
+    elapsed_s = max(0.0, picture.now_s - step.started_s)
+    label = f"{step.label}: " if step.label else ""
+    return Text.assemble(
+        f"{of}  {label}",
+        (step.description, "bold"),
+        f"  {_minutes(elapsed_s)} of {_minutes(step.planned_s)}" if step.planned_s >= 1.0 else "",
+    )
+
+
+def readings_line(bench: BenchNow) -> Text:
+    """Temperatures and what the INS does; answers that are old say so."""
+    set_c = "off" if math.isnan(bench.chamber_set_c) else f"set {bench.chamber_set_c:.1f}"
+    parts = [
+        f"chamber {_degrees(bench.chamber_c)}, {set_c}{_old(bench.chamber_age_s)}",
+        f"INS {bench.ins_mode}{_old(bench.ins_age_s)}",
+        f"table{old}" if (old := _old(bench.table_age_s)) else "",
+        f"gyros {' '.join(map(_degrees, bench.gyro_c))} degC",
+    ]
+    return Text("  ".join(part for part in parts if part))
+
+
+def bias_line(picture: Picture, plus_minus: str) -> Text:
+    """The live estimate of the dwell under way."""
+    dwell, live = picture.dwell, picture.live_bias
+    if dwell is None:
+        return Text(f"dwells measured: {len(picture.dwells)} of {picture.dwell_count}", "dim")
+    head = f"dwell {dwell.number}/{dwell.count}  "
+    if live is None:
+        return Text.assemble(head, ("the bias can be told after the turn", "dim"))
+    pairs = zip(AXES, live.bias_dph, live.sigma_dph, strict=True)
+    values = "  ".join(f"{axis} {1e3 * b:+z.2f}{plus_minus}{1e3 * s:.2f}" for axis, b, s in pairs)
+    return Text.assemble(head, (values, "bold"), "  0.001 deg/h")
+
+
+def sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
+    """How the largest of the three uncertainties has shrunk, first to last."""
+    sigmas = [1e3 * max(each.sigma_dph) for each in estimates]
+    head, tail = f"sigma {sigmas[0]:.1f} ", f" {sigmas[-1]:.1f}"
+    room = width - len(head) - len(tail)
+    shown = sigmas[:: max(1, math.ceil(len(sigmas) / room))]
+    blocks = "_.-=^" if is_ascii else "▁▂▃▄▅▆▇█"
+    top = max(shown)
+    bars = "".join(blocks[min(len(blocks) - 1, int(len(blocks) * each / top))] for each in shown)
+    return Text.assemble((head, "dim"), (bars, "cyan"), (tail, "dim"))
+
+
+def message_lines(picture: Picture, count: int) -> list[Text]:
+    """The newest messages, the last below."""
+    newest = picture.messages[-count:] if count else ()
+    return [Text.assemble((f"{hours_minutes(each.time_s):>6s} ", "dim"), each.text) for each in newest]
+
+
+def _folded(text: str, width: int, head: str, style: str) -> list[Text]:
+    lines = textwrap.wrap(head + text, width, subsequent_indent=" " * len(head))
+    if len(lines) > _MOST_LINES:
+        lines = [*lines[: _MOST_LINES - 1], lines[_MOST_LINES - 1][: width - 4] + " ..."]
+    return [Text(line, style) for line in lines]
+
+
+def _minutes(time_s: float) -> str:
+    """Minutes and seconds, or hours and minutes of what takes longer."""
+    if time_s >= 3600.0:
+        return f"{hours_minutes(time_s)} h"
+    return f"{int(time_s) // 60}:{int(time_s) % 60:02d}"
+
+
+def _degrees(value_c: float) -> str:
+    return "-" if math.isnan(value_c) else f"{value_c:.1f}"
+
+
+def _old(age_s: float) -> str:
+    if math.isnan(age_s):
+        return " (not heard)"
+    return f" ({age_s:.0f} s old)" if age_s > _OLD_S else ""
+
+
+_CHAMBER, _GYRO, _NORTH = "cyan", "yellow", "magenta"
+_AXES_WIDTH = 24
+#: Up to so many rows the drawing of the axes needs for itself.
+_WITHOUT_ANGLES = 8
+_ARCSEC = 3600.0
+_BIN_LABEL_WIDTH, _BIN_WIDTH = 11, 11
+_LEAST_C, _LEAST_MMPS, _LEAST_ARCSEC = 4.0, 0.5, 0.5
+
+
+def profile_graph(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
+    """Temperatures as they were until now, and by plan from now on."""
+    measured, planned = picture.measured, picture.planned
+    end_s = max(picture.now_s + picture.left_s, picture.now_s, 1.0)
+    to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= picture.plan_now_s]
+    future_s = [planned.time_s[index] + picture.behind_s for index in to_come]
+    curves = [
+        Curve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
+        Curve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
+        Curve(measured.time_s, measured.chamber_c, _CHAMBER, "c"),
+        Curve(measured.time_s, measured.gyro_x_c, _GYRO, "g"),
+    ]
+    title = Text.assemble(
+        ("  degC  ", "dim"),
+        ("c chamber", _CHAMBER),
+        "  ",
+        ("g gyro x", _GYRO),
+        ("  from now on: plan", "dim"),
+    )
+    labels = ("0:00", f"{hours_minutes(end_s)} h")
+    now = None if picture.state.is_over else picture.now_s
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _LEAST_C, is_ascii, now)]
+
+
+def dwell_graphs(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
+    """Position, velocity and heading side by side."""
+    each = (width - _AXES_WIDTH - 2) // 2
+    windows = picture.dwell.windows if picture.dwell else ()
+    position = _position(picture, height, is_ascii)
+    if not windows:
+        why = "the INS has not navigated yet" if picture.dwell else "no dwell is under way"
+        return _beside([position, [Text(why, "dim")]], (_AXES_WIDTH, 2 * each + 1), height)
+    velocity = _velocity(windows, each, height, is_ascii)
+    heading = _heading(windows, each, height, is_ascii)
+    return _beside([position, velocity, heading], (_AXES_WIDTH, each, each), height)
+
+
+def bins_table(picture: Picture, height: int, plus_minus: str) -> list[Text]:
+    """The X gyro's bins, those nearest to its temperature; nothing while all are empty."""
+    bins = [each for each in picture.bins if each.gyro == "x"]
+    filled = {(each.low_c, each.high_c) for each in bins if each.count}
+    if not filled or height < 2:
+        return []
+    now_c = picture.bench.gyro_c[0] if picture.bench else math.nan
+    nearest = sorted(filled, key=lambda ends: abs(ends[0] - now_c) if math.isfinite(now_c) else ends[0])
+    positions = [name for name in POSITIONS if any(each.position == name for each in bins)]
+    head = f"{'x gyro, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
+    rows = [_bin_row(bins, ends, positions, plus_minus) for ends in sorted(nearest[: height - 1])]
+    return [Text(head, "dim"), *rows]
+
+
+def _bin_row(
+    bins: Sequence[FillingBin], ends: tuple[float, float], positions: Sequence[str], plus_minus: str
+) -> Text:
+    row = Text(f"{f'{ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
+    for name in positions:
+        (one,) = (each for each in bins if each.position == name and each.low_c == ends[0])
+        text = f"{1e3 * one.bias_dph:z.1f}{plus_minus}{1e3 * one.sigma_dph:.1f}" if one.count else "."
+        row.append(f"{text:>{_BIN_WIDTH}}", "" if one.count else "dim")
+    return row
+
+
+def _position(picture: Picture, height: int, is_ascii: bool) -> list[Text]:
+    attitude = picture.attitude
+    if attitude is None:
+        return [Text("the table is unknown", "dim")]
+    azimuth = "" if math.isnan(attitude.azimuth_deg) else f" at {attitude.azimuth_deg:g} deg"
+    title = Text(f"{attitude.position}{azimuth}" if attitude.position else "no position yet", "bold")
+    words = textwrap.wrap(directions(attitude), _AXES_WIDTH, break_on_hyphens=False)
+    below = [Text(line, "dim") for line in words]
+    if picture.bench and height > _WITHOUT_ANGLES:
+        angles = f"{picture.bench.outer_deg:.2f}, {picture.bench.inner_deg:.2f}"
+        below.append(Text(f"table {angles}", "dim"))
+    drawing = axes_drawing(attitude, _AXES_WIDTH, height - 1 - len(below), is_ascii)
+    return [title, *drawing, *below]
+
+
+def _velocity(windows: Sequence[WindowTrace], width: int, height: int, is_ascii: bool) -> list[Text]:
+    time_s, end_s = _joined_time_s(windows)
+    east = [1e3 * value for window in windows for value in (*window.velocity_east_mps, math.nan)]
+    north = [1e3 * value for window in windows for value in (*window.velocity_north_mps, math.nan)]
+    curves = [Curve(time_s, east, _CHAMBER, "E"), Curve(time_s, north, _NORTH, "N")]
+    title = Text.assemble(("mm/s  ", "dim"), ("E East", _CHAMBER), "  ", ("N North", _NORTH))
+    labels = ("0", f"{end_s / 60.0:.2g} min")
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _LEAST_MMPS, is_ascii)]
+
+
+def _heading(windows: Sequence[WindowTrace], width: int, height: int, is_ascii: bool) -> list[Text]:
+    time_s, end_s = _joined_time_s(windows)
+    change = [_ARCSEC * value for window in windows for value in (*window.heading_change_deg, math.nan)]
+    title = Text("change of heading, arcsec", "dim")
+    labels = ("0", f"{end_s / 60.0:.2g} min")
+    curves = [Curve(time_s, change, _GYRO, "H")]
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _LEAST_ARCSEC, is_ascii)]
+
+
+def _joined_time_s(windows: Sequence[WindowTrace]) -> tuple[list[float], float]:
+    """Times of all windows one after the other, broken between them, and the end of the last."""
+    time_s: list[float] = []
+    begin_s = 0.0
+    for window in windows:
+        time_s += [*(begin_s + each for each in window.time_s), math.nan]
+        begin_s += max(window.planned_s, *window.time_s[-1:], 1.0)
+    return time_s, begin_s or 1.0
+
+
+def _beside(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int) -> list[Text]:
+    lines = []
+    for number in range(height):
+        line = Text()
+        for block, width in zip(blocks, widths, strict=True):
+            part = block[number].copy() if number < len(block) else Text()
+            part.truncate(width, pad=True)
+            line = Text.assemble(line, " ", part) if line else part
+        lines.append(line)
+    return lines
+
+
+WIDEST, TALLEST = 80, 40
+#: Least and most rows of what can be drawn larger or smaller.
+_PROFILE_ROWS, _DWELL_ROWS, _BIN_ROWS = (6, 11), (7, 11), (2, 9)
+_MOST_MESSAGES = 5
+
+
+def screen(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
+    """Lines that show a picture, none wider than ``width`` and no more than ``height``.
+
+    State, time left, what is wrong, and the open question are always there; then come step, readings
+    and live bias, the profile, the dwell with its position, the bins, and messages.
+    """
+    plus_minus = "+-" if is_ascii else "±"
+    top = [headline(picture, width), *attention(picture, width)]
+    lines = [step_line(picture)]
+    if picture.bench:
+        lines.append(readings_line(picture.bench))
+    bias = [bias_line(picture, plus_minus)]
+    rows = _shares(height - len(top) - len(lines) - len(bias), picture)
+    if picture.dwell and rows["sigma"]:
+        bias.append(sigma_line(picture.dwell.estimates, width, is_ascii))
+    if rows["profile"]:
+        lines += profile_graph(picture, width, rows["profile"], is_ascii)
+    if rows["dwell"]:
+        lines += dwell_graphs(picture, width, rows["dwell"], is_ascii)
+    lines += [*bias, *bins_table(picture, rows["bins"], plus_minus)]
+    lines += message_lines(picture, rows["messages"])
+    shown = [*top, *lines][:height]
+    for line in shown:
+        line.truncate(width, overflow="ellipsis")
+        line.no_wrap = True
+    return shown
+
+
+def _shares(room: int, picture: Picture) -> dict[str, int]:
+    """So many rows for each part: first each gets its least, in the order of importance, then its most."""
+    filled = len({each.low_c for each in picture.bins if each.count and each.gyro == "x"})
+    wishes = {
+        "profile": _PROFILE_ROWS,
+        "dwell": _DWELL_ROWS,
+        "bins": (_BIN_ROWS[0], min(_BIN_ROWS[1], 1 + filled)) if filled else (0, 0),
+        "sigma": (1, 1) if picture.dwell and len(picture.dwell.estimates) > 1 else (0, 0),
+        "messages": (min(1, len(picture.messages)), min(_MOST_MESSAGES, len(picture.messages))),
+    }
+    rows = dict.fromkeys(wishes, 0)
+    for part, (least, _) in wishes.items():
+        if least <= room:
+            rows[part] = least
+            room -= least
+    while room > 0:
+        growing = [part for part, (_, most) in wishes.items() if 0 < rows[part] < most]
+        if not growing:
+            break
+        for part in growing[:room]:
+            rows[part] += 1
+            room -= 1
+    return rows

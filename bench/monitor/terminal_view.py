@@ -1,0 +1,326 @@
+"""A run in the terminal: a line for each dwell, the live view below them, the operator's answers."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import TextIO, cast
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.padding import Padding
+from rich.status import Status
+from rich.text import Text
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.engine.job import Job
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.observers import ObserverGroup, RunObserver, RunOutcome
+from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.monitor.recorder import PictureRecorder
+from gyrobench.bench.monitor.snapshot import Picture
+from gyrobench.bench.monitor.terminal import (
+    Keyboard,
+    PatientConsole,
+    PatientStream,
+    is_c_locale,
+    is_in_foreground,
+)
+from gyrobench.bench.monitor.terminal_screen import TALLEST, WIDEST, screen
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import Chamber
+from gyrobench.bench.procedure.timeline import hours_minutes
+
+
+class TerminalOperator:
+    """Takes answers and orders from the keyboard without waiting for them."""
+
+    def __init__(self, console: Console, keyboard: Keyboard) -> None:
+        self._console = console
+        self._keyboard = keyboard
+        self._answers: Sequence[str] = ()
+
+    def ask(self, question: str, answers: Sequence[str]) -> None:
+        """Print the question and the answers to choose from."""
+        self._answers = answers
+        self._console.print(f"\n{question}\nAnswer with one of: {', '.join(answers)}", soft_wrap=True)
+
+    def answer(self) -> str | None:
+        """The answer, once one of those asked for has been typed."""
+        typed = self._keyboard.line()
+        if typed in self._answers:
+            self._answers = ()
+            return typed
+        if typed:
+            self._console.print(f"Answer with one of: {', '.join(self._answers)}", soft_wrap=True)
+        return None
+
+    def withdraw(self) -> None:
+        """Expect no answer any more."""
+        self._answers = ()
+
+    def command(self) -> RunCommand | None:
+        """Return a typed command; other words are answered with the commands."""
+        typed = "" if self._answers else self._keyboard.line()
+        if typed in list(RunCommand):
+            return RunCommand(typed)
+        if typed:
+            self._console.print(f"Type one of: {', '.join(RunCommand)}", soft_wrap=True)
+        return None
+
+
+_UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
+_UPDATE_EVERY_TICKS = 50
+_HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z     left h"
+_INDENT = 8
+
+
+class LinesView(RunObserver):
+    """Prints each dwell as soon as it is measured; on a terminal also a line that says where it is.
+
+    Parameters
+    ----------
+    console : Console
+        Where to print.
+    plan : Plan
+        What is being run.
+    has_status : bool
+        Whether a terminal gets the line that says where it is.
+    """
+
+    def __init__(self, console: Console, plan: Plan, has_status: bool = True) -> None:
+        self._console = console
+        self._plan = plan
+        self._ticks = 0
+        self._left_s = plan.duration_s
+        self._step = ""
+        self._so_far = ""
+        self._has_head = False
+        self._has_status = has_status and console.is_terminal
+        self._status: Status | None = None
+
+    def __enter__(self) -> LinesView:
+        self._console.print(
+            f"{self._plan.procedure.procedure}: {counted(len(self._plan.steps), 'step')}, "
+            f"{counted(self._plan.dwell_count, 'dwell')}, {hours_minutes(self._plan.duration_s)} h planned"
+        )
+        if self._has_status:
+            self._status = self._console.status("starting")
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status:
+            self._status.stop()
+
+    def noted(self, text: str) -> None:
+        """Print a message."""
+        self._console.print(text, highlight=False)
+
+    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
+        """Show the step; the chamber's are printed, with the time since the start."""
+        self._step = f"{planned.label}: {planned.step.describe()}"
+        self._so_far = ""
+        self._ticks = 0
+        if isinstance(planned.step, Chamber):
+            time = hours_minutes(bench.clock.now())
+            now = f"chamber {bench.readings.chamber.temperature_c:.1f} degC now"
+            self._console.print(f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False)
+
+    def ticked(self, bench: LiveBench, left_s: float) -> None:
+        """Show temperatures and time left, now and then."""
+        self._left_s = left_s
+        self._ticks += 1
+        if self._status and self._ticks % _UPDATE_EVERY_TICKS == 1:
+            optics = bench.readings.ins.optics_c
+            gyro = f"gyro {optics[0]:.1f} degC | " if optics[0] == optics[0] else ""
+            chamber = f"chamber {bench.readings.chamber.temperature_c:.1f} degC"
+            where = f"{self._so_far} | " if self._so_far else f"{chamber}, {gyro}"
+            text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
+            self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
+
+    def estimated(self, estimate: StateSpaceEstimate) -> None:
+        """Show the biases so far with the next update."""
+        pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
+        self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
+
+    def dwell_measured(self, row: DwellRow) -> None:
+        """Print a dwell; above the first one what its numbers are, below one with flags the reason."""
+        if not self._has_head:
+            self._console.print(f"{_UNITS}\n{_HEAD}", highlight=False)
+            self._has_head = True
+        number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
+        head = f"{number} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
+        if row.flags:
+            self._console.print(f"{head}  flagged", highlight=False)
+            self._console.print(Padding(Text(row.flags), (0, 0, 0, _INDENT), expand=False))
+            return
+        values = " ".join(
+            f"{bias * 1e3:+z7.2f} ±{sigma * 1e3:<4.2f}"
+            for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
+        )
+        self._console.print(f"{head} {values} {hours_minutes(self._left_s):>6s}", highlight=False)
+
+
+#: Rows that stay free above the view, for the lines that scroll by.
+_ROWS_ABOVE = 4
+_SHORTEST = 4
+#: How often the picture is taken, and how often keys that were typed are shown.
+_PICTURE_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
+
+
+class TerminalView(RunObserver):
+    """Shows the newest picture, and what is being typed below it.
+
+    The picture is taken where the run tells its progress; it is drawn in a thread of its own.
+
+    Parameters
+    ----------
+    console : Console
+        A terminal; what is printed to it meanwhile scrolls by above the view.
+    recorder : PictureRecorder
+        Has the picture.
+    keyboard : Keyboard
+        What is typed.
+    takes_orders : bool
+        Whether somebody looks at what is typed.
+    can_draw : callable
+        Whether the terminal has taken all that was drawn before.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        recorder: PictureRecorder,
+        keyboard: Keyboard,
+        takes_orders: bool,
+        can_draw: Callable[[], bool],
+    ) -> None:
+        self._console = console
+        self._recorder = recorder
+        self._keyboard = keyboard
+        self._takes_orders = takes_orders
+        self._can_draw = can_draw
+        self._clock = WallClock()
+        self._next_picture_s = 0.0
+        self._picture: Picture | None = None
+        self._over = threading.Event()
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._thread = threading.Thread(target=self._draw_until_over, daemon=True)
+
+    def __enter__(self) -> TerminalView:
+        self._keyboard.__enter__()
+        self._live.start()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._live.stop()
+        self._keyboard.__exit__()
+
+    def beat(self, bench: LiveBench) -> None:  # noqa: ARG002
+        """Take a new picture if it is time."""
+        if self._clock.now() >= self._next_picture_s:
+            self._take()
+
+    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: ARG002
+        """Show at once that the run holds."""
+        self._take()
+
+    def asked(self, question: str, answers: Sequence[str]) -> None:  # noqa: ARG002
+        """Show a question at once."""
+        self._take()
+
+    def ended(self, outcome: RunOutcome) -> None:  # noqa: ARG002
+        """Show the end."""
+        self._take()
+
+    def _take(self) -> None:
+        self._picture = self._recorder.picture()
+        self._next_picture_s = self._clock.now() + _PICTURE_EVERY_S
+
+    def _draw_until_over(self) -> None:
+        drawn: tuple[Picture | None, str, tuple[int, int]] | None = None
+        while not self._over.wait(_KEYS_EVERY_S):
+            size = (self._console.width, self._console.height)
+            typed = self._keyboard.begun if self._takes_orders else ""
+            seen = (self._picture, typed, size)
+            is_same = drawn is not None and seen[0] is drawn[0] and seen[1:] == drawn[1:]
+            if not is_same and self._can_draw():
+                self._live.update(Group(*self._lines(*seen)), refresh=True)
+                drawn = seen
+
+    def _lines(self, picture: Picture | None, typed: str, size: tuple[int, int]) -> list[Text]:
+        width = min(WIDEST, size[0])
+        height = min(TALLEST, max(_SHORTEST, size[1] - _ROWS_ABOVE))
+        is_ascii = self._console.options.ascii_only or is_c_locale(os.environ)
+        prompt = [self._prompt(picture, typed)] if self._takes_orders else []
+        if picture is None:
+            return [Text("starting", "bold cyan"), *prompt]
+        return [*screen(picture, width, height - len(prompt), is_ascii), *prompt]
+
+    def _prompt(self, picture: Picture | None, typed: str) -> Text:
+        if typed:
+            return Text(f"> {typed}_", no_wrap=True)
+        question = picture.question if picture else None
+        choice = "an answer" if question else ", ".join(RunCommand)
+        return Text.assemble("> ", (f"type {choice}", "dim"), no_wrap=True)
+
+
+#: So long a terminal has at the end to take what has not been shown yet.
+_LONGEST_DRAIN_S = 10.0
+
+
+@contextmanager
+def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tuple[RunObserver, Operator]]:
+    """Record the picture of a run, and show the run, while the context lasts.
+
+    Parameters
+    ----------
+    console : PatientConsole
+        Where to show it. It is never waited for.
+    job : Job
+        What is to be run.
+    wants_live : bool
+        Whether the whole picture is shown. That needs a terminal that can move its cursor and listens to
+        this process; elsewhere there are lines only.
+
+    Returns
+    -------
+    RunObserver, Operator
+        The one who watches, and the one who answers: the person at the terminal, but on virtual time, where
+        nobody can be waited for, one who consents to all.
+    """
+    keyboard = Keyboard()
+    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console, keyboard)
+    is_live = wants_live and console.is_terminal and not console.is_dumb_terminal and is_in_foreground()
+    recorder = PictureRecorder(job.plan)
+    with ExitStack() as shown:
+        stream = shown.enter_context(_never_waited_for(console))
+        lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
+        watchers: list[RunObserver] = [recorder, lines]
+        if is_live:
+            view = TerminalView(console, recorder, keyboard, not job.is_virtual, lambda: not stream.is_behind)
+            watchers.append(shown.enter_context(view))
+        yield ObserverGroup(*watchers), operator
+
+
+@contextmanager
+def _never_waited_for(console: PatientConsole) -> Iterator[PatientStream]:
+    """Write in the background; what is left at the end is waited for a while."""
+    before = console.file
+    stream = PatientStream(cast(TextIO, before), console.on_broken_pipe)
+    console.file = cast(TextIO, stream)
+    try:
+        yield stream
+    finally:
+        stream.drain(_LONGEST_DRAIN_S)
+        console.file = before

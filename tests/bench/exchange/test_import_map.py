@@ -1,0 +1,42 @@
+from pathlib import Path
+
+import pytest
+
+from gyrobench.bench.exchange.import_map import load_log_map
+from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.errors import DocumentError
+
+SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_shipped_mappings_are_right(name):
+    assert load_log_map(find_document("imports", name)).unit
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gyro": "{unit: rpm, x: gx, y: gy, z: gz}"}, r"map\.yaml:4:8: .*'rad/s', 'deg/s' or 'deg/h'"),
+        ({"gyro": "{unit: deg/s, x: gx, y: gy}"}, r"map\.yaml:4:1: the key 'z' is missing"),
+        ({"gyro": "{unit: deg/s, x: {column: gx, sign: 2}, y: gy, z: gz}"}, r"4:37: 'sign' should be 1"),
+        ({"time": "{column: t, sample_rate_hz: 5}"}, r"exactly one of 'column', 'sample_rate_hz'"),
+        ({"text": "absent"}, r"exactly one of 'text', 'records'; there is none"),
+        ({"temperatures": "{gyro_x: t}"}, r"either 'gyros', or all of"),
+        ({"temperatures": "{gyros: t, board_x: b}"}, r"either 'boards' or all of"),
+        ({"position": "sideways"}, r"'z_up', 'z_down'"),
+        ({"cycle": "{alternate: 2, turning_point_c: 5}"}, r"'alternate' deals out blocks; give 'block_s'"),
+        ({"cycle": "{block_s: 5}"}, r"'cycle.block_s' is shorter than 'window_s' \(60 s\)"),
+        ({"window_s": "1e-9"}, r"map\.yaml:7:1: 'window_s' should be greater than or equal to 0.001"),
+        ({"skip_s": "1e30"}, r"less than or equal to 1000000000000"),
+        ({"temperatures": "{constant_c: 2000}"}, r"less than or equal to 1000"),
+        ({"cycle": "{constant: 99999999999}"}, r"less than or equal to 1000000000"),
+        ({"earth_rate": "{latitude_deg: 40, azimuth_deg: 1e30}"}, r"less than or equal to 360"),
+        ({"window": "5"}, r"unknown key 'window' \(did you mean 'window_s'\?\)"),
+        ({"text": "absent", "records": "{fields: [a, a]}"}, r"fields are named twice: a"),
+        ({"text": "absent", "records": "{fields: [a], type: float}"}, r"<>"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_told_with_their_place(log, changes, message):
+    with pytest.raises(DocumentError, match=message):
+        load_log_map(Path(log.mapping(**changes)))

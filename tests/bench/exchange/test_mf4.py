@@ -1,0 +1,68 @@
+"""CAN frames written as MDF4, read back by asammdf and python-can."""
+
+import json
+
+import can
+import numpy as np
+import pytest
+
+from gyrobench.bench.exchange.can_export import PlacedLog
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.frames import FrameBlock
+from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
+
+asammdf = pytest.importorskip("asammdf", reason="MDF4 needs: pip install 'gyrobench[mf4]'")
+
+from asammdf import MDF  # noqa: E402
+
+from gyrobench.bench.exchange.mf4 import write_mf4  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def mf4(two_dwells, dbc, tmp_path_factory):
+    path = tmp_path_factory.mktemp("mf4") / "can.mf4"
+    write_mf4(path, PlacedLog(two_dwells), dbc, {"run": "a < b & c"})
+    return path
+
+
+def test_an_mdf4_file_holds_every_frame_with_its_calendar_time(mf4, messages):
+    with can.MF4Reader(mf4) as reader:
+        assert_same(list(reader), messages)
+
+
+def test_frames_of_all_kinds_survive(dbc, tmp_path):
+    path, parts = tmp_path / "can.mf4", strange_parts()
+    write_mf4(path, parts, dbc, {})
+    assert_same(frames_of(path), [message for part in parts for message in part.messages])
+
+
+def test_asammdf_decodes_to_the_numbers_of_our_own_decoder(mf4, messages, dbc):
+    codec, block = DbcCodec(load_dbc(dbc)), FrameBlock.from_messages(messages)
+    with MDF(mf4) as log:
+        decoded = log.extract_bus_logging({"CAN": [(dbc, 0)]})
+    compared = 0
+    for message in codec.message_names:
+        if not len(codec.rows(block, message)):
+            continue
+        for name, values in codec.decode(block, message).items():
+            known = np.isfinite(values)
+            signal = decoded.get(f"{message}.{name}", raw=True).physical(ignore_value2text_conversions=True)
+            np.testing.assert_allclose(signal.samples.astype(float), values[known], rtol=1e-12, atol=1e-12)
+            times = block.timestamp_s[codec.rows(block, message)][known] - block.timestamp_s[0]
+            np.testing.assert_allclose(signal.timestamps, times, atol=1e-6)
+            compared += 1
+    assert compared > 20
+    assert decoded.get("VELOCITY_NE.VELOCITY_EAST").unit == "m/s"
+
+
+def test_an_mdf4_file_says_where_it_came_from_and_brings_its_database(mf4, messages, dbc):
+    with MDF(mf4) as log:
+        assert log.header.start_time.timestamp() == pytest.approx(messages[0].timestamp, abs=1e-6)
+        assert json.loads(log.header.description)["run"] == "a < b & c"
+        content, name, _ = log.extract_attachment(0)
+    assert name.name == dbc.name
+    assert content == dbc.read_bytes()
+
+
+def test_nothing_is_left_beside_the_file(mf4):
+    assert [path.name for path in mf4.parent.iterdir()] == ["can.mf4"]

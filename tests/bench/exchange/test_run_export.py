@@ -1,0 +1,140 @@
+"""What is exported, read back by the tools that it is for."""
+
+import json
+import shutil
+
+import duckdb
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.telemetry import read_telemetry
+
+
+@pytest.fixture(scope="module")
+def usual(two_dwells, tmp_path_factory):
+    """Everything usual in the usual formats."""
+    out = tmp_path_factory.mktemp("usual")
+    return out, export_run(two_dwells, Wanted(), out)
+
+
+def test_without_wishes_all_but_navigation_is_written_as_far_as_it_is_there(usual):
+    out, exported = usual
+    names = {path.name for path in out.iterdir()}
+    assert names == {path.name for path in exported.files}
+    assert names == {
+        *("dwells.parquet", "bias_bins.parquet", "joint.parquet", "joint_biases.parquet"),
+        *("telemetry.parquet", "can.blf", "export.json"),
+    }
+    assert set(exported.lacks) == {What.VERIFICATION, What.COMPENSATION}
+    assert "gyrobench close" in exported.lacks[What.COMPENSATION]
+
+
+def test_dwells_are_read_back_by_pandas_with_types(usual, two_dwells):
+    table, rows = pd.read_parquet(usual[0] / "dwells.parquet"), read_dwells(two_dwells.dwells)
+    assert table["dwell"].tolist() == [1, 2]
+    assert table["unit"].tolist() == [row.unit for row in rows]
+    assert table["position"].tolist() == ["z_up", "x_up"]
+    assert table["bias_x_dph"].tolist() == [row.bias_dph[0] for row in rows]
+    assert table["flags"].tolist() == [row.flags for row in rows]
+
+
+def test_columns_say_their_units_and_files_where_they_came_from(usual, two_dwells):
+    schema = pq.read_schema(usual[0] / "dwells.parquet")
+    units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schema}
+    assert units["bias_x_dph"] == "deg/h"
+    assert units["gyro_x_rate_c_per_h"] == "K/h"
+    assert units["accelerometer_sigma_z_ug"] == "ug"
+    assert units["unit"] == ""
+    origin = json.loads(schema.metadata[b"gyrobench"])
+    assert origin["run"] == two_dwells.path.name
+    assert origin["unit"] == "1001"
+    assert origin["measured_by"].startswith("gyrobench ")
+    assert len(origin["sha256"]["station.yaml"]) == 64
+    about = json.loads((usual[0] / "export.json").read_text())
+    assert about["origin"]["procedure"] == "two_dwells"
+    assert about["files"]["dwells.parquet"]["units"]["bias_x_dph"] == "deg/h"
+
+
+def test_duckdb_queries_several_files_at_once(usual):
+    with duckdb.connect() as database:
+        for name in ("dwells", "telemetry"):
+            database.read_parquet(str(usual[0] / f"{name}.parquet")).create_view(name)
+        ((count, hottest),) = database.execute(
+            "select count(*), max(telemetry.gyro_x_c) from dwells "
+            "join telemetry on telemetry.time_s between dwells.start_s and dwells.end_s"
+        ).fetchall()
+    assert count > 10
+    assert 20.0 < hottest < 60.0
+
+
+@pytest.mark.parametrize("form", [Format.CSV, Format.PARQUET])
+def test_telemetry_holds_every_reading_with_its_calendar_time(two_dwells, form, tmp_path):
+    export_run(two_dwells, Wanted([What.TELEMETRY], [form]), tmp_path)
+    path, readings = tmp_path / f"telemetry.{form}", read_telemetry(two_dwells.telemetry)
+    table = pd.read_csv(path) if form is Format.CSV else pd.read_parquet(path)
+    for name, values in readings.items():
+        np.testing.assert_allclose(table[name].astype(float), values)
+    utc = pd.to_datetime(table["utc"], format="ISO8601", utc=True)
+    since_s = (utc - pd.Timestamp("2000-01-01", tz="UTC")).dt.total_seconds()
+    np.testing.assert_allclose(since_s, readings["time_s"], atol=1e-6)
+
+
+def test_tables_as_csv_are_those_of_the_run(two_dwells, tmp_path):
+    export_run(two_dwells, Wanted([What.DWELLS, What.BINS], [Format.CSV]), tmp_path)
+    assert (tmp_path / "dwells.csv").read_bytes() == two_dwells.dwells.read_bytes()
+    assert (tmp_path / "bias_bins.csv").read_bytes() == two_dwells.bias_bins.read_bytes()
+
+
+def test_a_run_that_was_cut_off_gives_what_it_holds(two_dwells, tmp_path):
+    shutil.copytree(two_dwells.path, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    for path in (folder.bias_bins, folder.joint, folder.joint_biases):
+        path.unlink()
+    lines = folder.journal.read_text().splitlines(keepends=True)
+    folder.journal.write_text("".join(lines[:-1]) + lines[-1][:40])
+    last = max(folder.can.iterdir())
+    last.write_bytes(last.read_bytes()[:-1000])
+    exported = export_run(folder, Wanted(), tmp_path / "out")
+    assert {path.name for path in exported.files} == {
+        *("dwells.parquet", "telemetry.parquet", "can.blf", "export.json"),
+    }
+    assert "gyrobench bins" in exported.lacks[What.BINS]
+    assert json.loads((tmp_path / "out" / "export.json").read_text())["origin"]["ended"] is None
+
+
+def test_what_is_not_there_is_told_where_nothing_else_was_wanted(two_dwells, tmp_path):
+    with pytest.raises(RunFolderError, match="verification: the run verified nothing"):
+        export_run(two_dwells, Wanted([What.VERIFICATION]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_that_are_there_stay_unless_they_are_to_be_replaced(two_dwells, tmp_path):
+    wanted = Wanted([What.DWELLS, What.BINS], [Format.CSV])
+    (tmp_path / "bias_bins.csv").write_text("mine")
+    with pytest.raises(RunFolderError, match=r"holds bias_bins.csv already. Give --force"):
+        export_run(two_dwells, wanted, tmp_path)
+    assert not (tmp_path / "dwells.csv").exists()
+    assert (tmp_path / "bias_bins.csv").read_text() == "mine"
+    export_run(two_dwells, wanted, tmp_path, force=True)
+    assert (tmp_path / "bias_bins.csv").read_bytes() == two_dwells.bias_bins.read_bytes()
+
+
+def test_what_is_said_of_files_written_earlier_stays(two_dwells, tmp_path):
+    export_run(two_dwells, Wanted([What.DWELLS]), tmp_path)
+    export_run(two_dwells, Wanted([What.BINS]), tmp_path)
+    about = json.loads((tmp_path / "export.json").read_text())
+    assert set(about["files"]) == {"dwells.parquet", "bias_bins.parquet"}
+
+
+def test_a_format_that_does_not_fit_is_refused():
+    with pytest.raises(DocumentError, match=r"--format mf4 does not fit dwells"):
+        Wanted([What.DWELLS, What.CAN], [Format.MF4])
+    assert Wanted([], [Format.MF4]).kinds() == [What.CAN]
+    with pytest.raises(DocumentError, match="--what navigation"):
+        Wanted([What.DWELLS], dwell=2)

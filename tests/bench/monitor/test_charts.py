@@ -1,0 +1,204 @@
+import itertools
+import math
+import re
+from dataclasses import replace
+
+import pytest
+
+from gyrobench.bench.monitor.charts import (
+    HOUR_S,
+    MINUTE_S,
+    band,
+    bias_charts,
+    line,
+    profile_chart,
+    time_axis,
+    value_axis,
+    window_charts,
+)
+from gyrobench.bench.monitor.snapshot import DwellNow, LiveBias, MeasuredProfile, PlannedProfile
+from tests.bench.monitor.sample_snapshots import made_up_picture
+
+NAN = math.nan
+
+
+def places(path):
+    return [tuple(map(float, place)) for place in re.findall(r"[ML]([-\d.]+) ([-\d.]+)", path)]
+
+
+@pytest.mark.parametrize("low", [-40.0, 0.0, 1e-4, 333.0])
+@pytest.mark.parametrize("span", [1e-3, 0.07, 1.0, 9.9, 130.0, 4e4])
+def test_ticks_are_few_equally_far_apart_and_say_where_they_are(low, span):
+    axis = value_axis("Temperature", [low, low + span], 1e-9)
+    values = [float(tick.text.replace("−", "-")) for tick in axis.ticks]
+    steps = [b - a for a, b in itertools.pairwise(values)]
+    assert 2 <= len(values) <= 9
+    assert steps == pytest.approx([steps[0]] * len(steps), rel=1e-6)
+    assert [axis.percent(value) for value in values] == pytest.approx(
+        [tick.percent for tick in axis.ticks], abs=0.01 * 100.0
+    )
+    assert all(0.0 <= tick.percent <= 100.0 for tick in axis.ticks)
+
+
+def test_an_upright_axis_has_its_high_end_at_the_top():
+    axis = value_axis("Temperature", [10.0, 20.0], 1.0)
+    assert axis.percent(20.0) < axis.percent(10.0)
+    assert axis.low < 10.0
+    assert axis.high > 20.0
+
+
+def test_values_that_hardly_differ_do_not_fill_the_plot():
+    axis = value_axis("Temperature", [20.0, 20.001, NAN], 10.0)
+    assert axis.high - axis.low > 10.0
+
+
+def test_an_axis_of_nothing_still_is_one():
+    assert value_axis("Temperature", [NAN], 10.0).ticks
+
+
+@pytest.mark.parametrize(
+    ("high_s", "unit_s", "texts"),
+    [
+        (45.75 * HOUR_S, HOUR_S, ["0", "6", "12", "18", "24", "30", "36", "42"]),
+        (600.0, MINUTE_S, ["0", "2", "4", "6", "8", "10"]),
+        (0.0, MINUTE_S, ["0", "1"]),
+        (1000 * HOUR_S, HOUR_S, ["0", "144", "288", "432", "576", "720", "864"]),
+    ],
+)
+def test_time_has_ticks_at_usual_hours_and_minutes(high_s, unit_s, texts):
+    assert [tick.text for tick in time_axis("Time", 0.0, high_s, unit_s).ticks] == texts
+
+
+def test_a_line_leads_through_its_points_and_is_broken_where_nothing_is_known():
+    x, y = time_axis("Time", 0.0, 100.0, 1.0), value_axis("Value", [0.0, 1.0], 1.0)
+    path = line(x, y, [0.0, 50.0, 60.0, 100.0], [0.0, 1.0, NAN, 0.0])
+    assert path.count("M") == 2
+    assert [place[0] for place in places(path)] == pytest.approx([0.0, 500.0, 1000.0])
+    assert places(path)[0][1] == places(path)[2][1] > places(path)[1][1]
+
+
+def test_nothing_gives_no_path():
+    x, y = time_axis("Time", 0.0, 100.0, 1.0), value_axis("Value", [], 1.0)
+    assert line(x, y, [1.0], [NAN]) == line(x, y, [], []) == band(x, y, [], [], []) == ""
+
+
+def test_a_band_goes_there_above_and_back_below():
+    x, y = time_axis("Time", 0.0, 100.0, 1.0), value_axis("Value", [0.0, 2.0], 1.0)
+    path = band(x, y, [0.0, 100.0], [0.0, 0.5], [2.0, 1.5])
+    assert [place[0] for place in places(path)] == [0.0, 1000.0, 1000.0, 0.0]
+    heights = [place[1] for place in places(path)]
+    assert heights == sorted(heights)
+    assert path.endswith("Z")
+
+
+@pytest.fixture
+def dwell():
+    return made_up_picture().dwell
+
+
+def test_windows_share_their_scales_and_show_how_far_they_are(dwell):
+    first, second = window_charts(dwell)
+    assert (first.number, second.number) == (1, 2)
+    assert first.velocity.y == second.velocity.y
+    assert first.heading.x == second.heading.x
+    assert places(first.velocity.curves[0].path)[-1][0] == pytest.approx(1000.0, abs=10.0)
+    assert places(second.velocity.curves[0].path)[-1][0] == pytest.approx(500.0, abs=10.0)
+
+
+def test_velocities_are_in_mm_per_s_and_headings_in_arcsec(dwell):
+    first, _ = window_charts(dwell)
+    velocity, heading = first.velocity, first.heading
+    east_y = places(velocity.curves[0].path)[-1][1] / 10.0
+    heading_y = places(heading.curves[0].path)[-1][1] / 10.0
+    assert east_y == pytest.approx(velocity.y.percent(1e3 * dwell.windows[0].velocity_east_mps[-1]), abs=0.1)
+    assert heading_y == pytest.approx(
+        heading.y.percent(3600.0 * dwell.windows[0].heading_change_deg[-1]), abs=0.1
+    )
+
+
+def test_an_aligning_ins_has_no_charts():
+    dwell = DwellNow(1, 24, 1, "z_up")
+    assert window_charts(dwell) == []
+    assert bias_charts(dwell) == []
+
+
+def test_each_gyros_live_bias_is_told_with_its_uncertainty(dwell):
+    charts = bias_charts(dwell)
+    assert [each.label for each in charts] == ["X gyro", "Y gyro", "Z gyro"]
+    assert [each.text for each in charts] == ["5.2 ± 2.0", "−1.1 ± 2.4", "1.6 ± 4.0"]
+    assert {each.unit for each in charts} == {"0.001 deg/h"}
+
+
+def test_the_area_of_one_sigma_shrinks_onto_the_newest_bias(dwell):
+    chart = bias_charts(dwell)[0].chart
+    area = places(chart.curves[0].path)
+    half = len(area) // 2
+    widths = [below[1] - above[1] for above, below in zip(area[:half], area[: half - 1 : -1], strict=True)]
+    assert widths == sorted(widths, reverse=True)
+    assert widths[-1] > 0.0
+
+
+def test_an_estimate_without_an_answer_is_left_out(dwell):
+    nothing = LiveBias(0.0, (math.nan,) * 3, (math.nan,) * 3)
+    for charts in (bias_charts(replace(dwell, estimates=(nothing, *dwell.estimates))),
+                   bias_charts(replace(dwell, estimates=(nothing,)))):  # fmt: skip
+        assert "nan" not in "".join(curve.path for each in charts for curve in each.chart.curves)
+
+
+@pytest.fixture
+def picture():
+    return made_up_picture()
+
+
+def curve(chart, look):
+    return next(each for each in chart.curves if each.look == look)
+
+
+def test_what_is_to_come_is_as_late_as_the_run(picture):
+    profile = profile_chart(picture)
+    chart = profile.chart
+    now, late_s = round(10.0 * chart.now_percent, 1), picture.now_s - picture.plan_now_s
+    planned = [place[0] for place in places(curve(chart, "chamber planned").path)]
+    assert late_s == pytest.approx(0.2 * HOUR_S)
+    assert max(planned) == pytest.approx(1000.0)
+    assert chart.x.high == picture.planned.time_s[-1] + late_s
+    assert 10.0 * chart.x.percent(picture.plan_now_s) == pytest.approx(
+        planned[planned.index(now) - 1], abs=0.2
+    )
+
+
+def test_the_plan_reaches_now_from_both_sides(picture):
+    path = curve(profile_chart(picture).chart, "gyro planned").path
+    past, future = (places(part) for part in path.replace("M", "|M").split("|")[1:])
+    assert past[-1][1] == future[0][1]
+
+
+def test_what_was_measured_ends_now_and_is_broken_in_its_gap(picture):
+    chart = profile_chart(picture).chart
+    for look in ("set-point", "chamber", "gyro-x", "gyro-y", "gyro-z"):
+        path = curve(chart, look).path
+        assert path.count("M") == 2
+        assert places(path)[-1][0] <= 10.0 * chart.now_percent + 0.1
+
+
+def test_each_position_has_its_lane_with_the_stays_that_are_over_marked(picture):
+    profile = profile_chart(picture)
+    lanes = profile.lanes
+    assert list(lanes) == ["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
+    assert [stay.is_over for stay in lanes["z_up"]] == [True, True, True, False]
+    for stay in (stay for stays in lanes.values() for stay in stays):
+        assert 0.0 <= stay.start_percent < stay.start_percent + stay.width_percent <= 100.001
+        assert stay.is_over == (stay.start_percent + stay.width_percent < profile.chart.now_percent)
+
+
+def test_a_short_run_is_told_in_minutes(picture):
+    short = replace(
+        picture, planned=PlannedProfile((0.0, 600.0), (20.0, 20.0), (30.0, 30.0)), now_s=60.0, left_s=540.0,
+        planned_s=600.0, measured=MeasuredProfile(),
+    )  # fmt: skip
+    assert profile_chart(short).chart.x.title.endswith("min")
+
+
+def test_there_is_no_chart_of_nothing(picture):
+    assert profile_chart(replace(picture, planned=PlannedProfile(), measured=MeasuredProfile())) is None
+    assert profile_chart(replace(picture, planned=PlannedProfile())) is not None

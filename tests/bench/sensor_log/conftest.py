@@ -1,8 +1,0 @@
-import pytest
-
-from tests.bench.sensor_log.made_up_log import MadeUpLog
-
-
-@pytest.fixture
-def log(tmp_path):
-    return MadeUpLog(tmp_path)
