@@ -104,10 +104,10 @@ def test_an_ins_that_compensates_already_is_cleared_if_the_operator_says_so(run)
     _, outcome, questions, notes, events = run(deed=keeps_its_compensation)
     checksum = events[0]["found"]["checksum"]
     assert questions == [
-        f"The INS compensates its gyros already ({checksum}). "
-        "Clear that, or keep it and measure what it leaves?"
+        f"The INS applies a stored compensation ({checksum}). "
+        "Clear it, or keep it and measure the remaining biases?"
     ]
-    assert notes == [f"clearing the compensation of the INS ({checksum})"]
+    assert notes == [f"clearing the stored compensation of the INS ({checksum})"]
     assert [each["in_use"]["active"] for each in events] == [False]
     np.testing.assert_allclose(biases_dph(outcome), np.tile(BIAS_DPH, (2, 1)), atol=3e-4)
 
@@ -116,7 +116,7 @@ def test_what_a_compensation_leaves_is_measured_if_the_operator_keeps_it(run):
     _, outcome, questions, notes, events = run(deed=keeps_its_compensation, answer="keep")
     assert len(questions) == 1
     assert notes == [
-        f"the biases are those that the INS's own compensation ({events[0]['found']['checksum']}) leaves"
+        f"the biases are those that remain with the stored compensation ({events[0]['found']['checksum']})"
     ]
     assert [each["in_use"]["active"] for each in events] == [True]
     np.testing.assert_allclose(biases_dph(outcome), np.tile(BIAS_DPH - 0.1, (2, 1)), atol=3e-4)
@@ -134,7 +134,7 @@ def test_a_compensation_is_loaded_and_the_biases_are_gone(run):
     assert questions == []
     assert event["in_use"]["active"]
     assert event["terms"] == []
-    assert notes == [f"the INS compensates its gyros from here on ({event['in_use']['checksum']})"]
+    assert notes == [f"the compensation {event['in_use']['checksum']} is loaded into the INS"]
     np.testing.assert_allclose(biases_dph(outcome), np.zeros((2, 3)), atol=3e-4)
     np.testing.assert_array_equal(read_compensation(folder.compensation).polynomial_dph, WHOLE.polynomial_dph)
 
@@ -142,8 +142,8 @@ def test_a_compensation_is_loaded_and_the_biases_are_gone(run):
 def test_nothing_is_compensated_twice(run):
     _, outcome, questions, _, events = run(deed=keeps_its_compensation, compensation=WHOLE)
     assert questions == [
-        f"The INS compensates its gyros already ({events[0]['found']['checksum']}). "
-        "Clear that before another one is loaded?"
+        f"The INS applies a stored compensation ({events[0]['found']['checksum']}). "
+        "Clear it before the run's compensation is loaded?"
     ]
     np.testing.assert_allclose(biases_dph(outcome), np.zeros((2, 3)), atol=3e-4)
 
@@ -158,7 +158,7 @@ def test_a_compensation_that_the_ins_loses_is_loaded_anew_before_the_next_dwell(
 def test_a_compensation_that_appears_in_the_middle_is_asked_about(run):
     _, outcome, questions, _, events = run("wait", gets_another, nth=2)
     assert len(questions) == 1
-    assert "compensates its gyros now" in questions[0]
+    assert "has begun to apply a stored compensation" in questions[0]
     assert [each["found"]["active"] for each in events] == [False, True]
     np.testing.assert_allclose(biases_dph(outcome), np.tile(BIAS_DPH, (2, 1)), atol=3e-4)
 
@@ -172,7 +172,7 @@ def test_a_compensation_that_cannot_be_cleared_stands_in_the_way_of_another(tmp_
     watcher = Meddler("power_on", keeps_its_compensation)
     _, outcome = run_job(job, tmp_path / "run", watcher, ConsentingOperator())
     assert outcome.ended == "stopped"
-    assert "INS: compensates its gyros already" in outcome.reason
+    assert "INS: applies a stored compensation" in outcome.reason
     assert "no clear_compensation" in outcome.reason
 
 
@@ -187,7 +187,7 @@ def test_an_ins_that_does_not_tell_is_given_what_is_wanted_after_each_power_on(t
     folder, outcome = run_job(job, tmp_path / "run", Meddler("power_on", lambda *_: None), Answering("clear"))
     entries = list(read_journal(folder.journal))
     assert [entry["terms"] for entry in entries if entry["event"] == "compensation"] == [[]] * 2
-    assert "does not tell whether it compensates" in next(
+    assert "does not report whether it compensates" in next(
         entry["text"] for entry in entries if entry["event"] == "note"
     )
     np.testing.assert_allclose(biases_dph(outcome), np.zeros((2, 3)), atol=3e-4)
@@ -197,7 +197,7 @@ def test_an_ins_that_does_not_tell_is_given_what_is_wanted_after_each_power_on(t
     ("left_out", "message"),
     [
         ("apply_compensation", "lacks load_compensation or apply_compensation"),
-        ("terms", "does not take g_sensitivity. Map the indices"),
+        ("terms", "does not accept g_sensitivity. Map the indices"),
     ],
 )
 def test_what_the_ins_does_not_take_is_told_before_anything_moves(tmp_path, left_out, message):

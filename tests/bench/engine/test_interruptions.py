@@ -91,7 +91,7 @@ def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tmp
 def test_a_trip_that_needs_a_person_says_so(tmp_path):
     folder, _, _ = consent(tmp_path, "navigate", trip_table)
     (held,) = events(folder, "held")
-    assert held["waits_for"] == "a person"
+    assert held["waits_for"] == "the operator"
 
 
 def test_an_ins_that_falls_silent_is_switched_off_and_on_and_the_run_goes_on_by_itself(tmp_path):
@@ -173,7 +173,7 @@ def test_a_dwell_that_stays_spoilt_is_flagged_after_its_repeats_and_the_run_goes
     assert len(events(folder, "dwell_given_up")) == 4
     rows = read_dwells(folder.dwells)
     assert [row.dwell for row in rows] == [1, 2]
-    assert all("was not over after 100 s" in row.flags for row in rows)
+    assert all("did not end within 100 s" in row.flags for row in rows)
 
 
 def test_a_chamber_switched_off_at_its_panel_trips(tmp_path):

@@ -104,7 +104,7 @@ def test_a_hold_that_ends_by_itself_is_told_twice(run_told):
     _, told, outcome = run_told(ConsentingOperator(), fault)
     assert outcome.ended == "finished"
     assert [each["event"] for each in told] == ["holds", "goes_on", "ends"]
-    why = told[0]["why"].removeprefix("It goes on by itself when all is good again: ")
+    why = told[0]["why"].removeprefix("It continues without an operator once nothing is tripped: ")
     assert told[1]["why"].startswith(f"The hold is over: {why}")
     assert told[1]["left"]["hours"] > 0.0
 

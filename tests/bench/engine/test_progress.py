@@ -32,7 +32,7 @@ def test_a_sound_journal_tells_what_is_done(plan, entries):
     assert progress.finished == {1, 2}
     assert plan.steps[progress.next_index - 1].dwell == 2
     assert plan.steps[progress.next_index].dwell != 2
-    assert (progress.unit, progress.power_ons, progress.under_way) == ("1003", 1, "")
+    assert (progress.unit, progress.power_ons, progress.in_progress) == ("1003", 1, "")
     assert progress.last_s == entries[-1]["time_s"]
     assert not progress.is_over(plan)
 
@@ -47,7 +47,7 @@ def test_a_dwell_is_done_with_its_entry_and_not_before(plan, entries):
 
 def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
     without = [entry for entry in entries if entry.get("marks") != {"dwell": 1}]
-    with pytest.raises(RunFolderError, match=r"lacks the end of dwell 1, .* `gyrobench bins` still"):
+    with pytest.raises(RunFolderError, match=r"the end of dwell 1 is missing, .* `gyrobench bins` recomputes"):
         resume_state_of(without, plan)
 
 
@@ -62,14 +62,14 @@ def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
         ({"time_s": 10**400}, "too large"),
         ({"time_s": 1.0, "event": "step_started"}, "'label'"),
         ({"time_s": 1.0, "event": "step_finished"}, "'step'"),
-        ({"time_s": 1.0, "event": "step_finished", "step": 0}, "0 is no whole number from 1 to"),
-        ({"time_s": 1.0, "event": "step_finished", "step": 10**6}, "1000000 is no whole number"),
-        ({"time_s": 1.0, "event": "step_finished", "step": 1.5}, "1.5 is no whole number"),
+        ({"time_s": 1.0, "event": "step_finished", "step": 0}, "0 is no integer from 1 to"),
+        ({"time_s": 1.0, "event": "step_finished", "step": 10**6}, "1000000 is no integer"),
+        ({"time_s": 1.0, "event": "step_finished", "step": 1.5}, "1.5 is no integer"),
         ({"time_s": 1.0, "event": "dwell_finished"}, "'marks'"),
         ({"time_s": 1.0, "event": "dwell_finished", "marks": []}, "indices"),
-        ({"time_s": 1.0, "event": "dwell_finished", "marks": {"dwell": 10**6}}, "no whole number"),
-        ({"time_s": 1.0, "event": "dwell_skipped", "dwell": "1"}, "'1' is no whole number"),
-        ({"time_s": 1.0, "event": "dwell_given_up", "counts": True, "dwell": -1}, "-1 is no whole number"),
+        ({"time_s": 1.0, "event": "dwell_finished", "marks": {"dwell": 10**6}}, "no integer"),
+        ({"time_s": 1.0, "event": "dwell_skipped", "dwell": "1"}, "'1' is no integer"),
+        ({"time_s": 1.0, "event": "dwell_given_up", "counts": True, "dwell": -1}, "-1 is no integer"),
         ({"time_s": 1.0, "event": "continued", "by": "itself", "after": 5}, "not iterable"),
         ({"time_s": 1.0, "event": "powered_on", "run": 10**9}, "from 1 to 1000000"),
         ({"time_s": 1.0, "event": "run_ended", "ended": "finished"}, "'reason'"),

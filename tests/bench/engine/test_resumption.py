@@ -166,13 +166,13 @@ def test_it_says_in_words_what_it_found_and_what_it_will_do(procedure, tmp_path)
     path = broken_off(procedure, tmp_path / "run", "turn", 3)
     words = prepare_resumption(path).describe()
     assert "2 of 4 dwells are finished and stay" in words
-    assert "dwell 3 (25 degC, z_up), whole" in words
+    assert "dwell 3 (25 degC, z_up) from its start" in words
     assert "unit 1003" in words
 
 
 def test_the_way_back_is_told_as_it_begins(procedure, tmp_path):
     _, _, watcher = resumed(broken_off(procedure, tmp_path / "run", "turn", 3))
-    (way,) = [text for text in watcher.told_texts if text.startswith("going back to step")]
+    (way,) = [text for text in watcher.told_texts if text.startswith("returning to step")]
     assert "power on" in way
     assert "chamber to 25 degC" in way
     assert "soak 10 min" in way
@@ -225,5 +225,5 @@ def test_a_run_of_another_unit_is_not_gone_on_with_by_itself(procedure, tmp_path
     journal.write_text(journal.read_text().replace('"unit": "1003"', '"unit": "77"'))
     _, outcome = resume_run(prepare_resumption(path), Watcher(), RefusingOperator())
     assert outcome.ended == "stopped"
-    assert "is unit 1003, and this run is of 77" in outcome.reason
+    assert "is unit 1003, but this run measures 77" in outcome.reason
     assert open_run_folder(path).journal.exists()

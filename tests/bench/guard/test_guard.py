@@ -50,7 +50,7 @@ def test_a_killed_engine_leaves_a_safe_bench_whatever_signals_the_guard_gets(ser
     assert_safe(served)
     (entry,) = read_journal(engine.folder / "journal.jsonl")
     assert entry["event"] == "guard_acted"
-    assert entry["reason"] == "the engine ended without a word"
+    assert entry["reason"] == "the engine died without releasing the guard"
     assert [action["problem"] for action in entry["safe_state"]] == [""] * 4
     assert "the bench is in its safe state" in engine.log()
 

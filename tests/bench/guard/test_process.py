@@ -33,7 +33,7 @@ def test_a_bench_behind_ports_has_one(station, tmp_path):
 def test_a_guard_that_can_not_start_is_told(station, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with (
-        pytest.raises(GyrobenchError, match="did not get ready"),
+        pytest.raises(GyrobenchError, match="did not start"),
         GuardProcess(station, tmp_path, WallClock()),
     ):
         pass
@@ -64,7 +64,7 @@ def test_a_guard_that_died_is_replaced(station, tmp_path):
         dead = guard.pid
         guard._process.kill()
         guard._process.wait()
-        assert guard.beat() == "the guard process died; another watches now"
+        assert guard.beat() == "the guard process died; a new one was started"
         assert guard.pid != dead
         assert guard.beat() is None
         guard._end()
@@ -75,7 +75,7 @@ def test_a_guard_that_hangs_is_replaced(station, tmp_path):
         hanging = guard.pid
         os.kill(hanging, signal.SIGSTOP)
         notes = [note for _ in range(5000) if (note := guard.beat())]
-        assert notes == ["the guard process hangs; another watches now"]
+        assert notes == ["the guard process hung; a new one was started"]
         assert guard.pid != hanging
         guard._end()
 
