@@ -27,7 +27,7 @@ from pathlib import Path
 import serial
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
@@ -75,7 +75,7 @@ class ServedBench:
             "--world",
             str(world),
             "--for-s",
-            "200",
+            "3600",
         ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.urls = json.loads(self.process.stdout.readline())
@@ -125,13 +125,13 @@ class SmallEngine:
         self.process.kill()
         self.process.communicate()
         with contextlib.suppress(FileNotFoundError):
-            wait_for(lambda: "in its safe state" in self.log() or "leaves" in self.log())
+            wait_for(lambda: "in its safe state" in self.log() or "without acting" in self.log())
 
     def log(self):
         return (self.folder / "guard.log").read_text()
 
 
-def wait_for(condition, limit_s=60.0):
+def wait_for(condition, limit_s=300.0):
     """Wait until a condition is true; fails if it never is."""
     end_s = time.monotonic() + limit_s
     while not condition():

@@ -251,7 +251,7 @@ def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way(witnessed):
     seen, _ = witnessed("navigate", order(signal.SIGUSR1))
     holding = seen[RunState.HOLDING]
     assert [len(each.dwells) for each in holding[:1]] == [1]
-    assert "ordered" in holding[0].reason
+    assert "commanded" in holding[0].reason
 
 
 def test_time_and_readings_go_on_in_a_hold(witnessed):

@@ -165,14 +165,14 @@ def test_a_run_that_did_not_tell_of_its_end_was_cut_off(tmp_path):
     write_journal(tmp_path / "old", JOURNAL[:-1])
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
-    assert "without a word" in summary.reason
+    assert "without recording its end" in summary.reason
 
 
 def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_tell_its_old_end(tmp_path):
     write_journal(tmp_path / "old", [*JOURNAL, {"event": "run_resumed", "procedure": "shift"}])
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
-    assert "without a word" in summary.reason
+    assert "without recording its end" in summary.reason
     assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
 
 

@@ -150,7 +150,8 @@ PROGRAM = """
 import sys
 from pathlib import Path
 
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.monitor.terminal import PatientConsole
 from gyrobench.bench.monitor.terminal_view import watched
 from gyrobench.bench.station.instruments import Emulation
