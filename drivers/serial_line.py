@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import termios
+from dataclasses import dataclass
 from types import TracebackType
 
 import serial
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
-from gyrobench.drivers.recording.protocol_replay import with_clock
-from gyrobench.drivers.recording.script import ReplayError
+from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.tap import tapped
 
 #: What pyserial raises when a port goes away, depending on the call.
@@ -27,6 +27,25 @@ _WRITE_TIMEOUT_S = 5.0
 for _handlers in ("gyrobench.drivers.emulators.serial_urls", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_handlers)
+
+
+@dataclass(frozen=True)
+class LineDefaults:
+    """How a controller is reached unless the station file says otherwise.
+
+    Attributes
+    ----------
+    baudrate : int
+        Bits per second.
+    parity : {"N", "E", "O"}
+        Parity bit; eight data bits and one stop bit always.
+    tcp_port : int or None
+        Its TCP port, for an address that names none; None where it has no usual one.
+    """
+
+    baudrate: int = 9600
+    parity: str = "N"
+    tcp_port: int | None = None
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:

@@ -3,7 +3,7 @@
 A rotational INS averages out a bias that is the same in all positions. So the largest difference of a
 gyro's bias between positions decides. Positions are compared within a stop only, where power-on, cycle and
 temperature are the same, and after what is left of the temperature's part is taken off; see
-:mod:`gyrobench.bench.bias.stop_differences`. They are told by temperature bin.
+:mod:`gyrobench.bench.bias.position_differences`. They are told by temperature bin.
 
 Passes of one stop are judged by their mean difference, whose uncertainty is smaller, as long as they agree
 (chi-square, Holm over all stops of all gyros). Where they don't, as with an attitude effect that follows
@@ -42,15 +42,15 @@ from scipy.special import ndtri
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.many_comparisons import holm
-from gyrobench.bench.bias.stop_differences import TemperatureCurve, stop_differences, temperature_curve
-from gyrobench.bench.bias.stops import (
+from gyrobench.bench.bias.plateaus import (
     COMPARED_WITHIN_C,
     PLANNED_WITHIN_C,
     PlannedDwell,
     group_stops,
     passes_of_stops,
 )
+from gyrobench.bench.bias.position_differences import TemperatureCurve, stop_differences, temperature_curve
+from gyrobench.bench.bias.statistics import holm
 from gyrobench.bench.bias.verdicts import (
     Acceptance,
     AcceptanceLimits,

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.stats import chi2, norm
 
-from gyrobench.bench.bias.noise.allan import (
+from gyrobench.bench.bias.allan import (
     RANDOM_WALK,
     WHITE_ANGLE,
     AllanVariance,

@@ -1,12 +1,16 @@
-"""What acceptance asks of a unit, and the verdicts on it: how they are told and kept."""
+"""Limits of acceptance, the verdicts on a unit, and their file ``acceptance.json``."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
+from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import parse_json
 
 #: What a limit is on.
 Quantity = Literal["position difference", "bias"]
@@ -116,3 +120,29 @@ class Acceptance(StrictModel):
 def _severity(judged: Judgement) -> tuple[int, bool, float]:
     order = ("pass", "marginal", "fail")
     return order.index(judged.verdict), judged.quantity == "position difference", judged.at_most_dph
+
+
+def write_acceptance(path: Path, acceptance: Acceptance) -> None:
+    """Write a verdict and all that it stands on.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    write_text(path, acceptance.model_dump_json(indent=2) + "\n")
+
+
+def read_acceptance(path: Path) -> Acceptance:
+    """Read a verdict.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or holds something else.
+    """
+    text = read_text(path)
+    try:
+        return Acceptance.model_validate(parse_json(text))
+    except ValueError as error:
+        raise DocumentError(f"{path}: holds no verdict: {error}") from error

@@ -44,7 +44,7 @@ def check(
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
     from gyrobench.bench.engine.preflight.bench_check import check_bench, no_instrument_answers
-    from gyrobench.bench.report.terminal.preflight import preflight_report
+    from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
 

@@ -56,17 +56,20 @@ def emulate(
 
     Example: gyrobench emulate --speed 10 --write-station mine.yaml
     """
-    from gyrobench.bench.emulation.guide import guide
-    from gyrobench.bench.emulation.process import EmulatorProcess, end_at_sigterm
-    from gyrobench.bench.emulation.serving import Life, serve_options
-    from gyrobench.bench.emulation.station_file import write_station_file
-    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.foundations.shipped import find_document
+    from gyrobench.bench.recording.emulated_station import guide, write_station_file
+    from gyrobench.bench.recording.emulator_process import (
+        EmulationSettings,
+        EmulatorProcess,
+        end_at_sigterm,
+        serve_options,
+    )
     from gyrobench.bench.station.station import Station
 
     bench = Station(find_document("stations", station))
     ports = {"table": table_port, "chamber": chamber_port, "ins": ins_port}
-    life = Life(world, seed, speed, faults or None, faults_log, for_s)
-    options = serve_options(bench, ports, tcp=tcp, can=can, life=life)
+    settings = EmulationSettings(world, seed, speed, faults or None, faults_log, for_s)
+    options = serve_options(bench, ports, tcp=tcp, can=can, settings=settings)
     end_at_sigterm()
     with EmulatorProcess(options) as emulators:
         if emulators.urls:

@@ -37,7 +37,7 @@ def jog(
 
     Example: gyrobench jog my_bench.yaml "table outer 30" "chamber 40 at 1.5" "watch 60"
     """
-    from gyrobench.bench.jog.session import jog_bench
+    from gyrobench.bench.jog.jog_session import jog_bench
     from gyrobench.bench.station.instruments import Emulation
 
     all_done = jog_bench(station, commands or [], Emulation(world, seed, faults or ""), leave)

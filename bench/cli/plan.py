@@ -41,7 +41,8 @@ def plan(
     """
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
-    from gyrobench.bench.report.figures import plan_figure, save_figure
+    from gyrobench.bench.report.figures.style import save_figure
+    from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
 
     if as_json and separability:
@@ -88,9 +89,9 @@ def _print_separability(job: Job, target_dph: float) -> None:
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
-    from gyrobench.bench.report.figures import save_figure
-    from gyrobench.bench.report.figures.separability import separability_figure
+    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
+    from gyrobench.bench.report.figures.campaigns import separability_figure
+    from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import separability_summary
 
     unit, name = planned_unit(job.station), job.plan.procedure.procedure

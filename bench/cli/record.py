@@ -54,7 +54,7 @@ def record(
 
     Example: gyrobench record my_bench.yaml --instrument chamber --out chamber.rec
     """
-    from gyrobench.bench.recording.session import Recorder
+    from gyrobench.bench.recording.recorder import Recorder
     from gyrobench.bench.station.instruments import Emulation
 
     recorder = Recorder(station, Emulation(world, seed, faults or ""), note, typer.echo)
@@ -70,7 +70,7 @@ def record(
     if proxy:
         recorder.proxy(instrument.value, out, port, for_s)
     else:
-        recorder.ask(instrument.value, out, for_s)
+        recorder.record(instrument.value, out, for_s)
 
 
 def _run(context: typer.Context, words: list[str], station: str) -> int:

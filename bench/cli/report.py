@@ -35,10 +35,10 @@ def report(
 
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
-    from gyrobench.bench.report.html import write_report
-    from gyrobench.bench.report.terminal.acceptance import acceptance_summary
+    from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.terminal.tables import acceptance_summary
     from gyrobench.bench.runs.folder import open_run_folder
-    from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
 
     folder = open_run_folder(run_folder)
     page = write_report(folder, by, out, open_run_folder(before) if before else None)
@@ -47,6 +47,6 @@ def report(
         terminal.print(acceptance_summary(read_acceptance(folder.acceptance)))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
-        from gyrobench.bench.report.pdf import write_pdf
+        from gyrobench.bench.report.run_report import write_pdf
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)

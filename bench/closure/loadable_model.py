@@ -13,9 +13,9 @@ from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
-#: Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation` by their names.
+#: Numbers of a :class:`~gyrobench.drivers.ins.command_map.Compensation` by their names.
 Numbers = dict[str, FloatArray]
 
 _GYROS = len(AXES)

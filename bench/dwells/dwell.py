@@ -6,23 +6,23 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from gyrobench.bench.bias.bias_filter import FitTest, StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
-from gyrobench.bench.bias.noise.estimate import estimate_noise
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import estimate_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
-from gyrobench.bench.bias.prior import PriorKnowledge
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.state_space.fit_test import FitTest
-from gyrobench.bench.bias.state_space.window_filter import EPOCH_S
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.output_checks import OutputFault, output_faults
-from gyrobench.bench.dwells.temperature_checks import believed_temperatures
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
+    believed_temperatures,
     dwell_temperatures,
     gyro_temperatures_at,
     triple,
@@ -31,11 +31,12 @@ from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.drivers.ins.epochs import EpochCounts
-from gyrobench.drivers.ins.frames import FrameBlock
-from gyrobench.drivers.ins.navigation_data import NavigationData
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData, decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
-from gyrobench.drivers.ins.resolution import ResolutionLimit
+from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
 
 #: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
 LEAST_FIT_P = 1e-5
@@ -326,4 +327,29 @@ def _row(
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
         flags="; ".join(flags),
+    )
+
+
+def measurement_setup(station: Station) -> MeasurementSetup:
+    """Decoding, kinematics and noise of a station.
+
+    Raises
+    ------
+    DocumentError
+        The DBC file is wrong, or lacks signals that the station file maps.
+    """
+    codec = DbcCodec(load_dbc(station.dbc_path))
+    signals = station.file.ins.signals
+    limits = resolution_report(signals, codec)
+    velocity_lsb_mps = max(limit.lsb for limit in limits if limit.unit == "m/s")
+    heading_lsb_rad = math.radians(max(limit.lsb for limit in limits if limit.unit == "deg"))
+    return MeasurementSetup(
+        decode=partial(decode_navigation, signal_map=signals, codec=codec),
+        table=station.table,
+        noise=station.noise(velocity_lsb_mps, heading_lsb_rad),
+        velocity_lsb_mps=velocity_lsb_mps,
+        heading_lsb_rad=heading_lsb_rad,
+        site=station.site,
+        prior=station.prior(),
+        resolution=tuple(limits),
     )

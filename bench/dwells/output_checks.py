@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 

@@ -6,18 +6,18 @@ from dataclasses import asdict
 
 import numpy as np
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.dwells.check_dwell import measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.live import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.run_dwells import add_dwell
-from gyrobench.bench.dwells.verification_dwell import measure_verification
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 
 #: A single reading of the table may differ by this much from the one at the window's begin, deg.
 _STILL_DEG = 0.001
@@ -170,7 +170,7 @@ class DwellLedger:
         run = self._run
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
-        measure = measure_verification if marks.is_verification else measure_dwell
+        measure = measure_check_dwell if marks.is_verification else measure_dwell
         measured = measure(marks, frames, run.setup)
         if measured.is_spoilt and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, measured.flags, counts=True)
@@ -195,8 +195,8 @@ class DwellLedger:
         procedure, repeats = self._run.plan.procedure, self._run.state.repeats
         return (
             procedure.disturbed_dwell == "repeat"
-            and repeats[dwell] < procedure.most_repeats
-            and repeats.total() < procedure.most_repeats_in_all
+            and repeats[dwell] < procedure.max_repeats
+            and repeats.total() < procedure.max_repeats_total
         )
 
     def discard(self, dwell: int | None, why: str, counts: bool) -> None:
@@ -217,9 +217,9 @@ class DwellLedger:
             self._bench.end_capture()
         self._run.journal.record("dwell_skipped", dwell=dwell)
         self._run.state.skipped.add(dwell)
-        self._run.observers.noted(f"Dwell {dwell} is skipped")
+        self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def _repeat(self, dwell: int, why: str, counts: bool) -> None:
         self._run.state.repeats[dwell] += counts
         self._run.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
-        self._run.observers.noted(f"Dwell {dwell} is repeated: {why}")
+        self._run.observers.noted(f"dwell {dwell} is repeated: {why}")

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.dwells.calibration import read_calibration
-from gyrobench.bench.foundations.documents import Document, find_document
+from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.bench.verification.calibration import read_calibration
+from gyrobench.drivers.ins.command_map import Compensation
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock, concatenate
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
 from gyrobench.drivers.ins.readout import InsMode
 
 #: How often an instrument that does not answer at the start is asked again, and the pause between.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell
 from gyrobench.bench.dwells.results import RunResults
-from gyrobench.bench.dwells.verification_dwell import VerificationDwell
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
@@ -29,7 +29,7 @@ class RunOutcome:
         Why it did not finish; empty where it did.
     dwells : list of MeasuredDwell
         Measured dwells.
-    verifications : list of VerificationDwell
+    verifications : list of CheckDwell
         Dwells that check a calibration.
     results : RunResults
         Results of all dwells together.
@@ -44,7 +44,7 @@ class RunOutcome:
     ended: str = "finished"
     reason: str = ""
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[VerificationDwell] = field(default_factory=list)
+    verifications: list[CheckDwell] = field(default_factory=list)
     results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)

@@ -14,7 +14,7 @@ from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import LONGEST_RUN_S, read_journal
+from gyrobench.bench.runs.journal import MAX_RUN_S, read_journal
 
 #: After so many resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
@@ -146,7 +146,7 @@ def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeS
 
 def _time_s(entry: Mapping[str, Any]) -> float:
     time_s = float(entry["time_s"])
-    if not 0.0 <= time_s <= LONGEST_RUN_S:
+    if not 0.0 <= time_s <= MAX_RUN_S:
         raise ValueError(f"{time_s} s is no time of a run")
     return time_s
 

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Protocol
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.dwell import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.live import warm_up
-from gyrobench.bench.dwells.replay import replay
-from gyrobench.bench.dwells.results import evaluate, planned_dwells, write_results
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.engine import Engine
+from gyrobench.bench.engine.evaluation import evaluate_run
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.notifications import RunNotifier
@@ -32,8 +31,8 @@ from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import started_utc, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry, last_reading_s
-from gyrobench.bench.station.bench_lock import BenchLock, RunLock
 from gyrobench.bench.station.instruments import Instruments
+from gyrobench.bench.station.locks import BenchLock, RunLock
 
 #: A guard that has just made the bench safe releases its lock within this time.
 _GUARD_TIME_S = 60.0
@@ -219,18 +218,11 @@ def _flush(can_log: CanLog, telemetry: Telemetry, outcome: RunOutcome) -> None:
 
 def _evaluate(run: RunContext) -> None:
     """Compute and write the results of all dwells."""
-    plan, outcome = run.job.plan, run.outcome
+    outcome = run.outcome
     try:
-        outcome.results = evaluate(
-            outcome.dwells,
-            outcome.verifications,
-            run.job.calibration,
-            run.setup,
-            plan.procedure.bin_width_c,
-            plan.procedure.acceptance,
-            planned_dwells(plan),
+        outcome.results = evaluate_run(
+            run.folder, run.plan, run.setup, outcome.dwells, outcome.verifications, run.job.calibration
         )
-        write_results(run.folder, outcome.results)
     except GyrobenchError as error:
         outcome.fail(str(error))
         run.observers.ended(outcome)

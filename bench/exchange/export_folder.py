@@ -14,17 +14,18 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import (
     cant_be_written,
     file_sha256,
     make_folder,
+    parse_json,
+    read_limited,
     sync_folder,
     temporary_path,
     write_whole,
 )
-from gyrobench.bench.foundations.reading import parse_json, read_limited
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
@@ -74,7 +75,7 @@ def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
     return pa.field(column, kind or type_of(column), metadata={"unit": unit} if unit else None)
 
 
-def origin_of(folder: RunFolder) -> dict[str, Any]:
+def data_origin(folder: RunFolder) -> dict[str, Any]:
     """Plain data: run, unit, versions, hashes, and how the run ended; None for what is not known.
 
     Raises
@@ -93,7 +94,7 @@ def origin_of(folder: RunFolder) -> dict[str, Any]:
         "started_utc": provenance.get("started_utc"),
         "instruments": provenance.get("instruments", {}),
         "measured_by": f"gyrobench {provenance.get('gyrobench', '?')}",
-        "exported_by": f"gyrobench {gyrobench.__version__}",
+        "exported_by": f"gyrobench {__version__}",
         "sha256": {**provenance.get("files_sha256", {}), folder.journal.name: file_sha256(folder.journal)},
     }
 
@@ -104,7 +105,7 @@ _MAX_ABOUT_BYTES = 10_000_000
 
 
 @dataclass
-class Destination:
+class ExportFolder:
     """Where files go, and what is said of them.
 
     Attributes
@@ -194,7 +195,7 @@ class Destination:
                             writer.write_table(batch.cast(schema))
 
     def finish(self) -> None:
-        """Write what is said of all files; what was said of others of the same run stays.
+        """Write what is said of all files; what was said of others of the same run bars.
 
         Raises
         ------

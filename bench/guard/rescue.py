@@ -17,8 +17,8 @@ from gyrobench.bench.messages.message import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, RunFacts, facts_of, read_journal
-from gyrobench.bench.station.bench_lock import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
 

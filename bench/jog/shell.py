@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.foundations.documents import hint
-from gyrobench.bench.jog.display import Display
-from gyrobench.bench.jog.hand import Hand
-from gyrobench.bench.jog.limits import AXES
-from gyrobench.bench.jog.refused import CommandError
-from gyrobench.bench.jog.screen import limit_lines, readings
+from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.jog.manual_control import ManualControl
+from gyrobench.bench.jog.manual_limits import AXES
+from gyrobench.bench.jog.readings import limit_lines, readings
+from gyrobench.bench.jog.terminal import CommandError, Display
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _WATCH_S = 60.0
@@ -36,12 +35,12 @@ class Shell:
 
     Parameters
     ----------
-    hand, display
+    control, display
         Who carries them out, and where answers go.
     """
 
-    def __init__(self, hand: Hand, display: Display) -> None:
-        self._hand = hand
+    def __init__(self, control: ManualControl, display: Display) -> None:
+        self._control = control
         self._display = display
         self._commands: Mapping[str, Command] = {
             "show": Command({"show": "all readings"}, self._show),
@@ -54,7 +53,7 @@ class Shell:
                 },
                 self._table,
             ),
-            "stop": Command({"stop": "stop the table"}, lambda words: self._alone(words, hand.stop)),
+            "stop": Command({"stop": "stop the table"}, lambda words: self._alone(words, control.stop)),
             "home": Command({"home [at RATE]": "all axes to zero"}, self._home),
             "servo": Command({"servo on|off": "close or open the table's servos"}, self._servo),
             "chamber": Command(
@@ -68,7 +67,7 @@ class Shell:
             "ins": Command({"ins align|navigate|standby": "command the INS"}, self._ins),
             "faults": Command({"faults": "what is reported to be wrong"}, self._faults),
             "clear": Command(
-                {"clear": "clear the chamber's alarms"}, lambda words: self._alone(words, hand.clear)
+                {"clear": "clear the chamber's alarms"}, lambda words: self._alone(words, control.clear)
             ),
             "events": Command({"events": "the chamber's event outputs"}, self._events),
             "limits": Command({"limits": "what may be asked for"}, self._limits),
@@ -91,7 +90,9 @@ class Shell:
         command = self._commands.get(words[0])
         if command is None:
             known = [*self._commands, *_ENDS]
-            raise CommandError(f"unknown command '{words[0]}'{hint(words[0], known)}; `help` lists them")
+            raise CommandError(
+                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists them"
+            )
         try:
             command.carry_out(words[1:])
         except _UsageError as error:
@@ -99,88 +100,90 @@ class Shell:
             raise CommandError(f"{error or 'not understood'}. It is typed: {usage}") from None
 
     def _show(self, words: list[str]) -> None:
-        self._alone(words, self._hand.bench.read_instruments)
-        self._tell(readings(self._hand.bench, self._hand.tripped))
+        self._alone(words, self._control.bench.read_instruments)
+        self._tell(readings(self._control.bench, self._control.tripped))
 
     def _watch(self, words: list[str]) -> None:
         duration_s = _number(words.pop(0), "a time in s") if words else _WATCH_S
         _nothing_left(words)
         if not 0.0 < duration_s <= _LONGEST_WATCH_S:
             raise _UsageError("a time is above 0 s and at most a week")
-        self._hand.watch(duration_s)
+        self._control.watch(duration_s)
 
     def _table(self, words: list[str]) -> None:
         what = words.pop(0) if words else ""
         if what == "rate":
             axis, rate = _axis(words), _number(_next(words), "a rate in deg/s")
             _nothing_left(words)
-            self._hand.turn_at(axis, rate)
+            self._control.turn_at(axis, rate)
             return
         if what == "to":
             self._to_position(words)
             return
         axis = _axis([what])
         angle_deg = _number(_next(words), "an angle in deg")
-        self._hand.move({axis: angle_deg}, _rate(words))
+        self._control.move({axis: angle_deg}, _rate(words))
 
     def _to_position(self, words: list[str]) -> None:
         name = _next(words)
         if name not in POSITIONS:
-            raise _UsageError(f"no such position{hint(name, POSITIONS)}; they are {', '.join(POSITIONS)}")
+            raise _UsageError(
+                f"no such position{did_you_mean(name, POSITIONS)}; they are {', '.join(POSITIONS)}"
+            )
         azimuth_deg = 0.0
         if words and words[0] != "at":
             azimuth_deg = _number(words.pop(0), "an azimuth in deg")
         rate_dps = _rate(words)
-        station = self._hand.bench.station
+        station = self._control.bench.station
         angles_deg = station.table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
-        names = self._hand.limits.axes
-        self._hand.move(
+        names = self._control.limits.axes
+        self._control.move(
             {axis: each for axis, each in zip(AXES, angles_deg, strict=True) if axis in names}, rate_dps
         )
 
     def _home(self, words: list[str]) -> None:
         rate_dps = _rate(words)
-        self._hand.move(dict.fromkeys(self._hand.limits.axes, 0.0), rate_dps)
+        self._control.move(dict.fromkeys(self._control.limits.axes, 0.0), rate_dps)
 
     def _servo(self, words: list[str]) -> None:
-        self._hand.servo_on() if _on(words) else self._hand.servo_off()
+        self._control.servo_on() if _on(words) else self._control.servo_off()
 
     def _chamber(self, words: list[str]) -> None:
         if words and words[0] in ("on", "off"):
-            self._hand.chamber_switch(_on(words))
+            self._control.chamber_switch(_on(words))
             return
         temperature_c = _number(_next(words), "a temperature in degC")
         if words and words[0] == "at":
             words.pop(0)
         ramp = _number(words.pop(0), "a ramp in degC/min") if words else None
         _nothing_left(words)
-        self._hand.chamber_to(temperature_c, ramp)
+        self._control.chamber_to(temperature_c, ramp)
 
     def _unit(self, words: list[str]) -> None:
-        self._hand.unit_switch(_on(words))
+        self._control.unit_switch(_on(words))
 
     def _ins(self, words: list[str]) -> None:
         command = _next(words)
         _nothing_left(words)
         if command not in ("align", "navigate", "standby"):
             raise _UsageError(f"the INS has no command '{command}' here")
-        self._hand.ins(command)
+        self._control.ins(command)
 
     def _faults(self, words: list[str]) -> None:
-        self._alone(words, self._hand.bench.read_instruments)
-        now = self._hand.bench.readings
+        self._alone(words, self._control.bench.read_instruments)
+        now = self._control.bench.readings
         told = [f"rate table: {each}" for each in now.table_faults]
         told += [f"chamber: {each}" for each in now.chamber_alarms]
-        told += [f"interlock tripped: {each}" for each in self._hand.tripped]
+        told += [f"interlock tripped: {each}" for each in self._control.tripped]
         self._tell(told or ["none"])
 
     def _events(self, words: list[str]) -> None:
         _nothing_left(words)
-        self._tell(self._hand.events())
+        self._tell(self._control.events())
 
     def _limits(self, words: list[str]) -> None:
         _nothing_left(words)
-        self._tell(limit_lines(self._hand.limits))
+        self._tell(limit_lines(self._control.limits))
 
     def _help(self, words: list[str]) -> None:  # noqa: ARG002 - one help for all
         usages = [usage for command in self._commands.values() for usage in command.usages.items()]

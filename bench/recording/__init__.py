@@ -1,1 +1,1 @@
-"""Recording what goes between the bench and its instruments, and replaying it to their drivers."""
+"""Recordings of what instruments exchange with the bench, their replay, and served emulators."""

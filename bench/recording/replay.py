@@ -1,64 +1,136 @@
-"""Replaying a recording to the driver of its dialect."""
+"""The calls of a recording: made to a driver, checked, and replayed to the driver of the dialect."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, get_type_hints
 from urllib.parse import quote
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import Problem, problems_of
-from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.recording.calls import USUAL_AXES, calls_of
-from gyrobench.bench.recording.questions import answered
-from gyrobench.drivers.chamber import Chamber
-from gyrobench.drivers.chamber.dialect import ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, load
-from gyrobench.drivers.rate_table import RateTable
-from gyrobench.drivers.rate_table.dialect import TableDialect
-from gyrobench.drivers.recording.document import Call, Recording, RecordingHeader, read_recording
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
+from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
+from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.drivers.chamber import Chamber, ChamberDialect
+from gyrobench.drivers.rate_table import RateTable, TableDialect
 from gyrobench.drivers.recording.protocol_replay import SCHEME
+from gyrobench.drivers.recording.recording_file import Call, Recording, read_recording
 from gyrobench.drivers.serial_line import SerialLine
 
+#: Calls that neither move nor heat anything.
+TABLE_QUERIES = tuple(Call(ask=name) for name in ("identify", "faults", "limits", "read", "identify"))
+CHAMBER_QUERIES = tuple(Call(ask=name) for name in ("identify", "alarms", "read", "limits_c", "set_point_c"))
+
+_DEFAULT_AXES = (1, 2)
 _DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"
 
 
 def replay(path: Path) -> tuple[Recording, list[Call]]:
-    """Ask the driver again what it was asked while it was recorded, in virtual time.
+    """Make the recorded calls to the driver again, in virtual time.
 
     Returns
     -------
     Recording
-        As read; its header has what the driver made of the replies then.
+        As read; its header has the recorded results.
     list of Call
-        The same calls, with what it makes of them now.
+        The same calls with the results of the replay.
 
     Raises
     ------
     DocumentError
         The recording is wrong, or its dialect is not installed.
     ConnectionFailedError
-        While it is opened, the driver asks something else than then.
+        The driver sends other bytes than recorded while it is opened.
     """
     recording = read_recording(path)
-    header, calls = recording.header, calls_of(recording)
-    clock = VirtualClock()
+    header, calls = recording.header, checked_calls(recording)
     name = "rate table" if header.instrument == "table" else header.instrument
     url = f"{SCHEME}{quote(str(path.absolute()))}"
-    line = SerialLine(
-        name, url, clock, header.baudrate or _DEFAULT_BAUDRATE, header.parity or _DEFAULT_PARITY
-    )
-    with line:
-        driver = _driver(recording, header, line)
-        return recording, list(answered(driver, calls))
+    baudrate, parity = header.baudrate or _DEFAULT_BAUDRATE, header.parity or _DEFAULT_PARITY
+    with SerialLine(name, url, VirtualClock(), baudrate, parity) as line:
+        return recording, list(call_driver(_open_driver(recording, line), calls))
 
 
-def _driver(recording: Recording, header: RecordingHeader, line: SerialLine) -> RateTable | Chamber:
+def call_driver(driver: RateTable | Chamber, calls: Iterable[Call]) -> Iterator[Call]:
+    """Make calls to a driver; yields each with its result or the kind of its error."""
+    for call in calls:
+        made = call.model_copy(update={"gives": None, "fails": None})
+        try:
+            result = getattr(driver, call.ask)(**call.arguments)
+        except InstrumentError as error:
+            yield made.model_copy(update={"fails": type(error).__name__})
+        else:
+            yield made.model_copy(update={"gives": repr(result)})
+
+
+def checked_calls(recording: Recording) -> list[Call]:
+    """Calls of a recording, which may be written by hand, with arguments of the methods' types.
+
+    Raises
+    ------
+    DocumentError
+        A call can't be made; lists all such calls with their places.
+    """
+    header = recording.header
+    if header.instrument == "ins":
+        return []  # its driver sends no queries
+    protocol: type[RateTable | Chamber] = RateTable if header.instrument == "table" else Chamber
+    calls, problems = [], []
+    for index, call in enumerate(header.calls):
+        found = _checked_arguments(protocol, call.ask, call.arguments, header.axes or _DEFAULT_AXES)
+        if isinstance(found, Problem):
+            message = f"call {index + 1} of {len(header.calls)}: {found.message}"
+            problems.append(Problem(("calls", index, *found.location), message))
+        else:
+            calls.append(call.model_copy(update={"arguments": found}))
+    if problems:
+        raise recording.document.error(problems)
+    return calls
+
+
+def _checked_arguments(
+    protocol: type[RateTable | Chamber], ask: str, arguments: Mapping[str, Any], axes: Sequence[int]
+) -> dict[str, Any] | Problem:
+    """Arguments of a call with their types, or what is wrong, located within the call."""
+    methods = dict(_methods(protocol))
+    if ask not in methods:
+        return Problem(("ask",), f"a {protocol.__name__} has no method '{ask}'{did_you_mean(ask, methods)}")
+    try:
+        inspect.signature(methods[ask]).bind(None, **arguments)
+    except TypeError as error:
+        return Problem(("arguments",), f"{ask}: {error}")
+    hints, typed = get_type_hints(methods[ask]), {}
+    for name, value in arguments.items():
+        try:
+            typed[name] = TypeAdapter(hints[name]).validate_python(value)
+        except ValidationError as error:
+            return Problem(("arguments", name), f"{ask}: '{name}': {error.errors()[0]['msg']}")
+    if typed.get("angles_deg") == {}:
+        return Problem(("arguments", "angles_deg"), f"{ask}: names no axis")
+    unknown = (set(typed.get("angles_deg", axes)) | {typed.get("axis", axes[0])}) - set(axes)
+    if unknown:
+        return Problem(("arguments",), f"{ask}: there is no axis {min(unknown)}, only {list(axes)}")
+    return typed
+
+
+def _methods(protocol: type[RateTable | Chamber]) -> Iterator[tuple[str, Callable[..., object]]]:
+    for name, method in vars(protocol).items():
+        if inspect.isfunction(method) and not name.startswith("_") and name != "close":
+            yield name, method
+
+
+def _open_driver(recording: Recording, line: SerialLine) -> RateTable | Chamber:
+    header = recording.header
     try:
         if header.instrument == "table":
             table = load(RATE_TABLES, header.dialect, TableDialect)
-            return table.open(line, header.axes or USUAL_AXES, table.options.model_validate(header.options))
+            return table.open(
+                line, header.axes or _DEFAULT_AXES, table.options.model_validate(header.options)
+            )
         if header.instrument == "chamber":
             chamber = load(CHAMBERS, header.dialect, ChamberDialect)
             return chamber.open(line, chamber.options.model_validate(header.options))
@@ -67,4 +139,4 @@ def _driver(recording: Recording, header: RecordingHeader, line: SerialLine) -> 
         raise DocumentError(
             "\n".join(f"{recording.path}: {'.'.join(map(str, p.location))}: {p.message}" for p in problems)
         ) from error
-    raise DocumentError(f"{recording.path}: no driver speaks over a line of the {header.instrument}")
+    raise DocumentError(f"{recording.path}: no driver for an {header.instrument} on a serial line")

@@ -11,18 +11,17 @@ from typing import Any, TypeVar
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate
-from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate
+from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.report.page.findings import Findings
-from gyrobench.bench.report.page.findings_file import FINDINGS_FILE, read_findings_file
+from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
     JointStopRow,
@@ -30,7 +29,6 @@ from gyrobench.bench.runs.tables.joint_table import (
     read_joint_stops,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
-from gyrobench.bench.runs.tables.verification_table import VerificationRow, read_verification
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 T = TypeVar("T")
@@ -74,7 +72,7 @@ class RunContent:
     joint_biases: list[JointBiasRow] = field(default_factory=list)
     joint_stops: list[JointStopRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
-    verification: list[VerificationRow] = field(default_factory=list)
+    verification: list[CalibrationCheckRow] = field(default_factory=list)
     acceptance: Acceptance | None = None
     chapters: list[Findings] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -117,11 +115,11 @@ def read_run(folder: RunFolder) -> RunContent:
 
     no_joint_biases: list[JointBiasRow] = []
     no_joint_stops: list[JointStopRow] = []
-    no_verification: list[VerificationRow] = []
+    no_verification: list[CalibrationCheckRow] = []
     read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
     verification = read_if_there(
-        folder.verification, lambda: read_verification(folder.verification), no_verification
+        folder.verification, lambda: read_calibration_check(folder.verification), no_verification
     )
     # A run of verifications only has no dwells to put into a table.
     read_dwell_table = read_if_there if verification else read

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.files import write_whole
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 _OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
@@ -25,7 +25,7 @@ _HEAD = """\
 
 
 class CompensationFile(StrictModel):
-    """Numbers of a :class:`~gyrobench.drivers.ins.compensation.Compensation`, those of each gyro in a row."""
+    """Numbers of a :class:`~gyrobench.drivers.ins.command_map.Compensation`, those of each gyro in a row."""
 
     polynomial_dph: _Polynomials = Field(description="coefficients from degree 0 up, T in degC")
     low_c: _OfGyros = Field(description="lowest T used")

@@ -12,8 +12,7 @@ from pydantic import Field
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError, ReplyError
-from gyrobench.drivers.chamber import ChamberReading
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
 from gyrobench.drivers.modbus_rtu import ModbusRtu
 from gyrobench.drivers.serial_line import SerialLine
 

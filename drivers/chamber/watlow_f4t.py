@@ -12,11 +12,9 @@ from pydantic import Field
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
-from gyrobench.drivers.chamber import ChamberReading
-from gyrobench.drivers.chamber.dialect import ChamberDialect
+from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
 from gyrobench.drivers.chamber.set_point import DECIMALS, check_commandable
-from gyrobench.drivers.dialects import LineDefaults
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine, agrees, ramp_agrees, settles
 
 _OUTPUTS = 8

@@ -17,9 +17,9 @@ from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
 from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.entry_points import EMULATORS, load
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.dialects import EMULATORS, load
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
 from gyrobench.drivers.emulators.faults.document import FaultList, check_faults, load_faults

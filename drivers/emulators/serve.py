@@ -20,8 +20,8 @@ from types import FrameType
 from typing import NoReturn
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import EmulatedBench
 from gyrobench.drivers.emulators.server import Server
 from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort

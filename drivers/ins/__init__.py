@@ -7,18 +7,15 @@ enough.
 """
 
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.bound_signals import bind_signals, check_signals
-from gyrobench.drivers.ins.can_bus import open_bus
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns, InsHealth
-from gyrobench.drivers.ins.command_map import CommandMap, check_commands
-from gyrobench.drivers.ins.compensation import Compensation
+from gyrobench.drivers.ins.command_map import CommandMap, Compensation, check_commands
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures, decode_navigation
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
-from gyrobench.drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals, check_signals
 
 __all__ = [
     "Alignment",

@@ -21,14 +21,12 @@ from gyrobench.bench.foundations.errors import (
     ReplyError,
 )
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.bound_signals import bind_signals
 from gyrobench.drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage, stamp_in_time_of
-from gyrobench.drivers.ins.command_map import Command, CommandMap, check_commands
-from gyrobench.drivers.ins.compensation import Compensation, checksum
+from gyrobench.drivers.ins.command_map import Command, CommandMap, Compensation, check_commands, checksum
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
 from gyrobench.drivers.ins.readout import InsMode
-from gyrobench.drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 
 #: The status comes once a second or so, and the INS needs its time for a command.
 REPLY_TIMEOUT_S = 5.0

@@ -8,8 +8,13 @@ from __future__ import annotations
 
 import difflib
 import logging
-from collections.abc import Callable, Iterable, Mapping
-from itertools import islice
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +26,9 @@ from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
-from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.drivers.ins.bit_fields import BitField, Payloads
-from gyrobench.drivers.ins.dbc_checks import oversized, undecodable
-from gyrobench.drivers.ins.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.foundations.files import read_limited
+from gyrobench.drivers.ins.can_bus import EXTENDED_ID, MAX_LENGTH, FrameBlock
 
 MAX_DBC_BYTES = 2_000_000
 
@@ -244,3 +247,177 @@ class _Layout:
 def _suggestion(name: str, known: list[str]) -> str:
     close = difflib.get_close_matches(name.upper(), known, n=3, cutoff=0.5)
     return f" (did you mean {' or '.join(close)}?)" if close else f"; it has {', '.join(known)}"
+
+
+Words = NDArray[np.uint64]
+
+_WORD_BITS = 64
+_FLOATS: dict[int, tuple[type[np.unsignedinteger[Any]], type[np.floating[Any]]]] = {
+    16: (np.uint16, np.float16),
+    32: (np.uint32, np.float32),
+    64: (np.uint64, np.float64),
+}
+
+#: Bits that a floating-point signal may have.
+FLOAT_LENGTHS = frozenset(_FLOATS)
+
+
+class Payloads:
+    """Payloads, shape (n, 8), as 64-bit numbers in both byte orders."""
+
+    def __init__(self, data: NDArray[np.uint8]) -> None:
+        self._data = np.ascontiguousarray(data)
+
+    @cached_property
+    def little(self) -> Words:
+        """Numbers whose first byte is the lowest, shape (n,)."""
+        return self._data.view("<u8")[:, 0].astype(np.uint64, copy=False)
+
+    @cached_property
+    def big(self) -> Words:
+        """Numbers whose first byte is the highest, shape (n,)."""
+        return self._data.view(">u8")[:, 0].astype(np.uint64)
+
+
+@dataclass(frozen=True)
+class BitField:
+    """The bits of one signal of up to 64 bits."""
+
+    signal: Signal
+
+    @cached_property
+    def big_endian(self) -> bool:
+        """Whether the field is in the words' big-endian reading."""
+        return self.signal.byte_order == "big_endian"
+
+    @cached_property
+    def left(self) -> np.uint64:
+        """Shift that moves the field's first bit to the top of the word."""
+        start, length = self.signal.start, self.signal.length
+        if self.big_endian:
+            return np.uint64(8 * (start // 8) + 7 - start % 8)
+        return np.uint64(_WORD_BITS - start - length)
+
+    @cached_property
+    def right(self) -> np.uint64:
+        """Shift that then moves the field's last bit to the bottom."""
+        return np.uint64(_WORD_BITS - self.signal.length)
+
+    def raw(self, words: Payloads) -> NDArray[Any]:
+        """Read the field: int64, uint64 or the signal's float type."""
+        at_top = (words.big if self.big_endian else words.little) << self.left
+        if self.signal.conversion.is_float:
+            bits_type, float_type = _FLOATS[self.signal.length]
+            return (at_top >> self.right).astype(bits_type).view(float_type)
+        if self.signal.is_signed:
+            return at_top.view(np.int64) >> self.right.astype(np.int64)
+        return at_top >> self.right
+
+    def physical(self, words: Payloads) -> FloatArray:
+        """Read the field, scaled to the DBC's unit."""
+        values = self.raw(words).astype(np.float64)
+        if self.signal.scale != 1:
+            values *= self.signal.scale
+        if self.signal.offset != 0:
+            values += self.signal.offset
+        return values
+
+    def to_raw(self, values: FloatArray) -> Words:
+        """Turn values in the DBC's unit into the field's bits, right-aligned.
+
+        Integers are rounded to the nearest step and limited to what the field can hold.
+
+        Raises
+        ------
+        MeasurementError
+            A value for an integer field is not a number.
+        """
+        scaled = (values - self.signal.offset) / self.signal.scale
+        length = self.signal.length
+        if self.signal.conversion.is_float:
+            bits_type, float_type = _FLOATS[length]
+            with np.errstate(over="ignore"):
+                return scaled.astype(float_type).view(bits_type).astype(np.uint64)
+        if np.any(np.isnan(scaled)):
+            raise MeasurementError(f"the signal {self.signal.name} can't carry a value that is not a number")
+        return _rounded(scaled, length, self.signal.is_signed) & np.uint64(2**length - 1)
+
+    def placed(self, raw: Words) -> Words:
+        """Move right-aligned bits to where they belong in a word."""
+        return (raw << self.right) >> self.left
+
+
+def _rounded(values: FloatArray, length: int, signed: bool) -> Words:
+    low, high = (-(2 ** (length - 1)), 2 ** (length - 1) - 1) if signed else (0, 2**length - 1)
+    # 2**63 - 1 and 2**64 - 1 round up as float64, to a number that no longer fits.
+    inside = np.clip(np.rint(values), low, np.nextafter(float(high + 1), 0.0))
+    integers = inside.astype(np.int64).view(np.uint64) if signed else inside.astype(np.uint64)
+    return np.where(values >= high, np.uint64(high), integers)
+
+
+#: The longest message of SAE J1939, whose DBC files describe it as one.
+_MAX_MESSAGE_BYTES = 1785
+#: Far beyond any device's file; the parser's work grows with their squares.
+_MAX_MULTIPLEXER_IDS = 65536
+_MAX_SIGNALS = 1000
+_MAX_LINE_CHARACTERS = 64_000
+
+_MESSAGE = re.compile(r"^[ \t]*BO_[ \t]+\d+[ \t]+\w+[ \t]*:[ \t]*(?P<bytes>\d+)", re.MULTILINE)
+_SIGNAL = re.compile(
+    r"\bSG_[ \t]+\w+[ \t]*(?:[mM]\w*)?[ \t]*:[ \t]*(?P<start>\d+)[ \t]*\|[ \t]*(?P<length>\d+)"
+)
+_MESSAGE_START = re.compile(r"\bBO_\b")
+_SIGNAL_START = re.compile(r"\bSG_\b")
+_MULTIPLEXER = re.compile(r"^[ \t]*SG_MUL_VAL_[^;]*", re.MULTILINE)
+_RANGE = re.compile(r"(\d+)[ \t]*-[ \t]*(\d+)")
+
+
+def oversized(text: str) -> Iterator[str]:
+    """Name, with their lines, what no CAN device has: sizes and numbers beyond all measure."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if len(line) > _MAX_LINE_CHARACTERS:
+            yield f"line {number}: a line of {len(line)} characters"
+            return
+    message_starts = [found.start() for found in _MESSAGE_START.finditer(text)]
+    for begin, end in pairwise([0, *message_starts, len(text)]):
+        count = len(_SIGNAL_START.findall(text, begin, end))
+        if count > _MAX_SIGNALS:
+            yield f"line {text.count(chr(10), 0, begin) + 1}: a message of {count} signals"
+            return
+    for found in _MESSAGE.finditer(text):
+        if int(found["bytes"]) > _MAX_MESSAGE_BYTES:
+            yield f"line {_line(text, found)}: a message of {found['bytes']} bytes"
+    for found in _SIGNAL.finditer(text):
+        if max(int(found["start"]), int(found["length"])) > 8 * _MAX_MESSAGE_BYTES:
+            yield f"line {_line(text, found)}: a signal of {found['length']} bits at bit {found['start']}"
+    count = 0
+    for found in _MULTIPLEXER.finditer(text):
+        count += sum(int(last) - int(first) + 1 for first, last in _RANGE.findall(found[0]))
+        if count > _MAX_MULTIPLEXER_IDS:
+            yield f"line {_line(text, found)}: {count} multiplexer values up to here"
+            return
+
+
+def undecodable(database: Database) -> Iterator[str]:
+    """Name the signals of classic CAN messages whose values can't be computed."""
+    for kind, all_of_kind in (
+        ("message called", [message.name for message in database.messages]),
+        ("message numbered", [_number(message) for message in database.messages]),
+    ):
+        twice = [each for each, count in Counter(all_of_kind).items() if count > 1]
+        yield from (f"a second {kind} {each}" for each in twice)
+    for message in database.messages:
+        for signal in message.signals if message.length <= MAX_LENGTH else ():
+            name = f"{message.name}.{signal.name}"
+            if signal.conversion.is_float and signal.length not in FLOAT_LENGTHS:
+                yield f"{name}: a floating-point number of {signal.length} bits"
+            if signal.scale == 0 or not math.isfinite(signal.scale) or not math.isfinite(signal.offset):
+                yield f"{name}: scale {signal.scale} and offset {signal.offset}"
+
+
+def _number(message: Message) -> str:
+    return f"{message.frame_id}{' with 29 bits' if message.is_extended_frame else ''}"
+
+
+def _line(text: str, found: re.Match[str]) -> int:
+    return text.count("\n", 0, found.start()) + 1

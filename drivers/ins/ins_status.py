@@ -10,11 +10,10 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.bound_signals import BoundSignal
+from gyrobench.drivers.ins.can_bus import EXTENDED_ID
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.frames import EXTENDED_ID
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
-from gyrobench.drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 
 #: Values older than this are not known any more.
 STALE_S = 5.0

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.drivers.ins.bound_signals import BlockReader, bind_signals
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.epochs import EpochCounts, Epochs, find_epochs
-from gyrobench.drivers.ins.frames import FrameBlock
-from gyrobench.drivers.ins.readout import Readout
-from gyrobench.drivers.ins.signal_map import SignalMap
-
-Rows = IntArray
+from gyrobench.drivers.ins.readout import BlockReader, Readout
+from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 
 _TEMPERATURES = ("gyro_optics_temperature", "gyro_electronics_temperature", "case_temperature")
 _SENSORS = (*(f"{name}.{axis}" for name in _TEMPERATURES[:2] for axis in "xyz"), _TEMPERATURES[2])
@@ -77,7 +75,7 @@ class NavigationData:
 
     ins_time_s: FloatArray
     timestamp_s: FloatArray
-    row: Rows
+    row: IntArray
     segment: IntArray
     velocity_enu_mps: FloatArray
     attitude: FloatArray
@@ -131,7 +129,7 @@ def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temp
     )
 
 
-def _spread(reader: BlockReader, readout: Readout, path: str, rows: Rows) -> FloatArray:
+def _spread(reader: BlockReader, readout: Readout, path: str, rows: IntArray) -> FloatArray:
     """Largest difference (m,) between neighbouring readings of a sensor from one of the rows to the next."""
     spread = np.zeros(len(rows) + 1)
     if path in readout.signals:
@@ -141,3 +139,275 @@ def _spread(reader: BlockReader, readout: Readout, path: str, rows: Rows) -> Flo
         differences = np.abs(np.diff(readout.value(path, own)))
         np.fmax.at(spread, since[1:][again], differences[again])
     return spread[:-1]
+
+
+#: A counter that runs ahead of the arrival by more epochs than this has been set anew.
+_JUMP = 300.0
+_LATE_PERIODS = 2.0
+_TIME_DECIMALS = 9
+_STAMP_DECIMALS = 6
+
+
+@dataclass(frozen=True)
+class EpochCounts:
+    """What was not as it should be.
+
+    Attributes
+    ----------
+    lost : int
+        Epochs that are missing or lack a frame; what the block's edges cut off does not count.
+    repeated : int
+        Epochs with the number of the one before; dropped.
+    late : int
+        Epochs that arrived more than two periods later than the quickest before them. Over many
+        hours the drift between the two clocks looks the same.
+    restarts : int
+        Times that the clock or the counter of the INS was set anew.
+    untimed : int
+        Epochs whose INS time can't be told; dropped.
+    contradicted : int
+        Frames of an epoch beyond one of each kind, with other content than the one before.
+    """
+
+    lost: int = 0
+    repeated: int = 0
+    late: int = 0
+    restarts: int = 0
+    untimed: int = 0
+    contradicted: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Epochs:
+    """Complete epochs in order of arrival.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n,)
+        Where in the block the last frame of each epoch stands.
+    arrival_s : ndarray, shape (n,)
+        Time stamp of its first navigation frame.
+    ins_time_s : ndarray, shape (n,)
+        Time on the clock of the INS.
+    segment : ndarray of int64, shape (n,)
+        Counts the restarts of the INS; times of different segments have nothing in common.
+    """
+
+    rows: IntArray
+    arrival_s: FloatArray
+    ins_time_s: FloatArray
+    segment: IntArray
+    counts: EpochCounts
+
+
+def find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
+    """Find the epochs and their times; see :class:`Epochs`."""
+    groups, incomplete = _group_frames(reader, readout)
+    period_s = readout.map.epoch_period_s
+    if readout.map.epoch_counter is not None:
+        numbers, modulus = readout.value("epoch_counter", groups.rows), _modulus(readout, "epoch_counter")
+    elif readout.map.time_s is not None:
+        numbers, modulus = readout.time_s(groups.rows) / period_s, _modulus(readout, "time_s") / period_s
+    else:
+        times_s = np.round(groups.arrival_s, _STAMP_DECIMALS)
+        one_segment = np.zeros(len(times_s), np.int64)
+        return Epochs(groups.rows, groups.arrival_s, times_s, one_segment, EpochCounts(lost=incomplete))
+    finite = np.isfinite(numbers)
+    numbers, groups = numbers[finite], groups.take(finite)
+    steps, jumped = _follow(numbers, modulus, np.diff(groups.arrival_s) / period_s)
+    new = steps != 0.0
+    position = np.cumsum(steps)[new]
+    groups = groups.take(new)
+    restart = jumped[new]
+    lost = int(np.sum(np.rint(np.diff(position)[~restart[1:]]) - 1.0))
+    times_s = _times(readout, groups, position, restart)
+    timed = ~np.isnan(times_s)
+    contradicted = _count_contradicted(reader, readout, groups.rows, np.where(restart, np.inf, steps[new]))
+    groups, times_s, segment = groups.take(timed), times_s[timed], np.cumsum(restart)[timed]
+    counts = EpochCounts(
+        lost=lost,
+        repeated=int(np.sum(~new)),
+        late=_count_late(groups.arrival_s - times_s, segment, _LATE_PERIODS * period_s),
+        restarts=int(np.sum(restart)),
+        untimed=int(np.sum(~timed)),
+        contradicted=contradicted,
+    )
+    return Epochs(groups.rows, groups.arrival_s, times_s, segment, counts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Groups:
+    """Complete groups of frames: last row, arrival, row of the time frame among them or -1."""
+
+    rows: IntArray
+    arrival_s: FloatArray
+    time_rows: IntArray
+
+    def take(self, chosen: BoolArray) -> _Groups:
+        return _Groups(self.rows[chosen], self.arrival_s[chosen], self.time_rows[chosen])
+
+
+def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
+    """Collect groups, and count how many between the first and the last lack a frame."""
+    names = _messages_in_order(reader, readout)
+    required = np.array([name in readout.map.messages_of_epoch() for name in names])
+    stamps_s = reader.block.timestamp_s
+    place = np.full(len(stamps_s), -1, np.int8)
+    for index, name in enumerate(names):
+        place[reader.rows(name)] = index
+    rows = np.flatnonzero(place >= 0)
+    order = place[rows]
+    # A new epoch: the order begins again, or what should have come in a row did not.
+    again = np.diff(order) <= 0
+    pause = ~again & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
+    counts = [name == _counter_message(readout) for name in names]
+    begins = again | (pause & ~_only_late(readout, rows, again, np.array(counts)[order]))
+    group = np.cumsum(np.concatenate([[True], begins]))[: len(rows)] - 1
+    table = np.full((int(group.max(initial=-1)) + 1, len(names)), -1, np.int64)
+    table[group, order] = rows
+    complete = np.all(table[:, required] >= 0, axis=1)
+    whole = table[complete]
+    of_time = [name == _time_message(readout) for name in names]
+    groups = _Groups(
+        rows=whole.max(axis=1, initial=-1),
+        arrival_s=stamps_s[whole[:, int(np.argmax(required))]],
+        time_rows=whole[:, of_time].max(axis=1, initial=-1),
+    )
+    return groups, int(np.sum(~complete[1:-1]))
+
+
+def _only_late(readout: Readout, rows: IntArray, again: BoolArray, counts: BoolArray) -> BoolArray:
+    """Tell which frames belong to the epoch of the frame before, however late they came.
+
+    Between two counts of the epochs that follow each other there is one epoch. ``again`` tells where the
+    order of the frames begins again, ``counts`` which frames hold a count.
+    """
+    counted = np.flatnonzero(counts)
+    if not len(counted):
+        return np.zeros(len(again), np.bool_)
+    numbers = readout.value("epoch_counter", rows[counted])
+    steps = _nearest(np.diff(numbers), _modulus(readout, "epoch_counter"), 1.0)
+    follows = np.concatenate([[False], steps == 1.0])
+    later = np.arange(1, len(rows))
+    next_count = np.minimum(np.searchsorted(counted, later), len(counted) - 1)
+    group = np.concatenate([[0], np.cumsum(again)])
+    same = (counted[next_count] >= later) & (group[counted[next_count]] == group[later])
+    return np.asarray(same & follows[next_count], np.bool_)
+
+
+def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
+    """List the messages of an epoch, and that of the time, as they follow each other.
+
+    Frames that are ready at once leave in the order of their identifiers, so this is the order
+    unless the map gives another.
+    """
+    members = readout.map.messages_of_epoch()
+    time_message = _time_message(readout)
+    if time_message is not None:
+        members.add(time_message)
+    if readout.map.epoch_messages is None:
+        return sorted(members, key=reader.codec.arbitration_id)
+    first = members - set(readout.map.epoch_messages)
+    return [*first, *(name for name in readout.map.epoch_messages if name in members)]
+
+
+def _time_message(readout: Readout) -> str | None:
+    return readout.signals["time_s"].message if "time_s" in readout.signals else None
+
+
+def _counter_message(readout: Readout) -> str | None:
+    return readout.signals["epoch_counter"].message if "epoch_counter" in readout.signals else None
+
+
+def _modulus(readout: Readout, path: str) -> float:
+    """Tell what a quantity wraps at; infinite if it does not."""
+    return readout.signals[path].modulus if path in readout.signals else np.inf
+
+
+def _follow(numbers: FloatArray, modulus: float, passed: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Find the steps from number to number (the first is 1), and where the numbering was set anew.
+
+    ``passed`` is the number of epochs that the arrival says have passed in each step; where its clock was
+    set back, that is nothing to go by.
+    """
+    passed = np.where(passed < 0.0, 1.0, passed)
+    steps = _nearest(np.diff(numbers), modulus, passed)
+    jump = min(_JUMP, modulus / 4.0)
+    jumped = (steps < 0.0) | (steps - passed > jump)
+    count = len(numbers)
+    return np.concatenate([[1.0], steps])[:count], np.concatenate([[False], jumped])[:count]
+
+
+def _nearest(steps: FloatArray, modulus: float, expected: FloatArray | float) -> FloatArray:
+    """Take from each step the wraps that bring it nearest to what is expected."""
+    return steps if np.isinf(modulus) else steps + modulus * np.rint((expected - steps) / modulus)
+
+
+def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: BoolArray) -> FloatArray:
+    """INS time of each epoch, NaN where it can't be told.
+
+    Where two times of the INS contradict the count of epochs between them, its clock was set
+    anew somewhere there: those epochs have no time and ``restart`` is marked at the second.
+    """
+    period_s = readout.map.epoch_period_s
+    if readout.map.time_s is not None:
+        known = np.flatnonzero(groups.time_rows >= 0)
+        known_s = readout.time_s(groups.time_rows[known])
+        known, known_s = known[np.isfinite(known_s)], known_s[np.isfinite(known_s)]
+    else:
+        known = np.flatnonzero(np.concatenate([[True], restart[1:]])[: len(restart)])
+        known_s = np.round(groups.arrival_s[known], _STAMP_DECIMALS)
+    offsets_s = known_s - position[known] * period_s
+    continuous = np.diff(np.cumsum(restart)[known]) == 0
+    changes_s = np.where(
+        continuous, _nearest(np.diff(offsets_s), _modulus(readout, "time_s"), 0.0), np.diff(offsets_s)
+    )
+    offsets_s[1:] = offsets_s[:1] + np.cumsum(changes_s)
+    contradicted = continuous & (np.abs(changes_s) > period_s / 2.0)
+    restart[known[1:][contradicted]] = True
+    times_s = position * period_s + _interpolated(position, np.cumsum(restart), known, offsets_s)
+    for first, second in zip(known[:-1][contradicted], known[1:][contradicted], strict=True):
+        times_s[first + 1 : second] = np.nan
+    return np.round(times_s, _TIME_DECIMALS)
+
+
+def _interpolated(
+    position: FloatArray, segment: IntArray, known: IntArray, offsets_s: FloatArray
+) -> FloatArray:
+    """Offsets at every position from those at the known ones of the same segment."""
+    result = np.full(len(position), np.nan)
+    for run in _runs(segment):
+        inside = slice(*np.searchsorted(known, (run.start, run.stop)))
+        if inside.start < inside.stop:
+            result[run] = np.interp(position[run], position[known[inside]], offsets_s[inside])
+    return result
+
+
+def _count_contradicted(reader: BlockReader, readout: Readout, ends: IntArray, steps: FloatArray) -> int:
+    """Count frames that no epoch accounts for; each of ``steps`` is how many lead to an epoch's end."""
+    if not len(ends):
+        return 0
+    contradicted = 0
+    for message in readout.map.messages_of_epoch():
+        rows = reader.rows(message)
+        data = reader.block.data[rows]
+        other = np.concatenate([[True], (data[1:] != data[:-1]).any(axis=1)])[: len(rows)]
+        found = np.bincount(np.searchsorted(ends, rows[other]), minlength=len(ends) + 1)
+        # What came before the first epoch and after the last one belongs to epochs that are cut off.
+        contradicted += int(np.maximum(found[1 : len(ends)] - steps[1:], 0.0).sum())
+    return contradicted
+
+
+def _count_late(delays_s: FloatArray, segment: IntArray, tolerance_s: float) -> int:
+    late = 0
+    for run in _runs(segment):
+        late += int(np.sum(delays_s[run] - np.minimum.accumulate(delays_s[run]) > tolerance_s))
+    return late
+
+
+def _runs(segment: IntArray) -> Iterator[slice]:
+    """Stretches of equal segment number."""
+    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
+    for start, stop in pairwise(edges):
+        if start < stop:
+            yield slice(start, stop)

@@ -16,10 +16,9 @@ from gyrobench.drivers.ins.attitude import (
     attitude_matrices,
     quaternion_matrices,
 )
-from gyrobench.drivers.ins.bound_signals import BoundSignal
-from gyrobench.drivers.ins.signal_map import EulerMap, SignalMap
-
-Rows = IntArray
+from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.signal_map import BoundSignal, EulerMap, SignalMap
 
 
 class InsMode(IntEnum):
@@ -45,7 +44,7 @@ class Alignment(IntEnum):
 class Reader(Protocol):
     """Where the values of bound signals come from."""
 
-    def held(self, bound: BoundSignal, rows: Rows) -> FloatArray:
+    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
         """Last value that had arrived at each of those moments, NaN before the first."""
         ...
 
@@ -63,30 +62,30 @@ class Readout:
         self.signals = signals
         self._reader = reader
 
-    def value(self, path: str, rows: Rows) -> FloatArray:
+    def value(self, path: str, rows: IntArray) -> FloatArray:
         """Read one quantity by its path, shape (n,)."""
         if path not in self.signals:
             return np.full(len(rows), np.nan)
         return self._reader.held(self.signals[path], rows)
 
-    def values(self, paths: Sequence[str], rows: Rows) -> FloatArray:
+    def values(self, paths: Sequence[str], rows: IntArray) -> FloatArray:
         """Read several quantities side by side, shape (n, number of paths)."""
         return np.stack([self.value(path, rows) for path in paths], axis=-1)
 
-    def velocity_enu_mps(self, rows: Rows) -> FloatArray:
+    def velocity_enu_mps(self, rows: IntArray) -> FloatArray:
         """Read the velocity, shape (n, 3)."""
         return self.values(("velocity_east", "velocity_north", "velocity_up"), rows)
 
-    def axes(self, name: str, rows: Rows) -> FloatArray:
+    def axes(self, name: str, rows: IntArray) -> FloatArray:
         """Read a quantity of the three body axes, shape (n, 3)."""
         return self.values([f"{name}.{axis}" for axis in "xyz"], rows)
 
-    def time_s(self, rows: Rows) -> FloatArray:
+    def time_s(self, rows: IntArray) -> FloatArray:
         """Read the clock of the INS, shape (n,)."""
         seconds = self.value("time_s", rows)
         return seconds + self.value("time_ns", rows) if "time_ns" in self.signals else seconds
 
-    def mode(self, rows: Rows) -> NDArray[np.int8]:
+    def mode(self, rows: IntArray) -> NDArray[np.int8]:
         """Read the :class:`InsMode`, shape (n,)."""
         if self.map.mode is None:
             return np.full(len(rows), InsMode.UNKNOWN, np.int8)
@@ -99,7 +98,7 @@ class Readout:
         }
         return _coded(self.value("mode", rows), codes, InsMode.BOOT)
 
-    def alignment(self, rows: Rows) -> NDArray[np.int8]:
+    def alignment(self, rows: IntArray) -> NDArray[np.int8]:
         """Read the :class:`Alignment`, shape (n,)."""
         if self.map.alignment is None:
             return np.full(len(rows), Alignment.UNKNOWN, np.int8)
@@ -109,7 +108,7 @@ class Readout:
         }
         return _coded(self.value("alignment", rows), codes, Alignment.NONE)
 
-    def attitude(self, rows: Rows) -> FloatArray:
+    def attitude(self, rows: IntArray) -> FloatArray:
         """Read ``C_nb``, shape (n, 3, 3)."""
         if self.map.attitude.euler is not None:
             matrices = self._from_euler(self.map.attitude.euler, rows)
@@ -119,7 +118,7 @@ class Readout:
             matrices[self.value("attitude.valid", rows) == 0.0] = np.nan
         return matrices
 
-    def euler_sequence(self, rows: Rows) -> NDArray[np.int8]:
+    def euler_sequence(self, rows: IntArray) -> NDArray[np.int8]:
         """Read the index into ``list(EulerSequence)``; -1 where it is not known or there is none."""
         euler = self.map.attitude.euler
         sequences = list(EulerSequence)
@@ -130,7 +129,7 @@ class Readout:
         )
         return _coded(self.value("attitude.euler.sequence", rows), codes, -1)
 
-    def _from_euler(self, euler: EulerMap, rows: Rows) -> FloatArray:
+    def _from_euler(self, euler: EulerMap, rows: IntArray) -> FloatArray:
         roll, pitch, yaw = self.values([f"attitude.euler.{n}" for n in ("roll", "pitch", "yaw")], rows).T
         if euler.yaw_positive == "down":
             yaw = -yaw
@@ -141,7 +140,7 @@ class Readout:
             matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
         return matrices
 
-    def _from_quaternion(self, rows: Rows) -> FloatArray:
+    def _from_quaternion(self, rows: IntArray) -> FloatArray:
         assert self.map.attitude.quaternion is not None  # noqa: S101 - the map has one of the two
         frames = QuaternionFrames(self.map.attitude.quaternion.frames)
         return quaternion_matrices(frames, *self.values([f"attitude.quaternion.{n}" for n in "wxyz"], rows).T)
@@ -153,3 +152,29 @@ def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int
         codes[np.isin(values, raw)] = code
     codes[np.isnan(values)] = -1
     return codes
+
+
+class BlockReader:
+    """Values of bound signals in one block; each message is decoded once."""
+
+    def __init__(self, block: FrameBlock, codec: DbcCodec) -> None:
+        self.block = block
+        self.codec = codec
+        self._decoded: dict[str, tuple[IntArray, dict[str, FloatArray]]] = {}
+
+    def rows(self, message: str) -> IntArray:
+        """Where in the block the frames of a message stand."""
+        return self._message(message)[0]
+
+    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
+        """Last value that had arrived at each of those rows of the block; NaN before the first."""
+        frames, decoded = self._message(bound.message)
+        values = np.append(bound.to_si(decoded[bound.signal.name]), np.nan)
+        # Index -1, where nothing had arrived yet, is the NaN at the end.
+        return np.asarray(values[np.searchsorted(frames, rows, side="right") - 1])
+
+    def _message(self, message: str) -> tuple[IntArray, dict[str, FloatArray]]:
+        if message not in self._decoded:
+            rows = self.codec.rows(self.block, message)
+            self._decoded[message] = rows, self.codec.decode(self.block, message)
+        return self._decoded[message]

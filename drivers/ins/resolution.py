@@ -23,9 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.drivers.ins.bound_signals import BoundSignal, bind_signals
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.signal_map import SignalMap
+from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap, bind_signals
 
 #: Bias difference between positions that a rotational INS of 1 nmi in 24 h allows.
 LIMIT_DPH = 0.001

@@ -19,11 +19,14 @@ from collections.abc import Mapping, Sequence
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
-from gyrobench.drivers.dialects import LineDefaults
-from gyrobench.drivers.rate_table import AxisLimits, TableReading
-from gyrobench.drivers.rate_table.dialect import TableDialect
-from gyrobench.drivers.rate_table.standstill import await_standstill, require_rest
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.rate_table import (
+    AxisLimits,
+    TableDialect,
+    TableReading,
+    await_standstill,
+    require_rest,
+)
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import TextLine
 
 _PROMPT = b">"

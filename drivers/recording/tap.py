@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.files import cant_be_written, make_folder
-from gyrobench.drivers.recording.document import RecordingHeader, Transfer, header_text
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.drivers.recording.recording_file import RecordingFile, RecordingHeader
 
 #: What waits unread when a driver throws it away; more of it is not kept.
 _MOST_DISCARDED = 65536
@@ -45,46 +45,6 @@ class LinePort(Protocol):
     def close(self) -> None:
         """Close."""
         ...
-
-
-class RecordingFile:
-    """A recording that is being written; each transfer is in the file at once.
-
-    Parameters
-    ----------
-    path : Path
-        Must not exist.
-    clock : Clock
-        Gives the times; the recording begins now.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be made.
-    """
-
-    def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
-        self._clock = clock
-        self._start_s = clock.now()
-        began = clock.utc().isoformat(timespec="seconds")
-        try:
-            self._file = path.open("x", encoding="utf-8", buffering=1)
-            self._file.write(header_text(header.model_copy(update={"recorded_utc": began})))
-        except OSError as error:
-            raise cant_be_written(path, error) from error
-
-    def add(self, is_sent: bool, data: bytes) -> None:
-        """Keep what went through just now; a full disk ends the recording, not the line."""
-        if data and not self._file.closed:
-            try:
-                self._file.write(Transfer(self._clock.now() - self._start_s, is_sent, data).text())
-            except OSError:
-                self.close()
-
-    def close(self) -> None:
-        """End the recording; a second call does nothing."""
-        with contextlib.suppress(OSError):
-            self._file.close()
 
 
 class RecordedPort:

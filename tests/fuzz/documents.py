@@ -9,19 +9,20 @@ from typing import Any
 import cantools
 import numpy as np
 
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document, read_document
-from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.checks import StationLimits
 from gyrobench.bench.procedure.steps import GoTo, Turn
 from gyrobench.bench.procedure.timeline import timeline_rows
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import EmulatedBench
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.frames import FrameBlock
 from tests.fuzz.checks import WrongResultError, check_document, check_finite, written
 
 #: How often a bench with faults is looked at, and after how long each time.

@@ -20,7 +20,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from tests.soak.faults import KindTally, outcomes_of

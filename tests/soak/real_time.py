@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal

@@ -11,18 +11,18 @@ from pathlib import Path
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.text import listed, spoken
-from gyrobench.bench.messages.secret import read_secret
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.text import listed, plain_name
+from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.telemetry import COLUMNS
-from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.check import Check, Verdict
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
-from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.locks import BenchLock
+from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns
 
@@ -170,5 +170,5 @@ def _message_check(receiver: Receiver) -> Check:
         return Check.of(
             "messages", receiver.kind, False, str(error), "Add the secret, or remove the receiver."
         )
-    events = listed([spoken(event) for event in receiver.on])
+    events = listed([plain_name(event) for event in receiver.on])
     return Check.of("messages", receiver.kind, True, f"{receiver.address} receives: {events}", "")

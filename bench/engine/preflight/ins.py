@@ -17,8 +17,8 @@ from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.station.check import Check
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.can_ins import CanIns
-from gyrobench.drivers.ins.frames import FrameBlock
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.navigation_data import NavigationData, decode_navigation
 from gyrobench.drivers.ins.readout import Alignment, InsMode

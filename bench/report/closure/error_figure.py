@@ -17,8 +17,8 @@ from gyrobench.bench.report.closure.residuals import (
     scale_of_errors,
 )
 from gyrobench.bench.report.closure.style import AFTER_COLOUR, BEFORE_COLOUR, NOISE_COLOUR
-from gyrobench.bench.report.style import house_style, new_figure
-from gyrobench.bench.report.wording import BiasScale
+from gyrobench.bench.report.figures.style import house_style, new_figure
+from gyrobench.bench.report.number_format import BiasScale
 
 _BINS_C = (5.0, 10.0, 20.0, 50.0)
 _MOST_BINS = 12

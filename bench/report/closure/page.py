@@ -12,8 +12,7 @@ from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.report.closure.residuals import held_out_cycles
 from gyrobench.bench.report.closure.section import closure_sections
 from gyrobench.bench.report.closure.wording import verdict_sentence
-from gyrobench.bench.report.page.findings import Findings
-from gyrobench.bench.report.page.findings_page import write_findings
+from gyrobench.bench.report.page import Findings, write_findings
 
 #: Colours of the template's box, by verdict.
 _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped", "unexplained": "failed"}

@@ -11,7 +11,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from gyrobench.bench.report.closure.style import BAND_COLOUR, draw_dwells
-from gyrobench.bench.report.style import house_style, new_figure
+from gyrobench.bench.report.figures.style import house_style, new_figure
 
 _S_PER_H = 3600.0
 _ROOM = 1.1

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.report.wording import BiasScale
+from gyrobench.bench.report.number_format import BiasScale
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.report.closure.page import write_closure_page
-from gyrobench.bench.report.html import write_report
+from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 
 

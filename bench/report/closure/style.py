@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
-from gyrobench.bench.report.style import GYRO_STYLES
+from gyrobench.bench.report.figures.style import GYRO_STYLES
 
 #: Bars before and after; candidates that were found, are tied, or neither.
 BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.report.closure.residuals import held_out_cycles, noise_dph, rms, scale_of_errors
 from gyrobench.bench.report.closure.rows import effect_table, evidence_table, tried_caption
 from gyrobench.bench.report.closure.wording import chain, verdict_sentence
-from gyrobench.bench.report.terminal.parts import plain_table, topics
+from gyrobench.bench.report.terminal.tables import plain_table, topics
 
 
 def closure_summary(closure: Closure) -> RenderableType:

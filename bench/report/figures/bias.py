@@ -1,11 +1,9 @@
-"""Bias against temperature, position by position.
-
-Counterparts of the paper's Figs. 8, 9, 12 and 13.
+"""Bias against temperature by position, of one run or two, and the largest differences between positions.
 
 References
 ----------
 Yu et al., "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial
-Navigation System Based on Ring Laser Gyroscope", section 5.
+Navigation System Based on Ring Laser Gyroscope", section 5: Figs. 8, 9, 12 and 13.
 """
 
 from __future__ import annotations
@@ -14,20 +12,23 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.style import (
+from gyrobench.bench.report.figures.style import (
+    GYRO_STYLES,
     POSITION_STYLES,
     house_style,
     mark_paper_limit,
     new_figure,
     say_empty,
 )
-from gyrobench.bench.report.wording import PAPER, STATE_SPACE, BiasScale
+from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, scale_of_bins
+from gyrobench.bench.report.statements import SIGNIFICANCE, differing
 
 #: Room above and below the biases, as matplotlib leaves it.
 _MARGIN = 1.1
@@ -171,5 +172,115 @@ def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
         markersize=5.5,
         markerfacecolor=style.face,
         color=style.colour,
+        capsize=2.0,
+    )
+
+
+@house_style
+def before_after_figure(gyro: str, before: Sequence[BiasBin], after: Sequence[BiasBin]) -> Figure:
+    """Draw one gyro's bias against its temperature, a line for each position, a panel for each run.
+
+    Parameters
+    ----------
+    gyro : {"x", "y", "z"}
+        Which gyro.
+    before, after : sequence of BiasBin
+        Of the two runs; those of other gyros are left out.
+    """
+    runs = [[each for each in bins if each.gyro == gyro and not each.is_empty] for bins in (before, after)]
+    scale = scale_of_bins([each for bins in runs for each in bins])
+    figure = new_figure(3.6)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, name, bins in zip(panels, ("before", "after"), runs, strict=True):
+        axes.set(title=f"{gyro_label(gyro)}, {name}", xlabel="temperature of the gyro / °C")
+        for position in POSITIONS:
+            draw_bins(axes, [each for each in bins if each.position == position], scale)
+        if not bins:
+            say_empty(axes, "no dwell gave a bias")
+    panels[0].set(ylabel=f"bias / ({scale.unit})")
+    handles: dict[str, Artist] = {}
+    for axes in panels:
+        if any(runs):
+            mark_paper_limit(axes, along="x")
+        lines, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, lines, strict=True))
+    if handles:
+        figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=len(POSITIONS))
+    return figure
+
+
+_LIMIT_COLOUR = "#b3261e"
+
+
+@house_style
+def position_difference_figure(
+    comparisons: Sequence[PositionComparison], limit_dph: float | None = None
+) -> Figure:
+    """Draw the largest difference between positions in every bin of the three gyros.
+
+    Filled markers are differences that chance does not explain; see
+    :func:`gyrobench.bench.report.statements.differing`. The acceptance limit, if any, is a red line.
+    """
+    found = differing(comparisons)
+    scale = BiasScale.of(
+        [each.largest_difference_dph for each in comparisons],
+        [each.largest_difference_sigma_dph for each in comparisons],
+    )
+    figure = new_figure(3.6)
+    axes = figure.add_subplot()
+    for number, gyro in enumerate(AXES):
+        for is_found in (True, False):
+            chosen = [each for each in comparisons if each.gyro == gyro and (each in found) is is_found]
+            _draw_differences(axes, chosen, scale, shift=0.22 * (number - 1), is_found=is_found)
+    axes.set(
+        title="Largest difference between two positions",
+        xlabel="temperature of the gyro, bin / °C",
+        ylabel=f"difference / ({scale.unit})",
+    )
+    if comparisons:
+        axes.set_ylim(bottom=0.0)
+        if limit_dph is not None:
+            _mark_limit(axes, limit_dph * scale.factor)
+        mark_paper_limit(axes, along="x")
+        figure.legend(loc="outside upper center", ncols=len(AXES))
+    else:
+        say_empty(axes, "no bin holds dwells of two positions")
+    return figure
+
+
+def _mark_limit(axes: Axes, limit: float) -> None:
+    axes.axhline(limit, color=_LIMIT_COLOUR, linewidth=1.0)
+    axes.set_ylim(top=max(axes.get_ylim()[1], 1.15 * limit))
+    axes.annotate(
+        "limit of acceptance",
+        (0.0, limit),
+        (3, 2),
+        xycoords=axes.get_yaxis_transform(),
+        textcoords="offset points",
+        color=_LIMIT_COLOUR,
+        fontsize=7,
+    )
+
+
+def _draw_differences(
+    axes: Axes, comparisons: Sequence[PositionComparison], scale: BiasScale, shift: float, is_found: bool
+) -> None:
+    if not comparisons:
+        return
+    gyro = comparisons[0].gyro
+    colour, _, marker = GYRO_STYLES[gyro]
+    verdict = f"p < {SIGNIFICANCE:g}" if is_found else "no difference found"
+    widths = [each.bin_high_c - each.bin_low_c for each in comparisons]
+    axes.errorbar(
+        [0.5 * (c.bin_low_c + c.bin_high_c) + shift * w for c, w in zip(comparisons, widths, strict=True)],
+        [each.largest_difference_dph * scale.factor for each in comparisons],
+        [each.largest_difference_sigma_dph * scale.factor for each in comparisons],
+        label=f"{gyro_label(gyro)}, {verdict}",
+        linestyle="none",
+        marker=marker,
+        markersize=5.0,
+        markerfacecolor=colour if is_found else "white",
+        color=colour,
+        elinewidth=0.9,
         capsize=2.0,
     )

@@ -1,17 +1,27 @@
-"""What the paper's method leaves out: its bias less that of the state-space estimator."""
+"""How the estimators differ, and whether the error model explains the data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.bias.statistics import uniformity_band
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.style import POSITION_STYLES, house_style, mark_paper_limit, new_figure, say_empty
-from gyrobench.bench.report.wording import PAPER, STATE_SPACE, BiasScale
+from gyrobench.bench.report.figures.style import (
+    POSITION_STYLES,
+    house_style,
+    mark_paper_limit,
+    new_figure,
+    say_empty,
+)
+from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale
+from gyrobench.bench.report.statements import SIGNIFICANCE
 
 _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 
@@ -36,7 +46,7 @@ def estimators_figure(dwells: Iterable[DwellRow]) -> Figure:
     for axis, (gyro, axes) in enumerate(zip(AXES, panels, strict=True)):
         axes.set_title(gyro_label(gyro))
         axes.axhline(0.0, color="#444444", linewidth=0.9)
-        _draw(axes, axis, both, scale)
+        _draw_estimator_differences(axes, axis, both, scale)
     panels[0].set_ylabel(f"{PAPER} less\n{STATE_SPACE} / ({scale.unit})")
     panels[1].set_xlabel("temperature of the gyro / °C")
     if both:
@@ -58,7 +68,7 @@ def differences_dph(row: DwellRow) -> list[tuple[float, float]]:
     return [(paper - bias, math.hypot(sigma, paper_sigma)) for bias, sigma, paper, paper_sigma in both]
 
 
-def _draw(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> None:
+def _draw_estimator_differences(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> None:
     temperatures = [row.gyro_c[axis] for row in rows]
     dodge_c = _DODGE * (max(temperatures, default=0.0) - min(temperatures, default=0.0))
     for place, (position, style) in enumerate(POSITION_STYLES.items()):
@@ -80,3 +90,108 @@ def _draw(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> 
             bars[0].set_alpha(0.4)
     if rows:
         mark_paper_limit(axes, along="x")
+
+
+#: The band that leaves out as much as the test of the text rejects.
+_MANY = 1.0 - SIGNIFICANCE
+#: Fewer p-values have no distribution to speak of.
+_FEWEST_FOR_DISTRIBUTION = 5
+#: The residuals' axis holds at least this, so that a scatter of a few percent looks like one.
+_RATIOS = (0.8, 1.2)
+_MARGIN = 0.05
+
+
+@house_style
+def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
+    """Draw how large the residuals of each dwell are, and how their p-values are distributed.
+
+    A few dwells have no distribution: see :func:`has_distribution`.
+
+    Parameters
+    ----------
+    dwells : iterable of DwellRow
+        Dwells without a test of fit are left out; those with flags are crossed out.
+    """
+    tested = _tested(dwells)
+    figure = new_figure(3.4)
+    ratios = [1.5, 1.0] if has_distribution(tested) else [1.0]
+    panels = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
+    panels[0].set(title="Size of the residuals", xlabel="dwell", ylabel="residual / expected")
+    if not tested:
+        say_empty(panels[0], "no dwell was tested")
+        return figure
+    _draw_ratios(panels[0], tested)
+    for axes in panels[1:]:
+        _draw_distribution(axes, [row.fit_p_value for row in tested])
+    figure.legend(loc="outside lower center", ncols=len(POSITIONS) + 1)
+    return figure
+
+
+def has_distribution(dwells: Iterable[DwellRow]) -> bool:
+    """Whether enough dwells were tested for a distribution of their p-values."""
+    return len(_tested(dwells)) >= _FEWEST_FOR_DISTRIBUTION
+
+
+def _tested(dwells: Iterable[DwellRow]) -> list[DwellRow]:
+    return [row for row in dwells if not math.isnan(row.fit_p_value)]
+
+
+def _draw_ratios(axes: Axes, rows: Sequence[DwellRow]) -> None:
+    axes.axhline(1.0, color="#444444", linewidth=0.9)
+    for position, style in POSITION_STYLES.items():
+        own = [row for row in rows if row.position == position]
+        if own:
+            axes.plot(
+                [row.dwell for row in own],
+                [row.fit_ratio for row in own],
+                label=position_label(position),
+                linestyle="none",
+                marker=style.marker,
+                markersize=4.5,
+                markerfacecolor=style.face,
+                color=style.colour,
+            )
+    flagged = [row for row in rows if row.flags]
+    if flagged:
+        axes.plot(
+            [row.dwell for row in flagged],
+            [row.fit_ratio for row in flagged],
+            label="flagged",
+            linestyle="none",
+            marker="x",
+            markersize=8.0,
+            color="#b3261e",
+        )
+    _set_ranges(axes, [row.dwell for row in rows], [row.fit_ratio for row in rows])
+
+
+def _set_ranges(axes: Axes, numbers: Sequence[int], ratios: Sequence[float]) -> None:
+    low, high = min(*ratios, _RATIOS[0]), max(*ratios, _RATIOS[1])
+    margin = _MARGIN * (high - low)
+    side = max(_MARGIN * (max(numbers) - min(numbers)), 0.5)
+    axes.set(ylim=(low - margin, high + margin), xlim=(min(numbers) - side, max(numbers) + side))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def _draw_distribution(axes: Axes, p_values: Sequence[float]) -> None:
+    """Draw the share of dwells below each p-value, and the band that chance keeps it in."""
+    axes.set(title="p-values", xlabel="p-value of the fit", ylabel="share of dwells below")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    count = len(p_values)
+    band = uniformity_band(count, _MANY)
+    ends = np.array([0.0, 1.0])
+    axes.fill_between(ends, ends - band, ends + band, color="#dddddd", label="_chance", linewidth=0.0)
+    axes.plot(ends, ends, color="#444444", linewidth=0.9)
+    axes.annotate(
+        f"grey: {_MANY:.0%} by chance",
+        (1.0, 0.0),
+        (-3, 3),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="right",
+        fontsize=7,
+        color="#444444",
+    )
+    axes.step(
+        [0.0, *np.sort(p_values), 1.0], [*np.arange(count + 1) / count, 1.0], where="post", color="#0072B2"
+    )

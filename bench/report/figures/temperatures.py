@@ -24,7 +24,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
-from gyrobench.bench.report.style import (
+from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
     house_style,

@@ -1,7 +1,8 @@
-"""Tables for a terminal of 80 columns, readable without colour."""
+"""Tables for a terminal of 80 columns: biases, plan, durations, acceptance, preflight."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 
 from rich import box
@@ -9,20 +10,48 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
+from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.timeline import TimelineRow, hours_minutes
-from gyrobench.bench.report.durations import Took, clock_time, durations_by_kind
-from gyrobench.bench.report.findings import (
+from gyrobench.bench.report.journal_sections import Took, clock_time, durations_by_kind
+from gyrobench.bench.report.number_format import (
+    NO_PAPER,
+    BiasScale,
+    bins_by_temperature,
+    p_text,
+    scale_of_bins,
+)
+from gyrobench.bench.report.statements import (
     NOTHING_TO_COMPARE,
     agreement_sentence,
     differing,
     equality_sentence,
+    place_of,
     scatter_sentence,
+    verdict_sentence,
 )
-from gyrobench.bench.report.wording import NO_PAPER, BiasScale, bins_by_temperature, p_text, scale_of_bins
+from gyrobench.bench.station.check import Check, Verdict
+
+
+def plain_table(headers: Sequence[str], words: int, *, fold: bool = True) -> Table:
+    """Make an empty table: columns of words at the left, those of numbers after them."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for number, header in enumerate(headers):
+        table.add_column(header, justify="left" if number < words else "right", no_wrap=not fold)
+    return table
+
+
+def topics(pairs: Iterable[tuple[str, str]]) -> Table:
+    """Put sentences beside what they are about."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column()
+    for topic, sentence in pairs:
+        table.add_row(Text(topic), Text(sentence))
+    return table
+
 
 _COLUMNS = 80
 _P_VALUE = (
@@ -45,7 +74,7 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
     bins : sequence of BiasBin
         Of one unit.
     comparisons : sequence of PositionComparison
-        What :func:`gyrobench.bench.bias.equality.compare_positions` makes of them.
+        What :func:`gyrobench.bench.bias.bins.compare_positions` makes of them.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))
@@ -65,7 +94,7 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
 def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
     """Show what a plan does, when, and for how long."""
     dwells = sum(row.dwells for row in rows)
-    table = _table("Plan, times in h:mm", show_footer=True)
+    table = _titled_table("Plan, times in h:mm", show_footer=True)
     table.add_column("start", footer="all", justify="right", no_wrap=True)
     table.add_column("takes", footer=hours_minutes(total_s), justify="right", no_wrap=True)
     table.add_column("dwells", footer=str(dwells), justify="right", no_wrap=True)
@@ -87,7 +116,7 @@ def durations_table(took: Took) -> RenderableType:
     kinds = durations_by_kind(took)
     if not kinds:
         return Text("No step was finished.")
-    table = _table("Planned and real duration, h:mm:ss")
+    table = _titled_table("Planned and real duration, h:mm:ss")
     table.add_column("kind of step")
     for header in ("steps", "planned", "took", "difference"):
         table.add_column(header, justify="right", no_wrap=True)
@@ -127,18 +156,18 @@ def _gyro_table(
     positions = [name for name in POSITIONS if name in measured]
     rows = []
     for low, high, members in bins_by_temperature(bins):
-        cells = _cells(members, positions, scale)
+        cells = _bias_cells(members, positions, scale)
         rows.append([bin_label(low, high, ".."), *cells, p_values.get(low, "")])
         by_paper = paper_bins(members)
         if not all(each.is_empty for each in by_paper):
-            rows.append([_PAPER, *_cells(by_paper, positions, scale), paper_p_values.get(low, "")])
+            rows.append([_PAPER, *_bias_cells(by_paper, positions, scale), paper_p_values.get(low, "")])
     headers = ["bin", *map(position_label, positions), "p equal"]
     if p_values:
         return _filled_table(headers, rows)
     return _filled_table(headers[:-1], [row[:-1] for row in rows])
 
 
-def _cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasScale) -> list[str]:
+def _bias_cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasScale) -> list[str]:
     texts = {
         each.position: scale.with_sigma(each.bias_dph, each.sigma_dph, "±")
         for each in bins
@@ -149,7 +178,7 @@ def _cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasScale) 
 
 def _filled_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """Put uncertainties below their biases where the rows are too wide for the terminal."""
-    table = _table()
+    table = _titled_table()
     for header in headers:
         table.add_column(header, justify="right", no_wrap=header in ("bin", "p equal"))
     between = "±" if _width(headers, rows) <= _COLUMNS else "\n±"
@@ -173,7 +202,7 @@ def _width(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     return sum(widths) + len(widths) - 1
 
 
-def _table(title: str | None = None, *, show_footer: bool = False) -> Table:
+def _titled_table(title: str | None = None, *, show_footer: bool = False) -> Table:
     return Table(
         title=title,
         title_justify="left",
@@ -184,3 +213,62 @@ def _table(title: str | None = None, *, show_footer: bool = False) -> Table:
         padding=0,
         show_footer=show_footer,
     )
+
+
+def acceptance_summary(acceptance: Acceptance) -> RenderableType:
+    """One line for each gyro, and the verdict on the unit."""
+    verdict = Text(f"Unit {acceptance.verdict}. {verdict_sentence(acceptance)}", style="bold")
+    judged = acceptance.judgements
+    if not judged:
+        return verdict
+    scale = BiasScale.of([each.limit_dph for each in judged], [each.sigma_dph for each in judged])
+    heading = f"Acceptance: largest differences in {scale.unit}, limits of the true ones"
+    headers = ["gyro", "verdict", "where", "bin/°C", "measured", "true", "limit"]
+    table = plain_table(headers, words=4, fold=False)
+    for gyro in AXES:
+        deciding = acceptance.deciding(gyro)
+        cells = ["", "", "", "", ""]
+        if deciding is not None:
+            cells = [
+                place_of(deciding).replace(" above ", " - "),
+                bin_label(deciding.bin_low_c, deciding.bin_high_c, ".."),
+                scale.text(deciding.value_dph),
+                f"{scale.text(deciding.at_least_dph)}..{scale.text(deciding.at_most_dph)}",
+                scale.text(deciding.limit_dph),
+            ]
+        table.add_row(gyro_label(gyro), acceptance.gyros.get(gyro, ""), *map(Text, cells))
+    return Group(Text(heading, style="bold"), table, verdict)
+
+
+_STYLES = {Verdict.PASS: "green", Verdict.FAIL: "bold red", Verdict.SKIPPED: "yellow"}
+
+
+def preflight_report(checks: Sequence[Check]) -> RenderableType:
+    """Every check with its verdict, what was found and what to do, and the sum of them."""
+    parts: list[RenderableType] = []
+    for subject, group in itertools.groupby(checks, key=lambda check: check.subject):
+        parts += [Text(subject, style="bold"), _check_table(list(group))]
+    return Group(*parts, Text(), _sum(checks))
+
+
+def _check_table(checks: Sequence[Check]) -> Table:
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(width=9)
+    table.add_column(width=19)
+    table.add_column()
+    for check in checks:
+        found = Text(check.found)
+        if check.advice:
+            found.append(f"\n{check.advice}", style="italic")
+        table.add_row(Text(f"  {check.verdict}", style=_STYLES[check.verdict]), Text(check.what), found)
+    return table
+
+
+def _sum(checks: Sequence[Check]) -> Text:
+    counts = {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
+    numbers = (
+        f"{counts[Verdict.PASS]} passed, {counts[Verdict.FAIL]} failed, {counts[Verdict.SKIPPED]} skipped"
+    )
+    if counts[Verdict.FAIL]:
+        return Text(f"{numbers}: not ready for a run.", style="bold red")
+    return Text(f"{numbers}: nothing speaks against a run.", style="bold")

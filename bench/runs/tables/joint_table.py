@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gyrobench.bench.bias.joint.solution import JointSolution
-from gyrobench.bench.bias.joint.vertical_pairs import Finding, UpRate
+from gyrobench.bench.bias.joint_solution import JointSolution
+from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -76,7 +76,7 @@ class JointStopRow:
         Test that the half-differences of all gyros are equal.
     finding : str
         What the half-differences of the vertical gyros are: name of a
-        :class:`gyrobench.bench.bias.joint.vertical_pairs.Finding`.
+        :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
     fit_p_value, any_north_p_value : float
         Test that the dwells agree on what they share, with the latitude as declared and with any
         rate North.

@@ -12,13 +12,13 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from gyrobench.bench.bias.noise.allan import AllanVariance, RateNoise
-from gyrobench.bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
+from gyrobench.bench.bias.allan import AllanVariance, RateNoise
+from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate, NoiseParameter
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.foundations.files import parse_json
 from gyrobench.bench.navigation.positions import AXES
 
 _UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
 from gyrobench.bench.navigation.error_model import Site

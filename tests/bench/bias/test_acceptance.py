@@ -6,11 +6,10 @@ import pytest
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.stops import PlannedDwell
-from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
+from gyrobench.bench.bias.plateaus import PlannedDwell
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, read_acceptance, write_acceptance
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.runs.tables.acceptance_file import read_acceptance, write_acceptance
 
 LIMITS = AcceptanceLimits(position_difference_dph=0.006)
 SIGMA_DPH = 0.001

@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.stops import PlannedDwell
+from gyrobench.bench.bias.plateaus import PlannedDwell
 from gyrobench.bench.bias.verdicts import AcceptanceLimits
 from gyrobench.bench.navigation.positions import POSITIONS
 

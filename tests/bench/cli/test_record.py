@@ -3,8 +3,8 @@
 import can
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.drivers.recording.document import read_recording
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.drivers.recording.recording_file import read_recording
 from tests.bench.command_line import gyrobench
 
 
@@ -89,7 +89,7 @@ def test_the_exit_code_of_the_other_command_is_kept(tmp_path):
         (("--out", "a", "--proxy", "--", "check"), "leave the options out"),
         (("--out", "ins.txt", "--instrument", "ins"), r"a CAN log is named \*.log"),
         (("--out", "there.rec", "--instrument", "table"), "there.rec: exists already"),
-        (("--out", "a.rec", "--instrument", "ins", "--proxy"), "no line of bytes"),
+        (("--out", "a.rec", "--instrument", "ins", "--proxy"), "a proxy needs an INS on slcan"),
     ],
 )
 def test_what_can_not_be_done_is_refused_with_a_reason(tmp_path, options, told):

@@ -10,7 +10,8 @@ from rich.console import Console
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.foundations.documents import find_document, read_document
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation

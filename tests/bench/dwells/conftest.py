@@ -4,13 +4,13 @@ import shutil
 
 import pytest
 
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.setup import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.drivers.ins.frames import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock
 
 TIME, VELOCITY, ROLL_PITCH, HEADING, STATUS, OPTICS, ELECTRONICS = 0x01, 0x04, 0x06, 0x07, 0x10, 0x20, 0x21
 #: Messages of an epoch.

@@ -6,8 +6,8 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.state_space import causes
-from gyrobench.bench.bias.state_space.whitening import whiten
+from gyrobench.bench.bias import parameters
+from gyrobench.bench.bias.window_filter import whiten
 from gyrobench.bench.dwells.dwell import measure_dwell
 from gyrobench.bench.dwells.live import LiveEstimate, warm_up
 
@@ -69,10 +69,10 @@ def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed)
     whole = measure_dwell(*recorded).estimate.information.bias_at_mean
     begin = recorded[0].windows[1].first_frame
     *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (777,))]
-    mean_k = np.diag(whole[:, causes.GYRO_SLOPE])
+    mean_k = np.diag(whole[:, parameters.GYRO_SLOPE])
     assert (np.abs(mean_k) > 0.1).all()
     np.testing.assert_allclose(
-        np.diag(last.information.bias_at_mean[:, causes.GYRO_SLOPE]), mean_k, atol=0.01
+        np.diag(last.information.bias_at_mean[:, parameters.GYRO_SLOPE]), mean_k, atol=0.01
     )
 
 

@@ -47,7 +47,9 @@ def test_a_dwell_is_done_with_its_entry_and_not_before(plan, entries):
 
 def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
     without = [entry for entry in entries if entry.get("marks") != {"dwell": 1}]
-    with pytest.raises(RunFolderError, match=r"the end of dwell 1 is missing, .* `gyrobench bins` recomputes"):
+    with pytest.raises(
+        RunFolderError, match=r"the end of dwell 1 is missing, .* `gyrobench bins` recomputes"
+    ):
         resume_state_of(without, plan)
 
 

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.exchange.import_map import load_log_map
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 
 SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").glob("*.yaml"))
 
@@ -37,6 +37,6 @@ def test_the_shipped_mappings_are_right(name):
         ({"text": "absent", "records": "{fields: [a], type: float}"}, r"<>"),
     ],
 )  # fmt: skip
-def test_mistakes_are_told_with_their_place(log, changes, message):
+def test_mistakes_are_shown_with_their_place(log, changes, message):
     with pytest.raises(DocumentError, match=message):
         load_log_map(Path(log.mapping(**changes)))

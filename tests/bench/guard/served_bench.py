@@ -11,7 +11,7 @@ from pathlib import Path
 import serial
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
 from tests.drivers.emulators.quick_world import QUICK_WORLD
@@ -28,7 +28,7 @@ import serial
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.guard.process import guard_for
-from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.report.durations import durations_by_kind, took_in_journal
+from gyrobench.bench.report.journal_sections import durations_by_kind, took_in_journal
 
 
 def test_longest_comes_first_and_all_of_them_last() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import gyrobench.bench.report
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
-from gyrobench.bench.report.html import write_report
+from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 
 SCRIPT = "<script>alert(1)</script>"

@@ -3,8 +3,7 @@ import sys
 import pytest
 
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.report.html import write_report
-from gyrobench.bench.report.pdf import write_pdf
+from gyrobench.bench.report.run_report import write_pdf, write_report
 from gyrobench.bench.runs.folder import RunFolder
 
 

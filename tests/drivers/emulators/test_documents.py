@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.documents import main
 
 

@@ -3,7 +3,8 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins import DbcCodec, load_dbc
-from gyrobench.drivers.ins.bound_signals import BlockReader, bind_signals, check_signals
+from gyrobench.drivers.ins.readout import BlockReader
+from gyrobench.drivers.ins.signal_map import bind_signals, check_signals
 
 
 @pytest.fixture

@@ -23,8 +23,7 @@ from gyrobench.drivers.ins import (
     decode_navigation,
     open_bus,
 )
-from gyrobench.drivers.ins.command_map import TermIndices
-from gyrobench.drivers.ins.compensation import TERMS
+from gyrobench.drivers.ins.command_map import TERMS, TermIndices
 from gyrobench.drivers.ins.ins_status import STALE_S
 
 POLYNOMIAL = Compensation(

@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.drivers.ins import Compensation
-from gyrobench.drivers.ins.compensation import TERMS, checksum
+from gyrobench.drivers.ins.command_map import TERMS, checksum
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph, play
 
 BASE = {

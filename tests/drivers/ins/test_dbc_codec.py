@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import gyrobench.drivers.ins
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.drivers.ins.can_bus import EXTENDED_ID, FrameBlock
 from gyrobench.drivers.ins.dbc_codec import MAX_DBC_BYTES, DbcCodec, load_dbc
-from gyrobench.drivers.ins.frames import EXTENDED_ID, FrameBlock
 
 
 def block_of(codec, message_name, payloads):

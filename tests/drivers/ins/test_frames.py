@@ -3,7 +3,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.ins.frames import EXTENDED_ID, FrameBlock, concatenate
+from gyrobench.drivers.ins.can_bus import EXTENDED_ID, FrameBlock, concatenate
 
 messages = st.builds(
     can.Message,

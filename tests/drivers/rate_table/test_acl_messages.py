@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.rate_table.acl_messages import SOFTWARE_FAULTS, ReplyFraming, set_bits
+from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, ReplyFraming, set_bits
 
 words = {"little": "<II", "big": ">II"}
 

@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.foundations.clock import Deadline, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError
-from gyrobench.drivers.recording.document import RecordingHeader, Transfer, recording_text
+from gyrobench.drivers.recording.recording_file import RecordingHeader, Transfer, recording_text
 from gyrobench.drivers.serial_line import SerialLine
 
 

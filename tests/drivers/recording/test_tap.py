@@ -7,7 +7,7 @@ import pytest
 
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import NoReplyError, RunFolderError
-from gyrobench.drivers.recording.document import RecordingHeader, read_recording
+from gyrobench.drivers.recording.recording_file import RecordingHeader, read_recording
 from gyrobench.drivers.recording.tap import recording_lines
 from gyrobench.drivers.serial_line import SerialLine
 

@@ -6,9 +6,9 @@ import pytest
 
 from gyrobench.bench.engine.preflight.bench_check import check_bench, disk_check, no_instrument_answers
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.check import Verdict
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate, estimate_noise
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.report.figures.noise import noise_figure
-from gyrobench.bench.report.style import png_bytes
+from gyrobench.bench.report.figures.style import png_bytes
 
 ARW, VRW = 0.001 * DEG_PER_SQRT_H_TO_SI, 20.0 * UG_PER_SQRT_HZ_TO_SI
 DECLARED = NoiseModel.from_datasheet(0.0006, 5.0)

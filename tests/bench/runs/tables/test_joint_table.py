@@ -6,8 +6,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.joint.solution import pooled_up_rate, solve_jointly
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.joint_solution import pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.tables.joint_table import (

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_formats import CAN_FORMATS
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
 from gyrobench.drivers.ins.attitude import EulerSequence, euler_angles
+from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
 

@@ -4,8 +4,8 @@ from typing import get_args
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.faults.document import AnyFault, load_faults
 from gyrobench.drivers.emulators.faults.timing import Lasting, Timing
 

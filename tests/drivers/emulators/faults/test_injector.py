@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
 
 QUICK = find_document("worlds", "quick")

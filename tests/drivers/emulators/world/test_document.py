@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrobench.bench.foundations.documents import find_document, parse_document, validate
+from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.world.document import WorldFile, load_world
 
 SHIPPED = {name: find_document("worlds", name).read_text() for name in ("gyro_a", "gyro_b", "ideal", "quick")}

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.world.document import GyroThermal, Thermal, load_world
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 

@@ -1,0 +1,136 @@
+"""What a command by hand may ask for: the station's limits, and those of the controllers themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gyrobench.bench.foundations.errors import RefusedError
+from gyrobench.bench.jog.terminal import CommandError
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.rate_table import RateTable
+
+#: The axes of the table, in the order of their angles.
+AXES = ("outer", "inner")
+#: Time until a stop takes effect: ticks and exchanges in between.
+_LATE_S = 1.0
+
+
+@dataclass(frozen=True)
+class AxisRange:
+    """What one axis may do.
+
+    Attributes
+    ----------
+    low_deg, high_deg : float
+        Range of its angle.
+    rate_dps : float
+        Fastest turn.
+    """
+
+    low_deg: float
+    high_deg: float
+    rate_dps: float
+
+
+@dataclass(frozen=True)
+class ManualLimits:
+    """The narrower of station and controller.
+
+    Attributes
+    ----------
+    axes : dict
+        Range of each axis by its name.
+    acceleration_dps2 : float
+        How fast the table stops.
+    low_c, high_c : float
+        Range of the chamber's set point.
+    ramp_c_per_min : float
+        Fastest ramp.
+    """
+
+    axes: dict[str, AxisRange]
+    acceleration_dps2: float
+    low_c: float
+    high_c: float
+    ramp_c_per_min: float
+
+    def check_angle(self, axis: str, angle_deg: float) -> None:
+        """Refuse an angle that is out of range."""
+        limit = self._of(axis)
+        if not limit.low_deg <= angle_deg <= limit.high_deg:
+            raise CommandError(
+                f"{axis} {angle_deg:g} deg is outside its limits of {limit.low_deg:g} to "
+                f"{limit.high_deg:g} deg. Nothing was moved."
+            )
+
+    def check_rate(self, axis: str, rate_dps: float) -> None:
+        """Refuse a rate that is too fast."""
+        limit = self._of(axis)
+        if not abs(rate_dps) <= limit.rate_dps:
+            raise CommandError(
+                f"{rate_dps:g} deg/s is beyond the limit of {limit.rate_dps:g} deg/s of the {axis} axis. "
+                "Nothing was moved."
+            )
+
+    def check_chamber(self, temperature_c: float, ramp_c_per_min: float) -> None:
+        """Refuse a set point that is out of range, or a ramp that is too fast."""
+        if not self.low_c <= temperature_c <= self.high_c:
+            raise CommandError(
+                f"{temperature_c:g} degC is outside the chamber's limits of {self.low_c:g} to "
+                f"{self.high_c:g} degC. Nothing was set."
+            )
+        if not 0.0 < ramp_c_per_min <= self.ramp_c_per_min:
+            raise CommandError(
+                f"a ramp of {ramp_c_per_min:g} degC/min can't be; it is above 0 and at most "
+                f"{self.ramp_c_per_min:g} degC/min. Nothing was set."
+            )
+
+    def room_deg(self, axis: str, angle_deg: float, rate_dps: float) -> float:
+        """How far an axis may still turn at a rate before it has to stop; below zero where it is too late."""
+        limit = self._of(axis)
+        left_deg = limit.high_deg - angle_deg if rate_dps > 0.0 else angle_deg - limit.low_deg
+        speed_dps = abs(rate_dps)
+        return left_deg - speed_dps * _LATE_S - speed_dps**2 / self.acceleration_dps2
+
+    def _of(self, axis: str) -> AxisRange:
+        if axis not in self.axes:
+            raise CommandError(f"this table has no {axis} axis. Nothing was moved.")
+        return self.axes[axis]
+
+
+def manual_limits(station: Station, table: RateTable, chamber: Chamber) -> ManualLimits:
+    """Ask the controllers for their own limits and take the narrower ones.
+
+    Raises
+    ------
+    InstrumentError
+        A controller does not answer; one that tells no limits leaves the station's.
+    """
+    section, air = station.file.rate_table, station.file.chamber.limits
+    limits = section.limits
+    ranges = {"outer": section.outer_limits_deg, "inner": section.inner_limits_deg}
+    names = AXES[1:] if section.is_single_axis else AXES
+    axes = {name: AxisRange(*ranges[name], limits.rate_dps) for name in names}
+    acceleration_dps2 = limits.acceleration_dps2
+    try:
+        own = dict(zip(section.axis_numbers, table.limits(), strict=True))
+    except RefusedError:
+        own = {}
+    for name in names:
+        number = section.outer_axis_number if name == "outer" else section.inner_axis_number
+        if number in own:
+            its, ours = own[number], axes[name]
+            axes[name] = AxisRange(
+                max(ours.low_deg, its.low_deg),
+                min(ours.high_deg, its.high_deg),
+                min(ours.rate_dps, its.rate_dps, its.trip_dps),
+            )
+            acceleration_dps2 = min(acceleration_dps2, its.acceleration_dps2)
+    try:
+        low_c, high_c = chamber.limits_c()
+    except RefusedError:
+        low_c, high_c = air.low_c, air.high_c
+    return ManualLimits(
+        axes, acceleration_dps2, max(air.low_c, low_c), min(air.high_c, high_c), air.ramp_c_per_min
+    )

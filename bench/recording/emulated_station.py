@@ -1,0 +1,145 @@
+"""How to use served emulators: their station file, and the printed guide to their ports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import yaml
+
+from gyrobench.bench.foundations.documents import parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.recording.emulator_process import emulated_dbc
+from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import StationFile
+
+#: The emulated chamber controller's output that powers the INS.
+UNIT_POWER_EVENT = 2
+
+#: python-can's wait for a restarting adapter; this one is running.
+_SLCAN_OPTIONS = {"sleep_after_open": 0.05}
+#: slcan stamps frames when they are read: poll at least once an epoch of the INS, s.
+_MAX_POLL_PERIOD_S = 0.1
+#: Real readings take time: at a longer period one late reading would be stale, s.
+_MAX_INSTRUMENTS_PERIOD_S = 5.0
+_WIDTH = 110
+
+
+def write_station_file(path: Path, station: Station, urls: Mapping[str, str], speed: float) -> None:
+    """Write a station file for the served emulators; replaces an existing file.
+
+    Parameters
+    ----------
+    station : Station
+        Source of everything except the addresses.
+    urls : mapping of str to str
+        Addresses of ``table``, ``chamber`` and ``ins``.
+    speed : float
+        The emulators' factor on real time.
+
+    Raises
+    ------
+    DocumentError
+        No emulated INS sends the frames of the station's DBC file.
+    """
+    if emulated_dbc(station) is None:
+        raise DocumentError(
+            f"{station.path}: no emulated INS sends the frames of {station.dbc_path.name}; serve a station "
+            "with a shipped DBC file, such as `emulated`"
+        )
+    text = station_text(station, urls, speed)
+    validate(parse_document(text, path), StationFile)
+    write_whole(path, text.encode())
+
+
+def station_text(station: Station, urls: Mapping[str, str], speed: float) -> str:
+    """YAML of the station with these addresses, on a wall clock."""
+    data = yaml.safe_load(station.path.read_text(encoding="utf-8"))
+    first = {
+        "station": data.pop("station"),
+        "description": f"Emulators of the station {station.file.station}, served by `gyrobench emulate`.",
+        "clock": "wall",
+        "speed": speed,
+        "poll_period_s": min(station.poll_period_s, _MAX_POLL_PERIOD_S),
+        "instruments_period_s": min(station.instruments_period_s, _MAX_INSTRUMENTS_PERIOD_S),
+    }
+    data = first | {key: value for key, value in data.items() if key not in first}
+    data["rate_table"] |= {"port": urls["table"]}
+    data["chamber"] |= {"port": urls["chamber"]}
+    data["ins"] = _ins_section(data["ins"], urls["ins"]) | {"dbc": f"{emulated_dbc(station)}.dbc"}
+    body = yaml.safe_dump(data, sort_keys=False, width=_WIDTH, allow_unicode=True, default_flow_style=None)
+    return (
+        "# Written by `gyrobench emulate`: the ports belong to the emulators that it started and\n"
+        "# disappear with them. `speed` is the emulators' factor on real time; keep it equal.\n" + body
+    )
+
+
+def _ins_section(section: dict[str, Any], url: str) -> dict[str, Any]:
+    rest = {key: value for key, value in section.items() if key not in ("interface", "channel", "options")}
+    where = urlsplit(url)
+    if where.scheme != "socketcand":
+        return {"interface": "slcan", "channel": url, "options": _SLCAN_OPTIONS} | rest
+    rest.pop("bitrate", None)  # the daemon sets it
+    options = {"host": where.hostname, "port": where.port}
+    return {"interface": "socketcand", "channel": where.path.strip("/"), "options": options} | rest
+
+
+def guide(urls: Mapping[str, str], file: StationFile, speed: float, station_path: Path | None) -> str:
+    """Text with the address of each instrument, and a command to reach it.
+
+    Parameters
+    ----------
+    urls : mapping of str to str
+        Addresses of ``table``, ``chamber`` and ``ins``.
+    file : StationFile
+        Gives the dialects.
+    station_path : Path, optional
+        The station file that was written for them.
+    """
+    pace = "in real time" if speed == 1.0 else f"{speed:g} times as fast as real time"
+    table, chamber, ins = urls["table"], urls["chamber"], urls["ins"]
+    lines = [
+        f"The emulated bench runs {pace} until Ctrl-C.",
+        *_entry("Table", f"{table}  {file.rate_table.dialect}", _serial_terminal(table)),
+        *_entry("Chamber", f"{chamber}  {file.chamber.dialect}", *_chamber_clients(file, chamber)),
+        *_entry("INS", f"{ins}  {file.ins.dbc}", *_can_clients(ins)),
+        f"    It sends frames while event output {UNIT_POWER_EVENT} of the chamber is on.",
+    ]
+    if station_path:
+        command = f"gyrobench run ten_minute_check --station {station_path}"
+        lines += _entry("Bench", f"{station_path}  station file", command)
+    return "\n".join(lines)
+
+
+def _entry(title: str, where: str, *commands: str) -> list[str]:
+    return ["", f"{title:<9}{where}", *(f"    {command}" for command in commands)]
+
+
+def _chamber_clients(file: StationFile, url: str) -> list[str]:
+    if file.chamber.dialect != "watlow_f4":
+        return [_serial_terminal(url)]
+    where = urlsplit(url)
+    if where.scheme == "socket":
+        client = f'ModbusTcpClient("{where.hostname}", port={where.port}, framer=FramerType.RTU)'
+        return [f"{client} of pymodbus"]
+    return [f"mbpoll -a {getattr(file.chamber, 'address', 1)} -b 9600 -P none -0 -r 100 -c 2 {url}"]
+
+
+def _serial_terminal(url: str) -> str:
+    where = urlsplit(url)
+    if where.scheme == "socket":
+        return f"nc -C {where.hostname} {where.port}"
+    return f"picocom --omap crcrlf {url}"
+
+
+def _can_clients(url: str) -> list[str]:
+    where = urlsplit(url)
+    if where.scheme != "socketcand":
+        return [f"python -m can.viewer -i slcan -c {url}"]
+    return [
+        f"python -m can.viewer -i socketcand -c {where.path.strip('/')} \\",
+        f"    --bus-kwargs host={where.hostname} port={where.port}",
+    ]

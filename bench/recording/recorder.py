@@ -1,0 +1,367 @@
+"""Recording the instruments of a station: by queries, through a proxy, or as a log of CAN frames."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal
+
+import can
+
+from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, NoReplyError
+from gyrobench.bench.foundations.files import cant_be_written, make_folder, write_whole
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
+from gyrobench.bench.station.instruments import (
+    CHAMBER,
+    RATE_TABLE,
+    Emulation,
+    Outputs,
+    open_chamber,
+    open_ins,
+    open_table,
+)
+from gyrobench.bench.station.locks import BenchLock
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.recording.recording_file import (
+    Call,
+    RecordingFile,
+    RecordingHeader,
+    joined,
+    read_recording,
+    recording_text,
+)
+from gyrobench.drivers.recording.tap import LinePort, recording_lines
+from gyrobench.drivers.serial_line import open_port
+from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
+
+Instrument = Literal["table", "chamber", "ins"]
+
+#: CAN logs that stay readable after a kill.
+CAN_LOG_SUFFIXES = (".log", ".asc", ".blf")
+
+_DEFAULT_CAN_LOG_S = 10.0
+#: Time within which an INS that is on sends a frame, and one that was just switched on.
+_FIRST_FRAME_S, _POWER_ON_TO_FIRST_FRAME_S = 3.0, 180.0
+_CAN_POLL_S = 0.05
+_SLCAN_BAUDRATE = 115200
+_PROXY_PERIOD_S = 0.001
+_MAX_PROXY_BYTES = 4096
+
+
+class Recorder:
+    """Records the instruments of a station.
+
+    Parameters
+    ----------
+    station : str
+        File, or name of a shipped one.
+    emulation : Emulation
+        World behind emulated instruments.
+    note : str
+        Goes into the header of each recording.
+    report : callable
+        Receives a line of progress.
+
+    Raises
+    ------
+    DocumentError
+        The station file is wrong.
+    """
+
+    def __init__(
+        self, station: str, emulation: Emulation, note: str, report: Callable[[str], object]
+    ) -> None:
+        self._station = Station(find_document("stations", station))
+        self._emulation = emulation
+        self._note = note
+        self._report = report
+
+    @contextlib.contextmanager
+    def lines(self, folder: Path) -> Iterator[None]:
+        """Record every line to table and chamber that is opened meanwhile, into a folder."""
+        before = set(folder.glob("*.rec"))
+        with recording_lines(folder, recording_headers(self._station, self._note)):
+            try:
+                yield
+            finally:
+                made = sorted(set(folder.glob("*.rec")) - before)
+                self._report(f"Recorded {', '.join(map(str, made)) or 'nothing: no line was opened'}")
+
+    def record(self, instrument: Instrument, path: Path, duration_s: float | None) -> None:
+        """Record the replies to queries that move nothing; of the INS, ``duration_s`` of CAN frames.
+
+        Raises
+        ------
+        BenchInUseError
+            Another process holds the bench.
+        DocumentError
+            The file exists, or a CAN log can't have that suffix.
+        InstrumentError
+            The instrument can't be reached, or gave no reply that lets the driver continue; what it
+            sent until then is recorded.
+        RunFolderError
+            The file can't be written.
+        """
+        _check_absent(path)
+        clock = self._station.new_clock()
+        with BenchLock(self._station, path.parent, clock):
+            if instrument == "ins":
+                self._report(self._record_can(path, clock, duration_s or _DEFAULT_CAN_LOG_S))
+            else:
+                for call in self._record_queries(instrument, path, clock):
+                    self._report(f"{call.ask}: {call.outcome()}")
+        self._report(f"Recorded {path}")
+
+    def proxy(self, instrument: Instrument, path: Path, where: str, duration_s: float | None) -> None:
+        """Serve an instrument to other programs until Ctrl-C, and record the bytes.
+
+        Parameters
+        ----------
+        path : Path
+            Recording to write; must not exist.
+        where : str
+            Number of a TCP port of the loopback, path of a link to a pseudo-terminal, or empty for a
+            pseudo-terminal without a link.
+        duration_s : float or None
+            Time after which it ends without Ctrl-C.
+
+        Raises
+        ------
+        DocumentError
+            The instrument is not on a serial line, or nothing can be served at ``where``.
+        ConnectionFailedError
+            The instrument's port can't be opened, or went away.
+        RunFolderError
+            The recording can't be written.
+        """
+        _check_absent(path)
+        clock = WallClock()
+        header, url = _serial_port(self._station, instrument, self._note)
+        with BenchLock(self._station, path.parent, clock), contextlib.ExitStack() as opened:
+            try:
+                port = open_port(url, clock, header.baudrate or 0, header.parity or "N")
+            except (OSError, ValueError) as error:
+                raise ConnectionFailedError(
+                    instrument, f"can't open {url}: {error}. Check the cable."
+                ) from error
+            opened.callback(port.close)
+            served = _serve_port(where)
+            opened.callback(served.unplug)
+            make_folder(path.parent)
+            file = RecordingFile(path, header, clock)
+            opened.callback(file.close)
+            self._report(f"The {instrument} is at {served.url}; Ctrl-C ends the recording.")
+            try:
+                Proxy(served, port, file, clock).run(duration_s)
+            except KeyboardInterrupt:
+                pass
+            except OSError as error:
+                raise ConnectionFailedError(instrument, f"its port went away: {error}") from error
+        self._report(f"Recorded {path}")
+
+    def _record_queries(self, instrument: Instrument, path: Path, clock: Clock) -> list[Call]:
+        """Send the queries and write the recording, also of replies that the driver can't parse."""
+        name = RATE_TABLE if instrument == "table" else CHAMBER
+        calls: list[Call] = []
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            try:
+                with recording_lines(folder, {name: recording_headers(self._station, self._note)[name]}):
+                    calls += self._query(instrument, clock)
+            finally:
+                for part in sorted(folder.iterdir())[:1]:
+                    _write_recording(path, part, calls)
+        return calls
+
+    def _query(self, instrument: Instrument, clock: Clock) -> list[Call]:
+        if instrument == "table":
+            with contextlib.closing(open_table(self._station, clock, self._emulation)) as table:
+                return list(call_driver(table, TABLE_QUERIES))
+        with contextlib.closing(open_chamber(self._station, clock, self._emulation)) as chamber:
+            return list(call_driver(chamber, CHAMBER_QUERIES))
+
+    def _record_can(self, path: Path, clock: Clock, duration_s: float) -> str:
+        """Log frames, with an INS that is off switched on meanwhile; returns what was recorded, in words."""
+        if path.suffix not in CAN_LOG_SUFFIXES:
+            raise DocumentError(
+                f"{path}: a CAN log is named {', '.join(f'*{suffix}' for suffix in CAN_LOG_SUFFIXES)}"
+            )
+        make_folder(path.parent)
+        with (
+            contextlib.closing(open_ins(self._station, clock, self._emulation)) as ins,
+            Outputs(self._station, clock, self._emulation) as outputs,
+        ):
+            switched = _switch_on(self._station, outputs, ins, clock)
+            try:
+                return _log_frames(ins, path, clock, duration_s)
+            finally:
+                if switched:
+                    outputs.power_unit(False)
+
+
+class Proxy:
+    """Passes everything between a served port and the open port of an instrument, and records it."""
+
+    def __init__(self, served: Port, instrument: LinePort, file: RecordingFile, clock: Clock) -> None:
+        self._served = served
+        self._instrument = instrument
+        self._file = file
+        self._clock = clock
+        self._unsent = b""
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Pass bytes for a time, or without end.
+
+        Raises
+        ------
+        OSError
+            The instrument's port went away; pyserial's SerialException is an OSError.
+        """
+        self._instrument.timeout = 0
+        end_s = None if duration_s is None else self._clock.now() + duration_s
+        while end_s is None or self._clock.now() < end_s:
+            if not self._exchange():
+                self._clock.sleep(_PROXY_PERIOD_S)
+
+    def _exchange(self) -> bool:
+        """Pass the bytes that are there; False if there are none."""
+        request = self._served.read()
+        if request:
+            self._file.add(True, request)
+            self._instrument.write(request)
+        reply = bytes(self._instrument.read(_MAX_PROXY_BYTES))
+        if reply:
+            self._file.add(False, reply)
+        self._unsent = (self._unsent + reply)[-_MAX_PROXY_BYTES:]
+        if self._unsent:
+            self._unsent = self._unsent[self._served.write(self._unsent) :]
+        return bool(request or reply)
+
+
+def recording_headers(station: Station, note: str = "") -> dict[str, RecordingHeader]:
+    """Headers of recordings of table and chamber, by the names that errors give the instruments."""
+    table, chamber = station.file.rate_table, station.file.chamber
+    return {
+        RATE_TABLE: RecordingHeader(
+            instrument="table",
+            dialect=table.dialect,
+            options=_options(table, table.installed_dialect.options),
+            axes=list(table.axis_numbers),
+            source=_source(table.port),
+            note=note,
+        ),
+        CHAMBER: RecordingHeader(
+            instrument="chamber",
+            dialect=chamber.dialect,
+            options=_options(chamber, chamber.installed_dialect.options),
+            source=_source(chamber.port),
+            note=note,
+        ),
+    }
+
+
+def _options(section: StrictModel, options: type[StrictModel]) -> dict[str, str | int | float | bool]:
+    """Keys of the dialect that the station file sets."""
+    return {
+        key: value
+        for key in options.model_fields
+        if key in section.model_fields_set
+        and isinstance(value := getattr(section, key), str | int | float | bool)
+    }
+
+
+def _source(port: str) -> Literal["instrument", "emulator"]:
+    return "emulator" if port.startswith("emulator://") else "instrument"
+
+
+def _serial_port(station: Station, instrument: Instrument, note: str) -> tuple[RecordingHeader, str]:
+    """Header with baud rate and parity, and the port's address."""
+    if instrument == "ins":
+        section = station.file.ins
+        if section.interface != "slcan":
+            raise DocumentError(
+                f"{station.path}: a proxy needs an INS on slcan, and this one is on {section.interface}; "
+                "record it without --proxy"
+            )
+        baudrate = int(section.options.get("tty_baudrate", _SLCAN_BAUDRATE))
+        header = RecordingHeader(instrument="ins", note=note, baudrate=baudrate, parity="N")
+        return header, section.channel
+    line = station.file.rate_table if instrument == "table" else station.file.chamber
+    usual = line.installed_dialect.line
+    header = recording_headers(station, note)[RATE_TABLE if instrument == "table" else CHAMBER]
+    settings = {"baudrate": line.baudrate or usual.baudrate, "parity": line.parity or usual.parity}
+    return header.model_copy(update=settings), line.port
+
+
+def _serve_port(where: str) -> Port:
+    try:
+        return TcpPort(int(where)) if where.isdecimal() else PseudoTerminal(Path(where) if where else None)
+    except OSError as error:
+        raise DocumentError(f"{where}: can't serve the instrument there: {error}") from error
+
+
+def _check_absent(path: Path) -> None:
+    if path.exists():
+        raise DocumentError(f"{path}: exists already; choose another name or remove it")
+
+
+def _write_recording(path: Path, part: Path, calls: list[Call]) -> None:
+    recorded = read_recording(part)
+    identity = calls[0].gives or "" if calls else ""
+    header = recorded.header.model_copy(update={"calls": calls, "identity": identity.strip("'")})
+    make_folder(path.parent)
+    write_whole(path, recording_text(header, joined(recorded.transfers)).encode())
+
+
+def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str:
+    before = ins.health().frames
+    try:
+        with can.Logger(path) as log:
+
+            def write(frames: list[can.Message]) -> None:
+                for frame in frames:
+                    log.on_message_received(frame)
+
+            ins.on_frames = write
+            deadline = Deadline(clock, duration_s)
+            while not deadline.expired():
+                clock.sleep(_CAN_POLL_S)
+                ins.poll()
+            identity = ins.identify()
+            ins.on_frames = None
+    except OSError as error:
+        if isinstance(error, NoReplyError):
+            raise
+        raise cant_be_written(path, error) from error
+    return f"{ins.health().frames - before} frames in {duration_s:g} s; {identity}"
+
+
+def _switch_on(station: Station, outputs: Outputs, ins: CanIns, clock: Clock) -> bool:
+    """Wait for the first frame, if need be with the INS switched on; returns whether it was."""
+    if _sends_frames(ins, clock, _FIRST_FRAME_S):
+        return False
+    if station.unit.power != "chamber_event":
+        raise NoReplyError(INSTRUMENT, "sends no frames. Switch it on; check bus, bit rate and cable.")
+    outputs.power_unit(True)
+    if not _sends_frames(ins, clock, _POWER_ON_TO_FIRST_FRAME_S):
+        outputs.power_unit(False)
+        raise NoReplyError(
+            INSTRUMENT, "sends no frames. Check its power, the bus, the bit rate and the cable."
+        )
+    return True
+
+
+def _sends_frames(ins: CanIns, clock: Clock, limit_s: float) -> bool:
+    deadline = Deadline(clock, limit_s)
+    before = ins.health().frames
+    while ins.health().frames == before and not deadline.expired():
+        clock.sleep(_CAN_POLL_S)
+        ins.poll()
+    return ins.health().frames > before

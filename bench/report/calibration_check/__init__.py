@@ -1,1 +1,0 @@
-"""Calibration check (a calibration tested by new measurements): report section and terminal table."""

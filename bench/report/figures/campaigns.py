@@ -1,0 +1,130 @@
+"""Correlation of effects in a planned campaign, and the drift of a unit over its runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import timedelta
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from gyrobench.bench.closure.separability import Separability
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.number_format import BiasScale, p_text
+from gyrobench.bench.runs.index.run_biases import Trend, months_since_first
+
+_BRIGHT_ABOVE = 0.6
+_INCH_A_ROW = 0.42
+
+
+@house_style
+def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
+    """Draw the correlations of all pairs of effects; pairs that are not told apart are framed.
+
+    Parameters
+    ----------
+    separability : Separability
+        Of the dwells that a search sees.
+    target_dph : float
+        Size at which pairs have to be told apart, deg/h rms.
+    name : str
+        Of the procedure.
+    """
+    names = [each.effect.name for each in separability.detections if each.lacks is None]
+    figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
+    axes = figure.subplots()
+    axes.grid(False)
+    axes.set_title(f"How alike effects look in {name}")
+    if len(names) < 2:
+        axes.set_axis_off()
+        say_empty(axes, "fewer than two effects can be seen")
+        return figure
+    values = np.array(
+        [[separability.correlation.get((row, column), 1.0) for column in names] for row in names]
+    )
+    image = axes.imshow(values, vmin=0.0, vmax=1.0, cmap="Blues", aspect="auto")
+    axes.set_xticks(range(len(names)), names, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(names)), names)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    framed = {
+        pair for one, other in separability.not_told(target_dph) for pair in ((one, other), (other, one))
+    }
+    for row, one in enumerate(names):
+        for column, other in enumerate(names):
+            if row == column:
+                continue
+            colour = "white" if values[row, column] > _BRIGHT_ABOVE else "black"
+            axes.text(
+                column, row, f"{values[row, column]:.2f}", ha="center", va="center", color=colour, fontsize=7
+            )
+            if (one, other) in framed:
+                frame = Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False)
+                frame.set(edgecolor="#D55E00", linewidth=1.6)
+                axes.add_patch(frame)
+    figure.colorbar(image, ax=axes, label="largest canonical correlation of any gyro", fraction=0.04)
+    axes.set_xlabel(f"framed: not told apart at {target_dph:g} deg/h rms")
+    return figure
+
+
+_MARKERS = "os^Dv<>P*X"
+_APART_DAYS = 0.6
+
+
+@house_style
+def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
+    """Draw the levels of a unit's gyros, one panel a gyro, one colour a temperature bin.
+
+    A line that chance does not explain is drawn whole, another one dotted.
+    """
+    figure = new_figure(7.2)
+    panels = figure.subplots(len(AXES), 1, sharex=True)
+    scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
+    lows_c = sorted({each.quantity.bin_low_c for each in trends})
+    for gyro, panel in zip(AXES, panels, strict=True):
+        mine = [each for each in trends if each.quantity.gyro == gyro]
+        for each in mine:
+            _draw(panel, each, scale, lows_c.index(each.quantity.bin_low_c), len(lows_c))
+        panel.set_title(gyro_label(gyro))
+        panel.set_ylabel(f"bias / ({scale.unit})")
+        if mine:
+            panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="bin; slope per month")
+        else:
+            say_empty(panel, "no bias without compensation")
+    locator = AutoDateLocator(minticks=3, maxticks=9)
+    panels[-1].xaxis.set_major_locator(locator)
+    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    panels[-1].set_xlabel("start of the run (UTC)")
+    figure.suptitle(f"Unit {unit}: bias over time, mean of the positions measured each time", fontsize=10)
+    return figure
+
+
+def _draw(panel: Axes, trend: Trend, scale: BiasScale, number: int, bins: int) -> None:
+    colour = mpl.colormaps["viridis"](number / max(bins, 2))
+    apart = timedelta(days=_APART_DAYS * (number - (bins - 1) / 2.0))
+    times = [run.started_utc + apart for run in trend.runs]
+    quantity = trend.quantity
+    label = f"{bin_label(quantity.bin_low_c, quantity.bin_high_c)} °C"
+    if trend.p_value == trend.p_value:
+        slope = scale.with_sigma(trend.slope_dph_per_month, trend.slope_sigma_dph_per_month)
+        label += f"\n{slope}, p {p_text(trend.p_adjusted)}"
+        months = np.array(months_since_first(trend.runs))
+        line = trend.bias_dph + trend.slope_dph_per_month * (months - months.mean())
+        style = "-" if trend.is_proven else ":"
+        panel.plot(np.asarray(times), scale.factor * line, style, color=colour)
+    panel.errorbar(
+        np.asarray(times),
+        scale.factor * np.array([run.bias_dph for run in trend.runs]),
+        scale.factor * np.array([run.sigma_dph for run in trend.runs]),
+        fmt=_MARKERS[number % len(_MARKERS)],
+        color=colour,
+        markersize=3.5,
+        elinewidth=0.9,
+        label=label,
+    )

@@ -1,0 +1,279 @@
+"""The journal in the report of a run: faults, holds, repeats, commands, notes; durations."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.report.page import Mark, Section, SectionTable
+
+#: Planned and real duration, s, of every step done, by kind.
+Took = Mapping[str, Sequence[tuple[float, float]]]
+
+
+@dataclass(frozen=True)
+class KindDuration:
+    """What the steps of one kind were to take together, and took.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the kind for people: "go to".
+    count : int
+        Steps done.
+    planned_s, took_s : float
+        Sums over these.
+    """
+
+    kind: str
+    count: int
+    planned_s: float
+    took_s: float
+
+    @property
+    def difference(self) -> str:
+        """How much more it took than planned: "+0:12:05", and in percent of the plan."""
+        late_s = self.took_s - self.planned_s
+        text = f"{'-' if round(late_s) < 0 else '+'}{clock_time(abs(late_s))}"
+        return f"{text} ({100.0 * late_s / self.planned_s:+.1f} %)" if self.planned_s > 0.0 else text
+
+
+def durations_by_kind(took: Took) -> list[KindDuration]:
+    """Sum up by kind, what took longest first, and all together at the end; empty if nothing was done."""
+    kinds = [_summed(kind.replace("_", " "), pairs) for kind, pairs in took.items() if pairs]
+    kinds.sort(key=lambda each: -each.took_s)
+    everything = [pair for pairs in took.values() for pair in pairs]
+    return [*kinds, _summed("all", everything)] if kinds else []
+
+
+def took_in_journal(journal: Iterable[Mapping[str, Any]]) -> dict[str, list[tuple[float, float]]]:
+    """Gather the durations of the steps that a journal tells the end of."""
+    took: dict[str, list[tuple[float, float]]] = {}
+    for entry in journal:
+        if entry.get("event") == "step_finished" and {"kind", "planned_s", "took_s"} <= entry.keys():
+            pair = (float(entry["planned_s"]), float(entry["took_s"]))
+            took.setdefault(str(entry["kind"]), []).append(pair)
+    return took
+
+
+def clock_time(duration_s: float) -> str:
+    """Write a duration as h:mm:ss, to the nearest second."""
+    seconds = round(duration_s)
+    return f"{seconds // 3600}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+
+
+def _summed(kind: str, pairs: Sequence[tuple[float, float]]) -> KindDuration:
+    return KindDuration(kind, len(pairs), sum(pair[0] for pair in pairs), sum(pair[1] for pair in pairs))
+
+
+Entry = Mapping[str, Any]
+
+#: More rows than these nobody reads; what is the same but for its numbers goes into one, then the rest.
+MOST_ROWS = 60
+
+_LONGEST_S = 1e12
+_NUMBERS = re.compile(r"\d+(?:[.:]\d+)*")
+#: Most telling first: these keep their rows where there are too many.
+_KINDS = (
+    "interlock",
+    "held",
+    "dwell flagged",
+    "dwell repeated",
+    "dwell left out",
+    "order",
+    "resumed",
+    "ended",
+    "note",
+    "exchange repeated",
+)
+_MARKS: Mapping[str, Mark] = MappingProxyType(
+    {"interlock": "bad", "ended": "bad", "held": "doubtful", "dwell flagged": "doubtful"}
+)
+_QUIET = "The journal tells of no fault, hold, repeat, order or note."
+_ALL = "Times from the start. What repeats is told once, with how often; journal.jsonl holds all of it"
+
+
+@dataclass(frozen=True)
+class RunEvent:
+    """Something that happened, from when to when, how often, and what came of it."""
+
+    first_s: float
+    last_s: float
+    kind: str
+    what: str
+    outcome: str
+    count: int = 1
+
+    @property
+    def time(self) -> str:
+        """Time of the first, and of the last where there are several, as h:mm:ss."""
+        if self.count == 1:
+            return clock_time(self.first_s)
+        return f"{clock_time(self.first_s)} to {clock_time(self.last_s)}"
+
+
+def run_events(journal: Sequence[Entry]) -> list[RunEvent]:
+    """Gather the events of a journal in order, those of the same text together.
+
+    Never more than :data:`MOST_ROWS`: then those that differ only in numbers go together, and what is
+    still too much goes into one event a kind, exchanges that were repeated first.
+    """
+    events = _grouped(_events(journal), lambda each: (each.kind, each.what, each.outcome))
+    if len(events) > MOST_ROWS:
+        events = _grouped(events, lambda each: (each.kind, _shape(each.what), _shape(each.outcome)))
+    for kind in reversed(_KINDS):
+        if len(events) > MOST_ROWS:
+            events = _grouped(events, partial(_kind_or_itself, kind))
+    return sorted(events, key=lambda each: each.first_s)
+
+
+def events_section(journal: Sequence[Entry]) -> Section:
+    """Put the events of a run into a table."""
+    events = run_events(journal)
+    if not events:
+        return Section("Flags, holds and retries", [_QUIET])
+    counts: Counter[str] = Counter()
+    for each in events:
+        counts[each.kind] += each.count
+    summary = listed([f"{kind}: {counts[kind]}" for kind in _KINDS if counts[kind]])
+    rows = [(each.time, f"{each.kind}{_count_text(each.count)}", each.what, each.outcome) for each in events]
+    table = SectionTable(
+        _ALL,
+        ["time / h:mm:ss", "kind", "what", "outcome"],
+        rows,
+        words=4,
+        marks=[_MARKS.get(each.kind, "") for each in events],
+    )
+    return Section("Flags, holds and retries", [f"{summary}."], tables=[table])
+
+
+def _events(journal: Iterable[Entry]) -> list[RunEvent]:
+    gathered = _Gathered()
+    for entry in journal:
+        gathered.take(entry)
+    return gathered.events
+
+
+class _Gathered:
+    """Events in order; the outcome of one is known when a later entry tells it."""
+
+    def __init__(self) -> None:
+        self.events: list[RunEvent] = []
+        self._open: dict[tuple[str, str], list[int]] = {}
+        self._readers: Mapping[str, Callable[[Entry], object]] = {
+            "tripped": self._tripped,
+            "made_safe": self._made_safe,
+            "held": self._held,
+            "continued": self._continued,
+            "retry": self._retry,
+            "answers_again": lambda entry: self._close("retry", entry.get("instrument"), "answers again"),
+            "dwell_given_up": self._given_up,
+            "dwell_finished": self._finished,
+            "dwell_skipped": lambda entry: self._add(entry, "dwell left out", f"dwell {entry.get('dwell')}"),
+            "ordered": lambda entry: self._add(
+                entry, "order", str(entry.get("order")), f"by {entry.get('by')}"
+            ),
+            "run_resumed": self._resumed,
+            "run_ended": self._ended,
+            "note": lambda entry: self._add(entry, "note", str(entry.get("text"))),
+            "journal_repaired": lambda entry: self._add(
+                entry, "note", "The journal's last line was cut off and has been dropped."
+            ),
+        }
+
+    def take(self, entry: Entry) -> None:
+        """Take one entry of the journal."""
+        read = self._readers.get(str(entry.get("event")))
+        if read is not None:
+            read(entry)
+
+    def _add(self, entry: Entry, kind: str, what: str, outcome: str = "") -> int:
+        at_s = _seconds(entry.get("time_s")) or 0.0
+        self.events.append(RunEvent(at_s, at_s, kind, what, outcome))
+        return len(self.events) - 1
+
+    def _await(self, topic: str, key: object, index: int) -> None:
+        self._open.setdefault((topic, str(key)), []).append(index)
+
+    def _close(self, topic: str, key: object, outcome: str) -> None:
+        for index in self._open.pop((topic, str(key)), []):
+            self.events[index] = replace(self.events[index], outcome=outcome)
+
+    def _tripped(self, entry: Entry) -> None:
+        index = self._add(entry, "interlock", str(entry.get("why")), "")
+        self._await("safe", None, index)
+
+    def _made_safe(self, entry: Entry) -> None:
+        told = entry.get("actions")
+        actions = [each for each in told if isinstance(each, Mapping)] if isinstance(told, list) else []
+        failed = [str(action.get("what")) for action in actions if action.get("problem")]
+        self._close("safe", None, f"safe state NOT reached: {listed(failed)}" if failed else "made safe")
+
+    def _held(self, entry: Entry) -> None:
+        index = self._add(entry, "held", str(entry.get("why")), f"waits for {entry.get('waits_for')}")
+        self._await("hold", None, index)
+
+    def _continued(self, entry: Entry) -> None:
+        held_s = _seconds(entry.get("held_s"))
+        after = f" after {clock_time(held_s)}" if held_s is not None else ""
+        self._close("hold", None, f"went on by {entry.get('by')}{after}")
+
+    def _retry(self, entry: Entry) -> None:
+        instrument = entry.get("instrument")
+        error = str(entry.get("error"))
+        what = error if error.startswith(f"{instrument}") else f"{instrument}: {error}"
+        self._await("retry", instrument, self._add(entry, "exchange repeated", what))
+
+    def _given_up(self, entry: Entry) -> None:
+        dwell = entry.get("dwell")
+        index = self._add(entry, "dwell repeated", f"dwell {dwell}: {entry.get('why')}", "not measured again")
+        self._await("dwell", dwell, index)
+
+    def _finished(self, entry: Entry) -> None:
+        marks, flags = entry.get("marks"), entry.get("flags")
+        dwell = marks.get("dwell") if isinstance(marks, Mapping) else None
+        self._close("dwell", dwell, "measured again, flagged" if flags else "measured again, good")
+        if flags:
+            self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "kept out of the bins")
+
+    def _resumed(self, entry: Entry) -> None:
+        next_step = entry.get("next_step")
+        self._close("hold", None, "the run ended meanwhile")
+        self._add(entry, "resumed", "The run was cut short and gone on with.", f"from step {next_step} on")
+
+    def _ended(self, entry: Entry) -> None:
+        if entry.get("ended") != "finished":
+            self._add(entry, "ended", f"The run {entry.get('ended')}: {entry.get('reason')}")
+
+
+def _seconds(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) and abs(value) < _LONGEST_S else None
+
+
+def _grouped(events: Iterable[RunEvent], key: Callable[[RunEvent], object]) -> list[RunEvent]:
+    """Put events of the same key together, at the place of the first."""
+    groups: dict[object, RunEvent] = {}
+    for each in events:
+        first = groups.setdefault(key(each), each)
+        if first is not each:
+            groups[key(each)] = replace(first, last_s=each.last_s, count=first.count + each.count)
+    return list(groups.values())
+
+
+def _kind_or_itself(kind: str, event: RunEvent) -> object:
+    return kind if event.kind == kind else event
+
+
+def _shape(text: str) -> str:
+    """Text without its numbers."""
+    return _NUMBERS.sub("…", text)
+
+
+def _count_text(count: int) -> str:
+    return f" ({count} times)" if count > 1 else ""

@@ -1,0 +1,135 @@
+"""Numbers and names as people read them, the same in figures, report and terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison
+from gyrobench.bench.foundations.text import bin_label, listed
+
+BinT = TypeVar("BinT")
+
+#: The two estimators as people read them.
+STATE_SPACE, PAPER = "state-space estimator", "paper's method"
+#: Why a run has no results of the paper's method.
+NO_PAPER = "The paper's method takes two windows half a turn apart, so it does not apply to these dwells."
+
+_SMALLEST_P = 1e-9
+_PLAIN_P = 0.001
+_LARGE_BIAS_DPH = 1.0
+_MOST_DECIMALS = 4
+_MOST_DECIMALS_DPH = 7
+
+
+@dataclass(frozen=True)
+class BiasScale:
+    """Unit and number of decimals in which some biases are read best.
+
+    Attributes
+    ----------
+    factor : float
+        What to multiply a bias in deg/h by.
+    unit : str
+        The unit of the product.
+    decimals : int
+        So many that the smallest uncertainty shows one digit, or two if it begins with 1 or 2.
+    """
+
+    factor: float
+    unit: str
+    decimals: int
+
+    @classmethod
+    def of(cls, bias_dph: Iterable[float], sigma_dph: Iterable[float]) -> BiasScale:
+        """Choose for these biases and uncertainties; NaN among them is passed over."""
+        largest = max((abs(value) for value in bias_dph if math.isfinite(value)), default=0.0)
+        factor, unit = (1.0, "deg/h") if largest >= _LARGE_BIAS_DPH else (1000.0, "0.001 deg/h")
+        smallest = min((value for value in sigma_dph if value > 0.0), default=1.0)
+        return cls(factor, unit, _decimals(smallest * factor, _MOST_DECIMALS))
+
+    def text(self, value_dph: float) -> str:
+        """Write a bias, without its unit."""
+        return f"{value_dph * self.factor:z.{self.decimals}f}"
+
+    def with_sigma(self, value_dph: float, sigma_dph: float, between: str = " ± ") -> str:
+        """Write a bias with its uncertainty, without their unit."""
+        return f"{self.text(value_dph)}{between}{self.text(sigma_dph)}"
+
+
+def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:
+    """Choose unit and decimals for the biases of some bins."""
+    filled = [each for each in bins if not each.is_empty]
+    return BiasScale.of([each.bias_dph for each in filled], [each.sigma_dph for each in filled])
+
+
+def dph_with_sigma(value_dph: float, sigma_dph: float) -> str:
+    """Write a bias with its uncertainty and unit, in deg/h whatever its size."""
+    decimals = _decimals(sigma_dph, _MOST_DECIMALS_DPH)
+    return f"{value_dph:z.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
+
+
+def p_text(p_value: float) -> str:
+    """Write a p-value in seven characters at most; empty for NaN."""
+    if math.isnan(p_value):
+        return ""
+    if p_value < _SMALLEST_P:
+        return f"<{_SMALLEST_P:.0e}"
+    return f"{p_value:.3f}" if p_value >= _PLAIN_P else f"{p_value:.0e}"
+
+
+def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, list[BiasBin]]]:
+    """Lower and upper end of each bin of one gyro, and its positions; see :func:`by_temperature`."""
+    return by_temperature(
+        bins, lambda each: (each.bin_low_c, each.bin_high_c), lambda each: not each.is_empty
+    )
+
+
+def by_temperature(
+    bins: Iterable[BinT], ends_c: Callable[[BinT], tuple[float, float]], is_filled: Callable[[BinT], bool]
+) -> list[tuple[float, float, list[BinT]]]:
+    """Lower and upper end of each bin of one gyro, the coldest first, and its positions.
+
+    Neighbours that are empty in all positions come as one range without positions.
+
+    Parameters
+    ----------
+    bins : iterable
+        One for each position and bin.
+    ends_c, is_filled : callable
+        Give the ends of one, and whether anything was measured there.
+    """
+    groups: dict[tuple[float, float], list[BinT]] = {}
+    for each in sorted(bins, key=ends_c):
+        groups.setdefault(ends_c(each), []).append(each)
+    result: list[tuple[float, float, list[BinT]]] = []
+    for (low, high), members in groups.items():
+        if any(map(is_filled, members)):
+            result.append((low, high, members))
+        elif result and not result[-1][2]:
+            result[-1] = (result[-1][0], high, [])
+        else:
+            result.append((low, high, []))
+    return result
+
+
+def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
+    """Write the ranges of some bins, those that meet as one: "-20 to 5 °C and 10 to 15 °C"."""
+    ranges: list[tuple[float, float]] = []
+    for low, high in sorted({(each.bin_low_c, each.bin_high_c) for each in bins}):
+        if ranges and math.isclose(ranges[-1][1], low, abs_tol=1e-6):
+            ranges[-1] = (ranges[-1][0], high)
+        else:
+            ranges.append((low, high))
+    return listed([f"{bin_label(low, high)} °C" for low, high in ranges])
+
+
+def true_minus(text: str) -> str:
+    """With true minus signs, which are as wide as the plus and read as numbers."""
+    return text.replace("-", "−")
+
+
+def _decimals(sigma: float, most: int) -> int:
+    return min(max(-math.floor(math.log10(sigma / 3.0)), 0), most)

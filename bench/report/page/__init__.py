@@ -1,1 +1,0 @@
-"""Pages of HTML: parts as data, and the templates that lay them out."""

@@ -1,1 +1,0 @@
-"""The parts of a run's report, each made from what the run's folder holds."""

@@ -1,0 +1,180 @@
+"""Results in sentences, the same in report and terminal: position comparisons, fits, verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from statistics import median
+from types import MappingProxyType
+
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.statistics import uniformity_p_value
+from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
+from gyrobench.bench.report.number_format import dph_with_sigma, p_text, temperature_ranges
+
+#: What there is to say of a run, or a gyro, whose positions can't be compared.
+NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin holds dwells of two positions."
+
+#: Positions count as different where chance alone would show this in one of a hundred gyros.
+SIGNIFICANCE = 0.01
+
+_AS_EXPECTED = "Error model and noise explain the data."
+_TOO_SMALL = (
+    "The noise is larger than assumed, or something acts that the error model lacks; the uncertainties are "
+    "too small."
+)
+_TOO_LARGE = "The noise is smaller than assumed; the uncertainties are wider than they need be."
+
+
+def differing(comparisons: Iterable[PositionComparison]) -> list[PositionComparison]:
+    """Comparisons that show a difference of positions.
+
+    Every bin is one more chance for noise to look like a difference, so the significance is
+    divided by the number of bins of the gyro (Bonferroni).
+    """
+    comparisons = list(comparisons)
+    gyros = [each.gyro for each in comparisons]
+    return [each for each in comparisons if each.p_value < SIGNIFICANCE / gyros.count(each.gyro)]
+
+
+def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
+    """Say in plain words what the comparisons of one gyro's positions show."""
+    if not comparisons:
+        return NOTHING_TO_COMPARE
+    count = len(comparisons)
+    allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
+    different = differing(comparisons)
+    if not different:
+        where = temperature_ranges(comparisons)
+        return f"No difference between positions found from {where} (no p < {SIGNIFICANCE:g}, {allowing})."
+    worst = max(different, key=lambda each: each.largest_difference_dph)
+    high, low = map(position_label, worst.largest_pair)
+    difference = dph_with_sigma(worst.largest_difference_dph, worst.largest_difference_sigma_dph)
+    return (
+        f"The bias differs between positions in {len(different)} of {count} bins: from "
+        f"{temperature_ranges(different)} (p < {SIGNIFICANCE:g}, {allowing}). Most from "
+        f"{temperature_ranges([worst])}: {high} above {low} by {difference}."
+    )
+
+
+def scatter_sentence(bins: Iterable[BiasBin]) -> str:
+    """Say where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
+    tested = [each for each in bins if each.count > 1]
+    wide = [each for each in tested if each.spread_p_value < SIGNIFICANCE / len(tested)]
+    if not wide:
+        return ""
+    places = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in wide)
+    return (
+        "Dwells of the same position and bin scatter more than their uncertainties explain, so the "
+        f"uncertainty of the mean and the p-value are too small here: {places}."
+    )
+
+
+def agreement_sentence(
+    comparisons: Sequence[PositionComparison], by_paper: Sequence[PositionComparison]
+) -> str:
+    """Say whether the paper's method finds the same bins of one gyro different; empty if it has none."""
+    if not by_paper:
+        return ""
+    ours = {each.bin_low_c: each for each in differing(comparisons)}
+    theirs = {each.bin_low_c: each for each in differing(by_paper)}
+    more = [each for low, each in theirs.items() if low not in ours]
+    fewer = [each for low, each in ours.items() if low not in theirs]
+    if not more and not fewer:
+        return "The paper's method says the same."
+    parts = [f"it also finds a difference from {temperature_ranges(more)}"] if more else []
+    parts += [f"it finds none from {temperature_ranges(fewer)}"] if fewer else []
+    return f"The paper's method judges otherwise: {', and '.join(parts)}."
+
+
+def fit_sentence(rows: Iterable[DwellRow]) -> str:
+    """Say whether error model and noise explain the data of the dwells; empty where no test is known."""
+    tested = [row for row in rows if not math.isnan(row.fit_p_value)]
+    if not tested:
+        return ""
+    p_values = [row.fit_p_value for row in tested]
+    chance = uniformity_p_value(p_values)
+    if chance < SIGNIFICANCE:
+        size, verdict = ("too small", _TOO_SMALL) if median(p_values) < 0.5 else ("too large", _TOO_LARGE)
+    else:
+        size, verdict = "as chance would have them", f"{_AS_EXPECTED}{_outlier_sentence(tested)}"
+    ratios = [row.fit_ratio for row in tested]
+    if len(tested) == 1:
+        size = f"{ratios[0]:.2f} times as large as expected (p {_equals(p_values[0])})"
+        return f"Residuals of the only dwell are {size}. {verdict}"
+    return (
+        f"Residuals of {len(tested)} dwells are {min(ratios):.2f} to {max(ratios):.2f} times as large as "
+        f"expected, median {median(ratios):.2f}; their p-values are {size} (Kolmogorov-Smirnov p "
+        f"{_equals(chance)}). {verdict}"
+    )
+
+
+def _outlier_sentence(rows: Sequence[DwellRow]) -> str:
+    outliers = [row for row in rows if row.fit_p_value < SIGNIFICANCE / len(rows)]
+    if not outliers:
+        return ""
+    which = f"dwell{'s' if len(outliers) > 1 else ''} {listed([str(row.dwell) for row in outliers])}"
+    smallest = min(row.fit_p_value for row in outliers)
+    return f" Something disturbed {which} (smallest p {_equals(smallest)})."
+
+
+def _equals(p_value: float) -> str:
+    text = p_text(p_value)
+    return text if text.startswith("<") else f"= {text}"
+
+
+#: Colours of the template's box, by verdict.
+VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(
+    {"accepted": "finished", "marginal": "stopped", "rejected": "failed", "not judged": "open"}
+)
+_NO_LIMITS = "The procedure states no acceptance limits."
+_NOTHING = "No stop of the chamber has good dwells in two positions."
+_ADVICE = "The data do not tell on which side of it the unit is; more cycles would."
+_LACKING = "{} not compared with all others of the stop, so the rest can't accept the unit."
+
+
+def verdict_sentence(acceptance: Acceptance) -> str:
+    """Say why the verdict on the run is what it is."""
+    if acceptance.limits is None:
+        return _NO_LIMITS
+    limit = _limit(acceptance)
+    with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
+    match acceptance.verdict:
+        case "accepted":
+            return f"All gyros keep {limit} at all {_stops(acceptance)}, {with_confidence}."
+        case "rejected":
+            return f"{_gyros(acceptance, 'fail')} beyond {limit}, {with_confidence}."
+        case "marginal":
+            return f"{_gyros(acceptance, 'marginal')} near {limit}. {_ADVICE}"
+    return _lacking_sentence(acceptance) if acceptance.judgements else _NOTHING
+
+
+def place_of(judged: Judgement) -> str:
+    """Name the positions that differ most, "Y-Down above Y-Up", or the one with the largest bias."""
+    return " above ".join(map(position_label, judged.worst))
+
+
+def _limit(acceptance: Acceptance) -> str:
+    limits = acceptance.limits
+    if limits is None:
+        return ""
+    told = f"the limit of {limits.position_difference_dph:g} deg/h between positions"
+    return told if limits.bias_dph is None else f"{told} or that of {limits.bias_dph:g} deg/h for the bias"
+
+
+def _lacking_sentence(acceptance: Acceptance) -> str:
+    dwells = {(each.cycle, each.chamber_set_c, each.position) for each in acceptance.not_measured}
+    return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {'was' if len(dwells) == 1 else 'were'}")
+
+
+def _stops(acceptance: Acceptance) -> str:
+    bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
+    return f"{counted(acceptance.stops, 'stop')} compared, in {counted(len(bins), 'temperature bin')}"
+
+
+def _gyros(acceptance: Acceptance, verdict: str) -> str:
+    names = [gyro_label(gyro) for gyro in AXES if acceptance.gyros.get(gyro) == verdict]
+    return f"{listed(names)} {'is' if len(names) == 1 else 'are'}"

@@ -1,0 +1,199 @@
+"""The file of a recording: header and transfers."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import Field
+
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import cant_be_written, read_limited
+
+MAX_RECORDING_BYTES = 200_000_000
+_END_OF_HEADER = "---\n"
+_TRANSFER = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([<>])((?:\s+[0-9A-Fa-f]{2})+)\s*(?:\|.*)?")
+_REMARK = "#   time s    bytes and text\n"
+#: Bytes of one reply are no further apart, s.
+_ONE_PIECE_S = 0.005
+_TEXT_COLUMN = 3 * 16
+
+
+class Call(StrictModel):
+    """What a driver was asked while it was recorded, and what it made of the replies."""
+
+    ask: str = Field(pattern="^[a-z][a-z_]*$", description="method of the driver")
+    arguments: dict[str, Any] = Field(default={}, description="its arguments by name")
+    gives: str | None = Field(default=None, description="what it returned, as Python writes it")
+    fails: str | None = Field(default=None, description="kind of error that it raised instead")
+
+    def outcome(self) -> str:
+        """What came of it, for people."""
+        return f"fails with {self.fails}" if self.fails else str(self.gives)
+
+
+class RecordingHeader(StrictModel):
+    """What was recorded."""
+
+    recording: Literal[1] = Field(default=1, description="version of the format")
+    instrument: Literal["table", "chamber", "ins"] = Field(description="what was at the line")
+    dialect: str = Field(default="", max_length=80, description="its command language, as stations name it")
+    options: dict[str, str | int | float | bool] = Field(
+        default={}, description="keys of its dialect in the station file"
+    )
+    axes: list[int] = Field(default=[], max_length=9, description="numbers of the table's axes in use")
+    baudrate: int | None = Field(default=None, gt=0, description="bit/s of a serial device")
+    parity: Literal["N", "E", "O"] | None = Field(default=None, description="of a serial device")
+    source: Literal["instrument", "emulator", "manual"] = Field(
+        default="instrument", description="who answered; manual: written by hand from published bytes"
+    )
+    identity: str = Field(default="", max_length=1000, description="what the instrument calls itself")
+    recorded_utc: str = Field(default="", max_length=40, description="when it began, ISO 8601")
+    note: str = Field(default="", max_length=2000, description="what is worth knowing, for instance a quirk")
+    calls: list[Call] = Field(default=[], description="what its driver was asked, in order")
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Bytes that went one way.
+
+    Attributes
+    ----------
+    time_s : float
+        Since the line was opened, on the clock of who recorded.
+    is_sent : bool
+        Whether they went to the instrument.
+    line : int
+        Line of the file, from 1; 0 for none.
+    """
+
+    time_s: float
+    is_sent: bool
+    data: bytes
+    line: int = 0
+
+    def text(self) -> str:
+        """The line of the file."""
+        direction = ">" if self.is_sent else "<"
+        shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in self.data)
+        return f"{self.time_s:10.6f} {direction}  {self.data.hex(' '):<{_TEXT_COLUMN}}|{shown}|\n"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as read; ``document`` knows where in the file its header's keys stand."""
+
+    path: Path
+    document: Document
+    header: RecordingHeader
+    transfers: tuple[Transfer, ...]
+
+
+def joined(transfers: Iterable[Transfer]) -> list[Transfer]:
+    """One transfer of what came in pieces, such as a reply whose length is read before its text."""
+    whole: list[Transfer] = []
+    for transfer in transfers:
+        last = whole[-1] if whole else None
+        if last and last.is_sent == transfer.is_sent and transfer.time_s - last.time_s < _ONE_PIECE_S:
+            whole[-1] = Transfer(last.time_s, last.is_sent, last.data + transfer.data, last.line)
+        else:
+            whole.append(transfer)
+    return whole
+
+
+def header_text(header: RecordingHeader) -> str:
+    """The beginning of the file, up to the first transfer."""
+    data = header.model_dump(exclude_defaults=True)
+    data = {"recording": header.recording, "instrument": header.instrument} | data
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100) + _END_OF_HEADER + _REMARK
+
+
+def recording_text(header: RecordingHeader, transfers: Iterable[Transfer]) -> str:
+    """The whole file."""
+    return header_text(header) + "".join(transfer.text() for transfer in transfers)
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read, or a line of it is wrong; with its place.
+    """
+    try:
+        text = read_limited(path, MAX_RECORDING_BYTES, DocumentError).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
+    head, end, body = text.partition(f"\n{_END_OF_HEADER}")
+    if not end:
+        raise DocumentError(f"{path}:1:1: no recording: a line '---' ends its header, and there is none")
+    document = parse_document(head + "\n", path)
+    header = validate(document, RecordingHeader)
+    first = head.count("\n") + 3
+    return Recording(path, document, header, tuple(_transfers(path, body.splitlines(), first)))
+
+
+def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:
+    last_s = 0.0
+    for number, line in enumerate(lines, first):
+        if not line.strip() or line.startswith("#"):
+            continue
+        found = _TRANSFER.fullmatch(line)
+        if found is None:
+            raise DocumentError(
+                f"{path}:{number}:1: no transfer; a line is TIME > BYTES or TIME < BYTES, bytes as two "
+                "hexadecimal digits each"
+            )
+        time_s = float(found[1])
+        if time_s < last_s:
+            raise DocumentError(f"{path}:{number}:1: is before the line above; times only go on")
+        last_s = time_s
+        yield Transfer(time_s, found[2] == ">", bytes.fromhex(found[3]), number)
+
+
+class RecordingFile:
+    """A recording that is being written; each transfer is in the file at once.
+
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    clock : Clock
+        Gives the times; the recording begins now.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be made.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
+        self._clock = clock
+        self._start_s = clock.now()
+        began = clock.utc().isoformat(timespec="seconds")
+        try:
+            self._file = path.open("x", encoding="utf-8", buffering=1)
+            self._file.write(header_text(header.model_copy(update={"recorded_utc": began})))
+        except OSError as error:
+            raise cant_be_written(path, error) from error
+
+    def add(self, is_sent: bool, data: bytes) -> None:
+        """Keep what went through just now; a full disk ends the recording, not the line."""
+        if data and not self._file.closed:
+            try:
+                self._file.write(Transfer(self._clock.now() - self._start_s, is_sent, data).text())
+            except OSError:
+                self.close()
+
+    def close(self) -> None:
+        """End the recording; a second call does nothing."""
+        with contextlib.suppress(OSError):
+            self._file.close()

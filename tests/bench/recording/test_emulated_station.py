@@ -1,0 +1,39 @@
+from pathlib import Path
+
+import pytest
+
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.recording.emulated_station import guide
+from gyrobench.bench.station.station import Station
+
+TCP = {
+    "table": "socket://127.0.0.1:39878",
+    "chamber": "socket://127.0.0.1:44001",
+    "ins": "socketcand://127.0.0.1:28600/can0",
+}
+TERMINALS = {"table": "/dev/pts/101", "chamber": "/dev/pts/102", "ins": "/dev/pts/103"}
+LINKS = {name: f"/home/bench/ports/{name}" for name in TCP}
+
+
+@pytest.mark.parametrize("name", ["emulated", "emulated_thermotron", "single_axis", "emulated_sbg"])
+@pytest.mark.parametrize("urls", [TCP, TERMINALS])
+def test_it_names_every_address_and_fits_the_terminal(name, urls):
+    text = guide(urls, Station(find_document("stations", name)).file, 10.0, Path("mine.yaml"))
+    assert "10 times as fast" in text
+    assert all(url in text for url in urls.values())
+    assert "gyrobench run ten_minute_check --station mine.yaml" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_it_says_how_other_programs_connect():
+    file = Station(find_document("stations", "emulated")).file
+    text = guide(LINKS, file, 1.0, None)
+    assert f"picocom --omap crcrlf {LINKS['table']}" in text
+    assert f"mbpoll -a 1 -b 9600 -P none -0 -r 100 -c 2 {LINKS['chamber']}" in text
+    assert f"python -m can.viewer -i slcan -c {LINKS['ins']}" in text
+    assert "event output 2" in text
+    text = guide(TCP, file, 1.0, None)
+    assert "nc -C 127.0.0.1 39878" in text
+    command = " ".join(text[text.index("python -m can.viewer") :].replace("\\\n", " ").split()[:10])
+    assert command == "python -m can.viewer -i socketcand -c can0 --bus-kwargs host=127.0.0.1 port=28600"
+    assert "in real time" in text

@@ -1,0 +1,239 @@
+"""Figures: what is in them, and that equal data give equal files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.procedure.timeline import position_spans
+from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure
+from gyrobench.bench.report.figures.style import GYRO_STYLES, POSITION_STYLES, png_bytes, save_figure
+from gyrobench.bench.report.figures.temperatures import plan_figure, temperature_figure
+from gyrobench.bench.report.run_report import save_figures
+from gyrobench.bench.runs.folder import RunFolder
+
+Telemetry = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return expand(*load_procedure(find_document("procedures", "six_position_fig7")))
+
+
+def series(axes: Axes, labelled: bool) -> list[ErrorbarContainer]:
+    """Error-bar series with or without an entry in the legend."""
+    return [one for one in axes.containers if one.get_label().startswith("_") is not labelled]
+
+
+def points(container: ErrorbarContainer) -> tuple[list[float], list[float]]:
+    line = container.lines[0]
+    return list(line.get_xdata()), list(line.get_ydata())
+
+
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
+def legend_labels(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_positions_differ_without_their_colours() -> None:
+    assert set(POSITION_STYLES) == set(POSITIONS)
+    assert len({(style.marker, style.is_filled) for style in POSITION_STYLES.values()}) == 6
+    assert len({style.colour for style in POSITION_STYLES.values()}) == 6
+
+
+def test_bias_figure_joins_the_bins_of_each_position(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+    axes = bias_figure("y", dwells, bins).axes[0]
+    lines = series(axes, labelled=True)
+    assert [one.get_label() for one in lines] == ["Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down"]
+    mine = [each for each in bins if each.gyro == "y" and each.position == "z_up" and not each.is_empty]
+    assert points(lines[0]) == ([each.temperature_c for each in mine], [1e3 * each.bias_dph for each in mine])
+
+
+def test_bias_figure_shows_both_estimators_on_one_scale(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+    left, right = bias_figure("y", dwells, bins).axes
+    assert left.get_title(loc="left") == "Y gyro, state-space estimator"
+    assert right.get_title(loc="left") == "paper's method"
+    assert left.get_ylim() == right.get_ylim()
+    mine = [each for each in bins if each.gyro == "y" and each.position == "x_up" and not each.is_empty]
+    for axes, biases in (
+        (left, [each.bias_dph for each in mine]),
+        (right, [each.paper_bias_dph for each in mine]),
+    ):
+        line = next(one for one in series(axes, labelled=True) if one.get_label() == "X-Up")
+        assert points(line)[1] == pytest.approx([1e3 * bias for bias in biases])
+
+
+def test_bias_figure_without_the_papers_method_has_one_panel(old_dwells: list[DwellRow]) -> None:
+    (axes,) = bias_figure("y", old_dwells, bin_biases([row for row in old_dwells if not row.flags])).axes
+    assert axes.get_title(loc="left") == "Y gyro"
+    assert len(series(axes, labelled=True)) == 6
+
+
+def test_bias_figure_shows_every_good_dwell(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+    shown = [points(one)[0] for one in series(bias_figure("x", dwells, bins).axes[0], labelled=False)]
+    assert sorted(value for values in shown for value in values) == sorted(
+        row.gyro_c[0] for row in dwells if not row.flags
+    )
+
+
+def test_bias_figure_marks_50_degrees_only_where_it_is_in_range(
+    dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    assert "50 °C" in texts(bias_figure("x", dwells, bins))
+    cold_bins = [each for each in bins if each.bin_high_c < 40.0]
+    cold = bias_figure("x", [row for row in dwells if row.gyro_c[0] < 40.0], cold_bins)
+    assert "50 °C" not in texts(cold)
+    assert cold.axes[0].get_xlim()[1] < 50.0
+
+
+def test_bias_figure_without_dwells_says_so() -> None:
+    assert texts(bias_figure("x", [], [])) == ["no dwell gave a bias"]
+
+
+def test_large_biases_are_drawn_in_degrees_per_hour(bins: list[BiasBin]) -> None:
+    large = [replace(each, bias_dph=each.bias_dph + 3.0) for each in bins]
+    assert bias_figure("x", [], large).axes[0].get_ylabel() == "bias / (deg/h)"
+    assert bias_figure("x", [], bins).axes[0].get_ylabel() == "bias / (0.001 deg/h)"
+
+
+def test_temperature_figure_has_a_band_and_a_bar_for_each_dwell(
+    telemetry: Telemetry, dwells: list[DwellRow]
+) -> None:
+    upper, lower = temperature_figure(telemetry, dwells).axes
+    assert len(upper.patches) == len(lower.patches) == len(dwells)
+    for row, band, bar in zip(dwells, upper.patches, lower.patches, strict=True):
+        colour = POSITION_STYLES[row.position].colour
+        assert band.get_facecolor()[:3] == bar.get_edgecolor()[:3] == to_rgba(colour)[:3]
+        assert bar.get_facecolor()[3] == (0.0 if row.flags else 1.0)
+        assert bar.get_x() == pytest.approx(row.start_s / 3600.0)
+        assert bar.get_width() == pytest.approx((row.end_s - row.start_s) / 3600.0)
+
+
+def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> None:
+    nan = np.full(len(telemetry["time_s"]), np.nan)
+    without_boards = {**telemetry, **{f"board_{axis}_c": nan for axis in "xyz"}}
+    assert len(legend_labels(temperature_figure(telemetry, []))) == 8
+    figure = temperature_figure(without_boards, [])
+    assert legend_labels(figure) == [
+        "chamber, set point",
+        "chamber, air",
+        *(f"{gyro} gyro, optics" for gyro in "XYZ"),
+    ]
+    air = figure.axes[0].lines[1]
+    assert np.array_equal(air.get_xdata(), telemetry["time_s"] / 3600.0)
+    assert np.array_equal(air.get_ydata(), telemetry["chamber_c"])
+    assert "50 °C" in texts(figure)
+
+
+def test_temperature_figure_without_telemetry_shows_the_dwells(dwells: list[DwellRow]) -> None:
+    figure = temperature_figure({}, dwells)
+    assert len(figure.axes[1].patches) == len(dwells)
+    assert texts(figure) == ["no temperatures recorded"]
+
+
+def test_short_runs_are_drawn_in_minutes(telemetry: Telemetry) -> None:
+    first = {name: values[:10] for name, values in telemetry.items()}
+    figure = temperature_figure(first, [])
+    assert figure.axes[-1].get_xlabel() == "time / min"
+    assert figure.axes[-1].get_xlim() == (0.0, 9.0)
+
+
+def test_without_dwells_there_are_no_lanes_of_positions(telemetry: Telemetry, dwells: list[DwellRow]) -> None:
+    (axes,) = temperature_figure(telemetry, []).axes
+    assert axes.get_xlabel() == "time / h"
+    assert len(axes.lines) > 5
+    assert len(temperature_figure(telemetry, dwells).axes) == 2
+
+
+def test_plan_figure_shows_every_stay_in_a_position(plan: Plan) -> None:
+    figure = plan_figure(plan)
+    bars = figure.axes[1].patches
+    spans = position_spans(plan)
+    assert len(bars) == len(spans)
+    assert [bar.get_x() for bar in bars] == pytest.approx([start_s / 3600.0 for start_s, _, _ in spans])
+    assert figure.axes[0].get_title(loc="left") == "Plan of six_position_fig7"
+    assert legend_labels(figure) == ["chamber, ramped set point", "gyros, predicted"]
+
+
+def test_difference_figure_fills_the_markers_of_what_differs(bins: list[BiasBin]) -> None:
+    comparisons = compare_positions(bins)
+    axes = position_difference_figure(comparisons).axes[0]
+    for one in series(axes, labelled=True):
+        gyro, verdict = one.get_label().split(" gyro, ")
+        colour = to_rgba(GYRO_STYLES[gyro.lower()][0])
+        is_filled = to_rgba(one.lines[0].get_markerfacecolor()) == colour
+        assert is_filled is (verdict == "p < 0.01")
+    drawn = [value for one in series(axes, labelled=True) for value in points(one)[1]]
+    assert sorted(drawn) == pytest.approx(sorted(1e3 * each.largest_difference_dph for each in comparisons))
+
+
+def test_difference_figure_without_comparisons_says_so() -> None:
+    assert texts(position_difference_figure([])) == ["no bin holds dwells of two positions"]
+
+
+def test_equal_data_give_equal_files_whatever_the_user_has_set(
+    dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    first = png_bytes(bias_figure("x", dwells, bins))
+    with matplotlib.rc_context({"font.size": 22.0, "savefig.dpi": 30, "axes.grid": False}):
+        second = png_bytes(bias_figure("x", dwells, bins))
+    assert first == second
+    assert first.startswith(b"\x89PNG")
+    assert b"Software" not in first
+    assert b"tEXt" not in first
+
+
+def test_other_data_give_another_file(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+    assert png_bytes(bias_figure("x", dwells, bins)) != png_bytes(bias_figure("y", dwells, bins))
+
+
+def test_figures_are_saved_for_what_there_are_data_for(
+    tmp_path: Path, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    folder = RunFolder(tmp_path)
+    paths = save_figures(folder, telemetry, dwells, bins)
+    biases = ["bias_x", "bias_y", "bias_z"]
+    assert [path.stem for path in paths] == ["temperature", *biases, "position_differences"]
+    assert all(path.parent == folder.figures and path.read_bytes().startswith(b"\x89PNG") for path in paths)
+    assert [path.stem for path in save_figures(folder, telemetry, [], [])] == ["temperature"]
+    assert save_figures(folder, {}, [], []) == []
+    one_position = [each for each in bins if each.position == "z_up"]
+    assert [path.stem for path in save_figures(folder, {}, [], one_position)] == biases
+
+
+def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="can't be written"):
+        save_figure(bias_figure("x", [], []), tmp_path / "missing" / "figure.png")
+
+
+def test_global_state_of_matplotlib_is_left_alone() -> None:
+    code = (
+        "import sys, matplotlib\n"
+        "from gyrobench.bench.report.figures.bias import bias_figure\n"
+        "from gyrobench.bench.report.figures.style import png_bytes\n"
+        "matplotlib.rcParams['font.size'] = 13.0\n"
+        "png_bytes(bias_figure('x', [], []))\n"
+        "assert matplotlib.rcParams['font.size'] == 13.0\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,50 @@
+from dataclasses import replace
+
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
+from gyrobench.bench.report.bias_sections import before_after_section
+from gyrobench.bench.report.content import RunContent
+
+
+def content(name, dwells, bins):
+    return RunContent(
+        name=name, journal=[], provenance={}, procedure={}, station={}, dwells=dwells, bins=bins, telemetry={}
+    )
+
+
+def test_each_gyro_has_both_runs_on_one_scale(dwells, bins, equal_dwells, equal_bins):
+    section = before_after_section(content("old", dwells, bins), content("new", equal_dwells, equal_bins))
+    assert [drawn.name for drawn in section.figures] == ["before_after_x", "before_after_y", "before_after_z"]
+    for drawn in section.figures:
+        before, after = drawn.figure.axes
+        assert before.get_ylim() == after.get_ylim()
+        assert before.get_xlim() == after.get_xlim()
+        assert len(before.containers) == len(after.containers) == 6
+        assert "deg/h" in before.get_ylabel()
+
+
+def test_the_table_tells_the_largest_difference_of_each_run(dwells, bins, equal_dwells, equal_bins):
+    section = before_after_section(content("old", dwells, bins), content("new", equal_dwells, equal_bins))
+    (table,) = section.tables
+    differences = [float(row[-1].split()[0]) for row in table.rows]
+    assert [row[:2] for row in table.rows[:2]] == [["X gyro", "before"], ["X gyro", "after"]]
+    assert all(
+        before > 4.0 * after for before, after in zip(differences[::2], differences[1::2], strict=True)
+    )
+
+
+def test_the_earlier_run_is_named_with_its_verdict(dwells, bins):
+    old = content("old", dwells, bins)
+    limits = AcceptanceLimits(position_difference_dph=0.006)
+    judged = replace(old, acceptance=Acceptance(verdict="rejected", limits=limits))
+    assert "run old, unit rejected." in before_after_section(judged, old).paragraphs[0]
+
+
+def test_runs_of_two_units_are_told_as_such(dwells, bins):
+    others = [replace(row, unit="1002") for row in dwells]
+    section = before_after_section(content("old", dwells, bins), content("new", others, bins))
+    assert section.paragraphs[1] == "The two runs are of different units: 1001 before, 1002 after."
+
+
+def test_a_run_without_bins_has_nothing_to_compare(dwells, bins):
+    section = before_after_section(content("old", [], []), content("new", dwells, bins))
+    assert section.tables[0].rows[0] == ["X gyro", "before", "", "nothing to compare", ""]

@@ -1,0 +1,90 @@
+from gyrobench.bench.report.journal_sections import MOST_ROWS, events_section, run_events
+
+
+def entry(time_s, event, **details):
+    return {"time_s": time_s, "utc": "2000-01-01T00:00:00+00:00", "event": event, **details}
+
+
+def test_a_hold_tells_what_it_waited_for_and_who_went_on():
+    journal = [
+        entry(60.0, "held", why="door open", after=["door"], waits_for="a person"),
+        entry(180.0, "continued", by="the operator", after=["door"], held_s=120.0),
+    ]
+    (event,) = run_events(journal)
+    assert (event.time, event.kind, event.what) == ("0:01:00", "held", "door open")
+    assert event.outcome == "went on by the operator after 0:02:00"
+
+
+def test_a_hold_that_nobody_ended_still_waits():
+    (event,) = run_events([entry(60.0, "held", why="door open", waits_for="a person")])
+    assert event.outcome == "waits for a person"
+
+
+def test_a_trip_tells_whether_the_bench_was_made_safe():
+    for problem, outcome in (("", "made safe"), ("no reply", "safe state NOT reached: table stopped")):
+        journal = [
+            entry(5.0, "tripped", interlocks=["gyro"], why="too hot"),
+            entry(6.0, "made_safe", actions=[{"what": "table stopped", "problem": problem}]),
+        ]
+        assert run_events(journal)[0].outcome == outcome
+
+
+def test_a_dwell_given_up_tells_what_became_of_it():
+    given_up = entry(10.0, "dwell_given_up", dwell=7, why="a gap in the CAN frames", counts=True)
+    assert run_events([given_up])[0].outcome == "not measured again"
+    good = entry(20.0, "dwell_finished", marks={"dwell": 7}, flags="")
+    (event,) = run_events([given_up, good])
+    assert event.outcome == "measured again, good"
+    flagged = run_events([given_up, entry(20.0, "dwell_finished", marks={"dwell": 7}, flags="gap")])
+    assert [each.outcome for each in flagged] == ["measured again, flagged", "kept out of the bins"]
+
+
+def test_equal_retries_are_told_once_with_how_often():
+    journal = [entry(float(n), "retry", instrument="chamber", error="chamber: no reply") for n in range(5)]
+    journal.append(entry(9.0, "answers_again", instrument="chamber"))
+    (event,) = run_events(journal)
+    assert (event.count, event.time, event.outcome) == (5, "0:00:00 to 0:00:04", "answers again")
+
+
+def test_thousands_of_events_stay_readable_and_none_is_lost():
+    journal = []
+    for n in range(5000):
+        journal.append(entry(10.0 * n, "retry", instrument="INS", error=f"{n} frames {'x' * (n % 90)}"))
+        if n % 50 == 0:
+            journal.append(entry(10.0 * n + 1.0, "tripped", interlocks=["a"], why=f"trip {'y' * (n // 50)}"))
+    journal.append(entry(1e6, "held", why="the last one", waits_for="a person"))
+    events = run_events(journal)
+    assert len(events) <= MOST_ROWS
+    assert sum(each.count for each in events) == 5000 + 100 + 1
+    assert "the last one" in [each.what for each in events]
+
+
+def test_how_the_run_was_cut_short_and_went_on_is_there():
+    journal = [
+        entry(1.0, "journal_repaired", cut_off="{"),
+        entry(2.0, "run_resumed", next_step=12),
+        entry(3.0, "ordered", order="pause", by="SIGTSTP"),
+        entry(4.0, "note", text="the clock of the INS was set"),
+        entry(5.0, "dwell_skipped", dwell=3),
+        entry(6.0, "run_ended", ended="stopped", reason="by an order"),
+    ]
+    kinds = [each.kind for each in run_events(journal)]
+    assert kinds == ["note", "resumed", "order", "note", "dwell left out", "ended"]
+
+
+def test_a_quiet_run_says_so():
+    section = events_section([entry(1.0, "run_ended", ended="finished", reason="")])
+    assert section.paragraphs == ["The journal tells of no fault, hold, repeat, order or note."]
+    assert not section.tables
+
+
+def test_entries_of_any_shape_are_read():
+    journal = [
+        entry("now", "retry", instrument=["a"], error=None),
+        entry(1e400, "held", why=3, waits_for={}),
+        entry(None, "continued", by=None, held_s="long"),
+        entry(True, "made_safe", actions=7),
+        entry(0.0, "dwell_finished", marks=[1], flags=["x"]),
+        {"event": ["tripped"]},
+    ]
+    assert len(run_events(journal)) == 3

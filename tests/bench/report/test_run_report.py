@@ -1,0 +1,461 @@
+"""The report: complete, self-contained, and there also for runs that came to nothing."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.report.closure.page import write_closure_page
+from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.figures.bias import bias_figure
+from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
+from gyrobench.bench.report.run_report import render, write_report
+from gyrobench.bench.report.verification.page import write_verify_page
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.tables.calibration_check_table import write_calibration_check
+from tests.bench.report.made_up_closure import clean
+from tests.bench.report.made_up_comparison import confirmed
+from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
+
+
+@dataclass
+class Page(HTMLParser):
+    """Text, attributes that load something, and open tags of a page."""
+
+    words: list[str] = field(default_factory=list)
+    loads: list[str] = field(default_factory=list)
+    tags: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)
+    anchors: list[str] = field(default_factory=list)
+    open_tags: list[str] = field(default_factory=list)
+    in_style: bool = False
+    style: str = ""
+
+    def __post_init__(self) -> None:
+        super().__init__()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in ("meta", "img", "br"):
+            self.open_tags.append(tag)
+        named = [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+        self.loads += [value for value in named if not value.startswith("#")]
+        self.links += [value[1:] for value in named if value.startswith("#")]
+        self.anchors += [value or "" for name, value in attrs if name == "id"]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open_tags.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open_tags[-1:] == ["style"]:
+            self.style += data
+        else:
+            self.words += data.split()
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.words)
+
+
+def page_with(html: str) -> Page:
+    page = Page()
+    page.feed(html)
+    page.close()
+    assert page.open_tags == []
+    return page
+
+
+def page_of(folder: RunFolder) -> Page:
+    return page_with(write_report(folder).read_text(encoding="utf-8"))
+
+
+def text_of(folder: RunFolder, prepared_by: str = "") -> str:
+    """Text of the report without figures, which take most of the time."""
+    return page_with(render(read_run(folder), [], prepared_by=prepared_by)).text
+
+
+@pytest.fixture
+def copy(run_folder: RunFolder, tmp_path: Path) -> RunFolder:
+    """A copy of the run to change."""
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(run_folder.path, folder.path, ignore=shutil.ignore_patterns("figures"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(run_folder: RunFolder) -> Page:
+    return page_of(run_folder)
+
+
+def test_report_needs_nothing_from_outside(page: Page, run_folder: RunFolder) -> None:
+    assert len(page.loads) == 8
+    for load in page.loads:
+        assert load.startswith("data:image/png;base64,")
+    embedded = {base64.b64decode(load.partition(",")[2]) for load in page.loads}
+    assert embedded == {path.read_bytes() for path in run_folder.figures.glob("*.png")}
+    assert not {"script", "link", "iframe", "object"} & set(page.tags)
+    assert "url(" not in page.style
+    assert "@import" not in page.style
+
+
+def test_head_says_what_was_run_and_how_it_ended(page: Page) -> None:
+    assert page.text.count("Gyro bias of unit 1001") == 2
+    for words in (
+        "The run finished.",
+        "procedure six_position_fig7",
+        "bench emulated",
+        "started 2000-01-01 00:00:00 UTC",
+        "duration 1:01 h",
+        "72 measured, 1 of them flagged",
+        "seed 0, world gyro_a",
+    ):
+        assert words in page.text
+
+
+def test_contents_lead_to_every_part(page: Page) -> None:
+    assert len(page.links) > 10
+    assert page.links == page.anchors
+
+
+def test_sign_off_has_blank_lines_but_for_the_name_given(empty_folder: RunFolder) -> None:
+    text = text_of(empty_folder, "A. <Smith>")
+    assert "name date signature prepared by A. <Smith> checked by released by Contents" in text
+
+
+def test_report_can_go_elsewhere(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
+    write_dwells(empty_folder.dwells, equal_dwells[:2])
+    out = empty_folder.path / "elsewhere"
+    assert write_report(empty_folder, out=out) == out / "report.html"
+    assert not empty_folder.report.exists()
+    assert not empty_folder.figures.exists()
+
+
+def test_operator_host_and_local_time_are_told(copy: RunFolder) -> None:
+    own = json.loads(copy.provenance.read_text())
+    own |= {"operator": "smith", "host": "bench-3", "utc_offset_s": 19_800.0}
+    copy.provenance.write_text(json.dumps(own))
+    text = text_of(copy)
+    assert "started by smith on bench-3" in text
+    assert "started 2000-01-01 00:00:00 UTC, 2000-01-01 05:30:00 local time (UTC+05:30)" in text
+    assert "ended 2000-01-01 01:01:27 UTC, 2000-01-01 06:31:27 local time" in text
+
+
+def test_a_verdict_stands_in_the_head_with_its_judgements_below(
+    copy: RunFolder, dwells: list[DwellRow]
+) -> None:
+    limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.1)
+    write_acceptance(copy.acceptance, judge(dwells, limits))
+    text = text_of(copy)
+    assert "Unit rejected. X gyro, Y gyro and Z gyro are beyond the limit of 0.006 deg/h" in text
+    assert "Limits of the procedure: 0.006 deg/h between two positions at one stop and" in text
+    assert re.search(r"X gyro -25 to -20 X-Down above Z-Up fail \S+ ± \S+ \S+ \S+ 6\.0", text)
+
+
+def test_without_limits_the_report_says_that_nothing_was_judged(copy: RunFolder) -> None:
+    write_acceptance(copy.acceptance, Acceptance())
+    assert "Unit not judged. The procedure states no acceptance limits." in text_of(copy)
+
+
+def test_the_report_is_tied_to_its_data(page: Page, run_folder: RunFolder) -> None:
+    assert hashlib.sha256(run_folder.dwells.read_bytes()).hexdigest() in page.text
+    assert "telemetry/*.parquet" in page.text
+
+
+def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
+    empty_folder: RunFolder, equal_dwells: list[DwellRow]
+) -> None:
+    folder = empty_folder
+    write_dwells(folder.dwells, equal_dwells[:1])
+    folder.closure.mkdir()
+    write_closure_page(folder.closure, clean(), "the run", folder.dwells)
+    folder.verify.mkdir()
+    write_verify_page(folder.verify, confirmed(), folder.dwells)
+    page = page_with(render(read_run(folder), []))
+    assert "Search for effects Clean." in page.text
+    assert "Proof of a compensation Confirmed." in page.text
+    figures = {path.read_bytes() for path in folder.path.glob("*/figures/*.png")}
+    assert figures == {base64.b64decode(load.partition(",")[2]) for load in page.loads}
+    write_dwells(folder.dwells, equal_dwells[:2])
+    changed = text_of(folder)
+    assert "Search for effects Clean." not in changed
+    assert "closure: dwells.csv has changed since, so it is left out." in changed
+
+
+def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
+    for place in (empty_folder.closure, empty_folder.verify):
+        place.mkdir()
+    (empty_folder.closure / "findings.json").write_text("{}")
+    (empty_folder.verify / "comparison.html").write_text("")
+    text = text_of(empty_folder)
+    assert "findings.json: holds no findings" in text
+    assert "verify/findings.json is missing" in text
+
+
+def test_instruments_versions_and_assumptions_are_there(page: Page) -> None:
+    for words in (
+        "rate table Acutrol3000 rev 2.1",
+        "INS made-up INS, serial number 1001",
+        "heading: 0.0001 deg a bit",
+        "gyrobench 0.1.0",
+        "numpy 2.1.0",
+        "ab" * 32,
+        "ramp rates are <chosen> here",
+    ):
+        assert words in page.text
+
+
+def test_findings_are_told_in_words(page: Page) -> None:
+    assert page.text.count("The bias differs between positions in") == 3
+    assert "X-Down above Z-Up by 0.01" in page.text
+
+
+def test_tables_hold_biases_counts_and_empty_bins(page: Page) -> None:
+    assert "-20 to 5 empty in all positions" in page.text
+    assert re.search(r"-25 to -20 -6\.8 ± 0\.6 \(2\) \S+ ± 0\.8 -5\.0 ± 0\.6 \(2\) \S+ ± 0\.8", page.text)
+    assert page.text.count("Positions compared;") == 3
+    assert "<1e-09" in page.text
+
+
+def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwells: list[DwellRow]) -> None:
+    first = dwells[0]
+    pairs = zip(first.bias_dph, first.sigma_dph, first.paper_bias_dph, first.paper_sigma_dph, strict=True)
+    cells = " ".join(
+        f"{1e3 * bias:.1f} ± {1e3 * sigma:.1f} {1e3 * paper:.1f} ± {1e3 * paper_sigma:.1f}"
+        for bias, sigma, paper, paper_sigma in pairs
+    )
+    assert f"{cells} {first.fit_p_value:.3f}" in page.text
+
+
+def test_estimators_are_explained_and_compared(page: Page) -> None:
+    for words in (
+        "Biases are those of the state-space estimator",
+        "What the paper's method makes of the same data stands beside them in grey",
+        "The two estimators The paper's method leaves out",
+        "over 71 dwells",
+        "Does the model explain the data?",
+        "Error model and noise explain the data.",
+    ):
+        assert words in page.text
+    assert page.text.count("The paper's method judges otherwise") == 3
+
+
+def test_verdict_tells_which_estimators_find_a_difference(page: Page) -> None:
+    for verdict in ("differs by both", "only by the paper's"):
+        assert verdict in page.text
+
+
+def test_table_that_knows_no_estimators_gives_a_report_without_them(
+    empty_folder: RunFolder, old_dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, old_dwells)
+    page = page_of(empty_folder)
+    assert "does not tell by which estimator" in page.text
+    assert "paper" not in page.text
+    assert len(page.loads) == 5
+
+
+def test_run_that_the_papers_method_does_not_apply_to_says_so(
+    empty_folder: RunFolder, dwells: list[DwellRow], old_dwells: list[DwellRow]
+) -> None:
+    tested = [
+        replace(old, fit_ratio=row.fit_ratio, fit_p_value=row.fit_p_value)
+        for old, row in zip(old_dwells, dwells, strict=True)
+    ]
+    write_dwells(empty_folder.dwells, tested)
+    page = page_of(empty_folder)
+    assert "so it does not apply to these dwells" in page.text
+    assert "The two estimators" not in page.text
+    assert "Does the model explain the data?" in page.text
+
+
+def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> None:
+    for words in (
+        "All dwells of one temperature together",
+        "level gyros 10.0 % smaller and that of vertical ones 10.0 % smaller",
+        "Over all stops the half-differences amount to +2.10 ± 0.30",
+        "1 62 6 +24.0 ± 1.8 -15.5 ± 1.8 +8.1 ± 5.8 +0.30 ± 0.80 +2.10 ± 0.30 0.400",
+        "all 71",
+        "Noise of the INS Allan deviation of the rates and accelerations at rest",
+    ):
+        assert words in page.text
+    assert (
+        page.text.index("The two estimators")
+        < page.text.index("Does the model explain the data?")
+        < page.text.index("All dwells of one temperature together")
+        < page.text.index("Noise of the INS")
+        < page.text.index("Dwells Biases ± standard uncertainty")
+    )
+
+
+def test_noise_is_held_against_what_the_station_declares(
+    empty_folder: RunFolder, run_folder: RunFolder
+) -> None:
+    shutil.copy(run_folder.noise, empty_folder.noise)
+    shutil.copy(find_document("stations", "emulated"), empty_folder.station)
+    page = page_of(empty_folder)
+    assert re.search(r"velocity random walk (19|20)\.\d+ ± \d", page.text)
+    assert "declared 5 ug/sqrt(Hz): larger than declared" in page.text
+    assert "declares no noise" not in page.text
+    assert len(page.loads) == 1
+    assert (empty_folder.figures / "noise.png").exists()
+
+
+def test_damaged_results_are_named_and_leave_their_sections_out(
+    empty_folder: RunFolder, run_folder: RunFolder
+) -> None:
+    for path in (run_folder.dwells, run_folder.joint_biases):
+        shutil.copy(path, empty_folder.path)
+    empty_folder.joint.write_text("stop\n1\n", encoding="utf-8")
+    empty_folder.noise.write_text("{", encoding="utf-8")
+    page = page_of(empty_folder)
+    assert "joint.csv can't be used:" in page.text
+    assert "noise.json can't be used:" in page.text
+    assert "All dwells of one temperature together" not in page.text
+    assert "Noise of the INS" not in page.text
+
+
+def test_sections_stand_before_the_dwells(
+    empty_folder: RunFolder, dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    write_dwells(empty_folder.dwells, dwells)
+    drawn = SectionFigure("made_up", "the caption", bias_figure("x", dwells, bins))
+    section = Section(
+        "One bias for all positions",
+        ["What <follows> is made up."],
+        [drawn],
+        [SectionTable("its caption", ["temperature / °C", "X gyro"], [["72", "1.0 ± 0.2"]])],
+    )
+    sections = with_figure_files(empty_folder.path, [section])
+    page = page_with(render(read_run(empty_folder), [], sections))
+    assert (
+        "One bias for all positions What <follows> is made up. the caption its caption "
+        "temperature / °C X gyro 72 1.0 ± 0.2 Dwells Biases" in page.text
+    )
+    assert len(page.loads) == 1
+
+
+def test_single_position_without_a_dwell_in_a_bin_is_empty(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    two = [row for row in dwells if row.position in ("y_up", "z_up")]
+    write_dwells(empty_folder.dwells, [row for row in two if row.position == "z_up" or row.chamber_c < 60.0])
+    text = page_of(empty_folder).text
+    assert text.count("empty") - text.count("empty in all positions") == 3
+
+
+def test_flagged_dwell_is_marked_with_its_reason_as_text(page: Page) -> None:
+    assert "flagged: the INS left navigation during the dwell; chamber <door> open" in page.text
+    assert "door" not in page.tags
+
+
+def test_durations_and_safe_state_are_there(page: Page) -> None:
+    assert "chamber 1 0:40:00 0:49:10 +0:09:10 (+22.9 %)" in page.text
+    assert "ask operator 1 0:01:00 0:00:05" in page.text
+    assert "all 5 0:53:00 1:01:27" in page.text
+    assert "rate table stopped chamber switched off" in page.text
+    assert "not reached in full" not in page.text
+
+
+def test_equal_runs_give_equal_reports(page: Page, run_folder: RunFolder) -> None:
+    first = run_folder.report.read_bytes()
+    assert write_report(run_folder).read_bytes() == first
+
+
+def test_run_whose_positions_agree_says_so(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
+    write_dwells(empty_folder.dwells, equal_dwells)
+    write_bins(empty_folder.bias_bins, bin_biases(equal_dwells))
+    assert page_of(empty_folder).text.count("No difference between positions found") == 3
+
+
+def test_failed_run_tells_reason_step_and_what_is_not_safe(
+    empty_folder: RunFolder, journal_writer: Callable[..., None]
+) -> None:
+    journal_writer(empty_folder, ended="failed", reason="chamber: no <reply>", problem="table: no reply")
+    text = page_of(empty_folder).text
+    assert (
+        "The run failed. chamber: no <reply> It was in step 6, turn 180 deg (cycle 1, 62 degC, z_up)." in text
+    )
+    assert "The safe state was not reached in full" in text
+    assert "rate table stopped: failed: table: no reply" in text
+    assert "No dwell was measured." in text
+    assert "No dwell gave a bias" in text
+    assert "dwells.csv is missing." in text
+
+
+def test_run_of_verifications_is_no_failure(
+    empty_folder: RunFolder, run_folder: RunFolder, journal_writer: Callable[..., None]
+) -> None:
+    journal_writer(empty_folder)
+    shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
+    write_calibration_check(empty_folder.verification, [ROW, ALIGNMENT])
+    page = page_of(empty_folder)
+    assert "Gyro bias of unit U7" in page.text
+    assert "dwells 2 dwells for verification" in page.text
+    assert "Findings All 2 biases agree with the calibration" in page.text
+    assert "Dwells 2 dwells for verification, without a turn" in page.text
+    assert "Temperatures over the run. Verification" in page.text
+    for words in ("No dwell", "dwells.csv is missing", "Bands and bars"):
+        assert words not in page.text
+    assert len(page.loads) == 1
+
+
+def test_unit_is_known_from_the_journal_before_anything_is_measured(empty_folder: RunFolder) -> None:
+    with Journal(empty_folder.journal, VirtualClock()) as journal:
+        journal.record("ins_identified", unit="1007", identity="made-up INS")
+    assert "Gyro bias of unit 1007" in page_of(empty_folder).text
+
+
+def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, [row for row in dwells if row.position == "y_up"])
+    page = page_of(empty_folder)
+    assert page.text.count("Nothing to compare") == 1
+
+
+def test_run_that_was_killed_is_told_as_such(
+    empty_folder: RunFolder, journal_writer: Callable[..., None]
+) -> None:
+    journal_writer(empty_folder, ended="")
+    text = page_of(empty_folder).text
+    assert "The run has not ended. It was killed or cut off" in text
+    assert "The journal tells of no safe state." in text
+
+
+def test_empty_folder_still_gives_a_report(empty_folder: RunFolder) -> None:
+    page = page_of(empty_folder)
+    assert "serial number not known" in page.text
+    assert page.loads == []
+    assert "The journal tells of no step that was finished." in page.text
+
+
+def test_dwells_that_are_all_flagged_still_give_a_report(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    write_dwells(empty_folder.dwells, [row for row in dwells if row.flags])
+    page = page_of(empty_folder)
+    assert "1 measured, 1 of them flagged" in page.text
+    assert len(page.loads) == 1
+
+
+def test_data_that_can_not_be_hashed_are_told(copy: RunFolder) -> None:
+    (copy.can / "part-00001.blf").mkdir(parents=True)
+    text = page_of(copy).text
+    assert "The data can't be hashed" in text
+    assert "Data that this report stands on" not in text
