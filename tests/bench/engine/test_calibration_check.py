@@ -73,7 +73,7 @@ def later_run(tmp_path_factory, one_run):
 
 def test_each_position_shows_the_gyros_that_point_east_and_north(one_run):
     _, outcome = one_run
-    assert [(row.position, row.gyro, row.method) for row in outcome.results.verification] == [
+    assert [(row.position, row.gyro, row.method) for row in outcome.results.calibration_check] == [
         ("z_up", "x", "alignment"),
         ("z_up", "y", "velocity"),
         ("z_up", "y", "velocity"),
@@ -117,8 +117,8 @@ def test_the_temperatures_are_those_of_each_part(one_run):
 def test_the_table_holds_what_was_found(one_run):
     folder, outcome = one_run
     rows = read_calibration_check(folder.verification)
-    assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.verification]
-    for read, found in zip(rows, outcome.results.verification, strict=True):
+    assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.calibration_check]
+    for read, found in zip(rows, outcome.results.calibration_check, strict=True):
         assert read.bias_dph == pytest.approx(found.bias_dph)
         assert read.p_value == pytest.approx(found.p_value)
 
@@ -136,7 +136,7 @@ def test_measured_again_from_the_log_the_table_is_the_same_to_the_last_digit(req
 def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, later_run):
     _, outcome = later_run
     assert outcome.dwells == []
-    rows = outcome.results.verification
+    rows = outcome.results.calibration_check
     assert [row.flags for row in rows] == [""] * 6
     calibrated = [row for row in rows if row.is_compared]
     # The later run is as warm as the earlier one was at its beginning.
