@@ -211,7 +211,7 @@ class FaultyRun:
         return outcome
 
     def _inspect(self, outcome: RunOutcome | None) -> None:
-        """The table is at rest and the chamber at its safe set point, or the outcome reports that they are not."""
+        """The table is at rest and the chamber at its safe set point, or the outcome reports it."""
         bench = self.watcher.bench
         if bench is None:
             return
