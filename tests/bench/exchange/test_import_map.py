@@ -10,7 +10,7 @@ SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").g
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_the_shipped_mappings_are_right(name):
+def test_the_shipped_import_maps_are_valid(name):
     assert load_log_map(find_document("imports", name)).unit
 
 
