@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rich.console import Console
+    from rich.console import Console, RenderableType
 
     from gyrobench.bench.bias.bins import BiasBin
     from gyrobench.bench.bias.verdicts import Acceptance
@@ -67,6 +67,16 @@ JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
 def print_json(content: dict[str, Any]) -> None:
     """Print an object; numbers that are not finite become null, as JSON has none."""
     typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType) -> None:
+    """Print a result as a JSON object, or as views with paths on lines of their own."""
+    if as_json:
+        print_json(content)
+        return
+    terminal = console()
+    for view in views:
+        terminal.print(view, soft_wrap=isinstance(view, str))
 
 
 def plain(value: Any) -> Any:

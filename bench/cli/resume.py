@@ -23,7 +23,7 @@ def resume(
 ) -> None:
     """Go on with a run that was cut short: by a power cut, a kill, an order, or a fault.
 
-    What was finished bars. The dwell that was under way is repeated, with the temperature and the soak that
+    Finished dwells are kept. The dwell that was under way is repeated, with the temperature and the soak that
     it needs.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended

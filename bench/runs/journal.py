@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
@@ -13,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+
+from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -93,13 +94,13 @@ class Journal:
 
     def _lock(self) -> None:
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            is_free = lock_descriptor(self._descriptor, blocking=False)
+        except OSError:  # a file system or a platform without locks
+            is_free = True
+        if not is_free:
             raise RunFolderError(
                 f"{self._path}: another process is writing this run. Wait for its end, or stop it."
-            ) from error
-        except OSError:
-            pass  # a file system without locks
+            )
 
     def _find_end(self) -> tuple[int, bytes]:
         try:

@@ -1,16 +1,16 @@
 """Locks: one run at a time holds a bench, and one process at a time writes a run folder.
 
-A lock is an advisory one of the kernel (flock) on a small file, so that it ends with the process
-that holds it, however that ends. The file says who holds it. A bench has one file for each port,
-in a folder that all users of the machine share: ``/run/lock`` where everybody may write there,
-else ``/tmp``, or what the environment variable GYROBENCH_LOCK_DIR names. A bench that several
-machines reach, for instance over TCP, is locked on each machine by itself only.
+A lock is the operating system's (by filelock) on a small file, so that it ends with the process that
+holds it, however that ends. The file names the holder. A bench has one file for each port, in a folder
+that all users of the machine share: ``/run/lock`` where all may write, else ``/tmp``, or the folder in
+the environment variable GYROBENCH_LOCK_DIR. A bench that several machines reach, for instance over TCP,
+is locked on each machine separately.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import errno
 import getpass
 import hashlib
 import json
@@ -27,42 +27,35 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from filelock import lock_descriptor
+
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
 from gyrobench.bench.runs.folder import LOCK
 from gyrobench.bench.station.station import Station
 
 LOCK_DIR_VARIABLE = "GYROBENCH_LOCK_DIR"
-#: What a guard calls itself.
+#: Command of a guard in its locks.
 GUARD_COMMAND = "guard of this run"
-#: What a session by hand calls itself.
+#: Command of a session of manual control.
 JOG_COMMAND = "gyrobench jog"
 
 _SHARED_FOLDERS = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - files there are opened with care
-_EVERYBODY_ADDS = stat.S_ISVTX | stat.S_IRWXO
-_MOST_BYTES = 16384
-_LONGEST_TEXT = 300
+_WRITABLE_BY_ALL = stat.S_ISVTX | stat.S_IRWXO
+_MAX_BYTES = 16384
+_MAX_COMMAND_CHARACTERS, _MAX_PATH_CHARACTERS = 300, 1500
 _EMULATED = "emulator"
-#: Others hold a lock for an instant when they look whether it is held.
-_LOOKERS_TIME_S = 0.3
-_LOOK_S = 0.05
+#: A process that only checks whether a lock is held takes it for an instant.
+_MAX_CHECK_S = 0.3
+_POLL_S = 0.05
+_CHECKS, _CHECK_PAUSE_S = 3, 0.002
+#: Flags that not all systems have.
+_FLAGS = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK"))
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a lock.
-
-    Attributes
-    ----------
-    pid : int
-        Process.
-    user, host, command : str
-        Whose it is, where it runs, and how it was started.
-    run : str
-        Run folder.
-    started : str
-        When it took the lock, UTC in ISO 8601.
-    """
+    """Process that holds a lock: its command line, run folder, and when it took the lock (UTC, ISO 8601)."""
 
     pid: int
     user: str
@@ -72,7 +65,7 @@ class Holder:
     started: str
 
     def describe(self) -> str:
-        """Say all of it in one phrase."""
+        """All of it in one phrase."""
         return (
             f"run {self.run} (process {self.pid} of {self.user} on {self.host}, since {self.started}: "
             f"{self.command})"
@@ -80,7 +73,7 @@ class Holder:
 
 
 class _LockFile:
-    """A file with the kernel's lock on it and its holder's identity in it."""
+    """A locked file with its holder's identity in it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -88,27 +81,24 @@ class _LockFile:
         self.held = False
 
     def take(self) -> bool:
-        """Take the lock if nobody has it."""
-        with contextlib.suppress(BlockingIOError):
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self.held = True
+        """Take the lock if it is free."""
+        self.held = _locked(self._descriptor)
         return self.held
 
     def holder(self) -> Holder | None:
-        """Whoever wrote the file last; None where it was left in order."""
+        """The last holder that did not release the lock; None where the lock was released."""
         with contextlib.suppress(OSError):
-            return _parsed(os.pread(self._descriptor, _MOST_BYTES, 0))
+            return _parsed(os.pread(self._descriptor, _MAX_BYTES, 0))
         return None
 
     def sign(self, holder: Holder) -> None:
-        """Write who holds it."""
-        # The lock is the kernel's; a full disk costs only the name of its holder.
+        """Write the holder into the file; on a full disk the lock holds without it."""
         with contextlib.suppress(OSError):
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, json.dumps(asdict(holder)).encode(), 0)
 
     def release(self) -> None:
-        """Let go; the file stays, since another process may just be opening it."""
+        """Release the lock; the file stays, since another process may be opening it."""
         if self.held:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._descriptor, 0)
@@ -125,7 +115,7 @@ class _Lock:
         self._identity = identity
         self._clock = clock
         self._files: list[_LockFile] = []
-        self._patience_s = max(patience_s, _LOOKERS_TIME_S)
+        self._patience_s = max(patience_s, _MAX_CHECK_S)
         self._taken = ExitStack()
         self.taken_over: list[str] = []
 
@@ -143,7 +133,7 @@ class _Lock:
                 self._files.append(file)
             self._taken = taken.pop_all()
         self.taken_over = [
-            f"took over what {former.describe()} left locked without holding it any more: {', '.join(what)}"
+            f"took over locks left by {former.describe()}, which did not release them: {', '.join(what)}"
             for former, what in left_by.items()
         ]
         return self
@@ -159,7 +149,7 @@ class _Lock:
             if deadline.expired():
                 holder = file.holder()
                 raise BenchInUseError(f"{what} is in use by {_described(holder)}. {self._advice(holder)}")
-            self._clock.sleep(_LOOK_S)
+            self._clock.sleep(_POLL_S)
 
     def _advice(self, holder: Holder | None) -> str:
         raise NotImplementedError
@@ -176,18 +166,18 @@ class BenchLock(_Lock):
     station : Station
         The bench.
     run_path : Path
-        Run folder, or where it will be, told to whoever wants the bench as well.
+        Run folder, or where it will be; named to other processes that want the bench.
     clock : Clock
         The run's clock, to wait on.
     command : str, optional
-        What the holder calls itself; the command line without it.
+        Command of the holder; by default the command line.
     patience_s : float
-        How long to wait for another holder to let go.
+        How long to wait for another holder's release.
 
     Attributes
     ----------
     taken_over : list of str
-        Whose locks were found although nobody held them any more, in words.
+        One note for each holder that ended without releasing its locks.
 
     Raises
     ------
@@ -215,10 +205,10 @@ class BenchLock(_Lock):
 
     def _advice(self, holder: Holder | None) -> str:
         if holder is not None and holder.command == GUARD_COMMAND:
-            return "It is making the bench safe after the end of that run. Try again in a minute."
+            return "It is bringing the bench to its safe state after that run. Try again in a minute."
         if holder is not None and holder.command == JOG_COMMAND:
-            return "Somebody uses it by hand; `quit` there lets go of it. Nothing was moved."
-        return "Wait for its end, or end it with `gyrobench tell RUN abort`. Nothing was moved."
+            return "An operator controls it manually; `quit` there releases it. Nothing was moved."
+        return "Wait for its end, or end it with `gyrobench control RUN abort`. Nothing was moved."
 
 
 class RunLock(_Lock):
@@ -229,11 +219,11 @@ class RunLock(_Lock):
         super().__init__(paths, lambda: _identity(run_path, command), clock)
 
     def _advice(self, holder: Holder | None) -> str:  # noqa: ARG002
-        return "It goes on by itself; a run is resumed only after its end."
+        return "That run is still in progress; only an interrupted run can be resumed."
 
 
 def holder_of(run_path: Path) -> Holder | None:
-    """Find the process that holds a run folder; None where nobody does."""
+    """Find the process that holds a run folder; None if it is free."""
     return _present_holder(run_path / LOCK)
 
 
@@ -245,22 +235,33 @@ def bench_holders(station: Station) -> list[Holder]:
 
 def _present_holder(path: Path) -> Holder | None:
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     except OSError:
         return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return _parsed(os.pread(descriptor, _MOST_BYTES, 0))
+        for _ in range(_CHECKS):  # another process that only checks has released it by the next attempt
+            if _locked(descriptor):
+                return None
+            WallClock().sleep(_CHECK_PAUSE_S)
+        return _parsed(os.pread(descriptor, _MAX_BYTES, 0))
     finally:
         os.close(descriptor)
-    return None
+
+
+def _locked(descriptor: int) -> bool:
+    """Take the lock on an open file if it is free; a system without locks gives it to all."""
+    try:
+        return lock_descriptor(descriptor, blocking=False)
+    except OSError as error:
+        if error.errno == errno.ENOSYS:
+            return True
+        raise
 
 
 def _port_files(station: Station) -> dict[str, Path]:
-    """Lock file of each port, under the port's name for people."""
+    """Lock file of each port, by the port's name in messages."""
     folder = _lock_folder()
-    # Two names of one port have one file: a station that gives it twice does not lock itself out.
+    # Two names of one port have one file, so that a station that gives it twice does not lock itself out.
     files = {_file_name(port): what for what, port in _ports(station)}
     return {what: folder / name for name, what in files.items()}
 
@@ -283,7 +284,7 @@ def _ports(station: Station) -> Iterator[tuple[str, str]]:
 def _same_for_one_port(url: str) -> str:
     scheme, separator, rest = url.partition("://")
     address = rest.partition("?")[0] if separator else url
-    if separator and scheme not in ("spy", "alt"):  # those two are serial devices, looked at or configured
+    if separator and scheme not in ("spy", "alt"):  # those two are serial devices
         return address.lower()
     return os.path.realpath(address)
 
@@ -299,14 +300,14 @@ def _lock_folder() -> Path:
         return Path(given)
     for folder in _SHARED_FOLDERS:
         with contextlib.suppress(OSError):
-            if folder.stat().st_mode & _EVERYBODY_ADDS == _EVERYBODY_ADDS:
+            if folder.stat().st_mode & _WRITABLE_BY_ALL == _WRITABLE_BY_ALL:
                 return folder
     return _SHARED_FOLDERS[-1]
 
 
 def _opened(path: Path) -> int:
-    """Open a lock file, or make it; never through a link that somebody else put there."""
-    flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+    """Open a lock file, or make it; never through a link that another user planted."""
+    flags = os.O_RDWR | _FLAGS
     try:
         for more in (0, os.O_CREAT | os.O_EXCL, 0):
             # Not O_CREAT alone: the kernel may refuse that for files of other users in shared folders.
@@ -314,15 +315,15 @@ def _opened(path: Path) -> int:
                 descriptor = os.open(path, flags | more, 0o666)
                 break
         else:
-            raise FileNotFoundError(2, "comes and goes", str(path))
+            raise FileNotFoundError(errno.ENOENT, "appears and disappears", str(path))
     except OSError as error:
         raise _can_not_lock(path, error.strerror or str(error)) from error
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # a second name may be a trap as well
         os.close(descriptor)
-        raise _can_not_lock(path, "is no ordinary file")
+        raise _can_not_lock(path, "it is not an ordinary file")
     if more:
-        os.fchmod(descriptor, 0o666)  # whoever uses the bench next writes the name into it
+        os.fchmod(descriptor, 0o666)  # the next user of the bench writes into it
     return descriptor
 
 
@@ -336,20 +337,20 @@ def _identity(run_path: Path, command: str | None) -> Holder:
     if command is None:
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     return Holder(
-        os.getpid(), _user(), socket.gethostname(), command[:_LONGEST_TEXT],
-        str(run_path.absolute())[:_LONGEST_TEXT * 5], WallClock().utc().isoformat(timespec="seconds"),
+        os.getpid(), _user(), socket.gethostname(), command[:_MAX_COMMAND_CHARACTERS],
+        str(run_path.absolute())[:_MAX_PATH_CHARACTERS], WallClock().utc().isoformat(timespec="seconds"),
     )  # fmt: skip
 
 
 def _user() -> str:
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a user without an entry, as in containers
+    except (KeyError, OSError, ImportError):  # a user without an entry, as in containers
         return str(os.getuid())
 
 
 def _parsed(data: bytes) -> Holder | None:
-    """Identity out of a lock file, which any user may have written."""
+    """Holder from a lock file's content, which any user may have written."""
     try:
         found = json.loads(data)
         values = {field.name: found[field.name] for field in fields(Holder)}
@@ -366,4 +367,4 @@ def _printable(text: str) -> str:
 
 
 def _described(holder: Holder | None) -> str:
-    return "a process that has not said who it is" if holder is None else holder.describe()
+    return "an unidentified process" if holder is None else holder.describe()

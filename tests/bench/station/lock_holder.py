@@ -15,7 +15,7 @@ _CONTEXT.set_forkserver_preload([__name__])
 
 
 def hold(station_path, run, lock_folder, pipe):
-    """Hold both until told to let go."""
+    """Hold both until a message arrives."""
     os.environ[LOCK_DIR_VARIABLE] = lock_folder
     run = Path(run)
     with (

@@ -2,6 +2,7 @@
 
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -75,7 +76,7 @@ def test_a_run_folder_is_held_once_and_free_after_its_end(make_station, tmp_path
     assert holder_of(run) is None
 
 
-def test_a_lock_left_by_a_killed_process_is_taken_over_and_told(make_station, tmp_path):
+def test_a_lock_left_by_a_killed_process_is_taken_over_and_named(make_station, tmp_path):
     station, run = make_station(), tmp_path / "run"
     with held_elsewhere(station, run) as (process, _):
         process.kill()
@@ -180,7 +181,7 @@ def test_what_else_is_planted_in_place_of_a_lock_is_left_alone(make_station, tmp
         path = min(lock_folder.iterdir())
     path.unlink()
     plant(victim, path)
-    with pytest.raises(GyrobenchError, match="no ordinary file"):
+    with pytest.raises(GyrobenchError, match="not an ordinary file"):
         BenchLock(station, tmp_path, WallClock()).__enter__()
     assert victim.read_text() == "precious"
 
@@ -201,3 +202,12 @@ def test_what_anybody_may_have_written_into_a_lock_does_no_harm(make_station, tm
 def test_lock_files_are_for_every_user_of_the_machine(make_station, tmp_path, lock_folder):
     with BenchLock(make_station(), tmp_path, WallClock()):
         assert {path.stat().st_mode & 0o777 for path in lock_folder.iterdir()} == {0o666}
+
+
+def test_checks_of_one_lock_by_many_threads_never_take_each_other_for_a_holder(make_station, tmp_path):
+    run = tmp_path / "run"
+    with held_elsewhere(make_station(), run) as (process, _):
+        process.kill()  # its name stays in the file
+        process.join()
+        with ThreadPoolExecutor(8) as pool:
+            assert set(pool.map(lambda _: holder_of(run), range(400))) == {None}

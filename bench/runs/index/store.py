@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
-
-import fsspec
-from fsspec.spec import AbstractFileSystem
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
     BIAS_BINS,
@@ -22,32 +22,35 @@ from gyrobench.bench.runs.folder import (
     PROVENANCE,
 )
 
-#: What a search for effects tells programs.
+if TYPE_CHECKING:
+    from fsspec.spec import AbstractFileSystem
+
+#: Result of a search for effects.
 CLOSURE_FILE = f"{CLOSURE}/closure.json"
 #: Table of the units, in the root of the runs.
 UNITS = "units.csv"
 
-#: What the search found, for people, with the hash of the dwells that it saw.
+#: Page of that search as data, with the hash of the dwells searched.
 CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"
 
 _OF_A_RUN = (JOURNAL, PROVENANCE, DWELLS, BIAS_BINS, ACCEPTANCE, COMPENSATION)
-#: Runs lie no deeper than this; it also ends the walk through links that lead back.
-_MOST_LEVELS = 8
-_MOST_BYTES = 1_000_000_000
-#: What tells a change: the store's own tag where it has one, else the time.
+#: Maximum depth of run folders; it also ends a walk through cyclic links.
+_MAX_DEPTH = 8
+_MAX_BYTES = 1_000_000_000
+#: Keys that change with a file: the tag of the store if it has one, else the time.
 _TAGS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "created")
 
 
 @dataclass(frozen=True)
 class RunFiles:
-    """One run folder as it lies in the store.
+    """One run folder of a store.
 
     Attributes
     ----------
     path : str
         Relative to the root; "." where the root is the run.
     files : mapping of str to str
-        Files that the index reads, by name; size and tag of each.
+        Size and tag of each file that the index reads, by name.
     """
 
     path: str
@@ -55,7 +58,7 @@ class RunFiles:
 
     @property
     def fingerprint(self) -> str:
-        """Text that is another after a file changed, came or went."""
+        """Text that changes with any file."""
         return json.dumps(dict(sorted(self.files.items())))
 
 
@@ -68,7 +71,7 @@ class RunStore:
     url : str
         As given: a path, or any URL that fsspec knows, as ``s3://bucket/runs`` or ``memory://runs``.
     file_system, root
-        What reads it, and the path in it.
+        Its fsspec file system, and the path in it.
     """
 
     url: str
@@ -81,12 +84,12 @@ class RunStore:
         return "file" in _protocols(self.file_system)
 
     def runs(self) -> Iterator[RunFiles]:
-        """Find run folders, in the order of their paths; a run inside a run is not looked for.
+        """Find run folders in order of their paths; folders inside a run are not searched.
 
         Raises
         ------
         RunFolderError
-            The root is not there, or can't be read.
+            The root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
             if JOURNAL in files:
@@ -96,7 +99,7 @@ class RunStore:
                 inner.clear()
                 yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
             else:
-                # In place: this is the order in which the walk goes on.
+                # In place: sets the order of the walk.
                 ordered = sorted(inner.items())
                 inner.clear()
                 inner.update(ordered)
@@ -112,8 +115,8 @@ class RunStore:
         whole = f"{self.root.rstrip('/')}/{path}"
         try:
             size = self.file_system.size(whole)
-            if size is not None and size > _MOST_BYTES:
-                raise RunFolderError(f"{path}: {size} bytes; at most {_MOST_BYTES} are allowed")
+            if size is not None and size > _MAX_BYTES:
+                raise RunFolderError(f"{path}: {size} bytes exceed the limit of {_MAX_BYTES}")
             return bytes(self.file_system.cat_file(whole))
         except RunFolderError:
             raise
@@ -121,7 +124,7 @@ class RunStore:
             raise RunFolderError(f"{path}: can't be read: {error.strerror or error}") from error
 
     def tag(self, path: str) -> str:
-        """Size and tag of a file; empty where it is not there."""
+        """Size and tag of a file; empty if it does not exist."""
         try:
             return _tag(self.file_system.info(f"{self.root.rstrip('/')}/{path}"))
         except OSError:
@@ -138,9 +141,9 @@ class RunStore:
         try:
             if not self.file_system.isdir(self.root):
                 raise RunFolderError(
-                    f"{self.url}: there is no such folder of runs. Give the folder that holds the run folders"
+                    f"{self.url}: no such folder. Give the folder that contains the run folders"
                 )
-            yield from self.file_system.walk(self.root, maxdepth=_MOST_LEVELS, detail=True)
+            yield from self.file_system.walk(self.root, maxdepth=_MAX_DEPTH, detail=True)
         except RunFolderError:
             raise
         except OSError as error:
@@ -148,15 +151,16 @@ class RunStore:
 
 
 def open_store(url: str) -> RunStore:
-    """Find what a path or URL leads to.
+    """Open a folder or an object store by path or URL.
 
     Raises
     ------
     RunFolderError
-        Nothing here reads such a URL.
+        The URL is not supported.
     """
+    url_to_fs = require("fsspec.core").url_to_fs
     try:
-        file_system, root = fsspec.core.url_to_fs(url)
+        file_system, root = url_to_fs(url)
     except (ImportError, ValueError) as error:
         raise RunFolderError(f"{url}: can't be opened: {error}") from error
     return RunStore(url, file_system, root)
@@ -169,3 +173,39 @@ def _protocols(file_system: AbstractFileSystem) -> tuple[str, ...]:
 
 def _tag(info: Mapping[str, Any]) -> str:
     return f"{info.get('size')} {next((info[name] for name in _TAGS if info.get(name)), '')}"
+
+
+def runs_named(names: Sequence[str]) -> list[Path]:
+    """Absolute paths of run folders, each once.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
+
+    Raises
+    ------
+    RunFolderError
+        A name matches no run folder.
+    """
+    paths = [path for name in names for path in _named(name)]
+    return list(dict.fromkeys(paths))
+
+
+def _named(name: str) -> Iterator[Path]:
+    matches = [name] if Path(name).exists() else sorted(glob.glob(name))  # noqa: PTH207 - may be absolute
+    places = [Path(match) for match in matches]
+    found = False
+    for place in places:
+        for path in _below(place.absolute()):
+            found = True
+            yield path
+    if not found:
+        raise RunFolderError(f"{name}: no run folder found. Give run folders, or folders that contain some")
+
+
+def _below(place: Path) -> Iterator[Path]:
+    if (place / JOURNAL).is_file():
+        yield place
+    elif place.is_dir():
+        yield from (place / run.path for run in open_store(str(place)).runs())

@@ -1,7 +1,7 @@
 """The index of the runs of a folder or object store: one DuckDB file, made from the run folders.
 
-It holds nothing that the run folders do not, so it may be removed at any time. Only runs whose files
-changed since are read again.
+Everything in it comes from the run folders, so it may be removed at any time. Only runs whose files
+have changed are read again.
 """
 
 from __future__ import annotations
@@ -13,31 +13,41 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import duckdb
+from typing import TYPE_CHECKING, Any, Literal
 
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.runs.index_run_files import UNITS, RunFiles, RunStore
-from gyrobench.bench.runs.index_run_record import RunRecord, read_run_record
-from gyrobench.bench.runs.index_tables import OF_RUNS, SCHEMAS, VERSION, arrow_table, rows_of
-from gyrobench.bench.runs.index_units import parse_units
+from gyrobench.bench.runs.index.selection import Selection
+from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store
+from gyrobench.bench.runs.index.tables import (
+    RUN_TABLES,
+    SCHEMAS,
+    VERSION,
+    RunRecord,
+    arrow_table,
+    parse_units,
+    read_run_record,
+    rows_of,
+)
+
+if TYPE_CHECKING:
+    import duckdb
 
 INDEX = "index.duckdb"
 
-#: So many runs are written at one stroke; what is written stays if the making is interrupted.
-_AT_ONCE = 100
-#: An object store takes some time for every answer, so several are asked for together.
+#: Runs per transaction; complete transactions survive an interruption.
+_RUNS_PER_TRANSACTION = 100
+#: Parallel requests to an object store, which answers slowly.
 _READERS = 16
-#: Another process has the index open for about as long as it takes to read what changed.
-_PATIENCE_S = 20.0
-#: What DuckDB says of a file that another process has open, and of one that is not whole.
+#: Wait for another process that updates the index.
+_LOCK_TIMEOUT_S = 20.0
+#: Texts of DuckDB's errors for a locked and for a damaged file.
 _LOCKED = "set lock on file"
 _DAMAGED = ("Corrupt database", "not a valid DuckDB database", "Serialization Error")
-_LOOK_S = 0.2
+_LOCK_POLL_S = 0.2
 _MAGIC = slice(8, 12), b"DUCK"
 _PROTECTED = {"enable_external_access": "false", "lock_configuration": "true"}
 
@@ -46,7 +56,7 @@ ReportProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Changes:
-    """What an update of the index found: number of runs read, gone, and left as they were."""
+    """Result of an update: number of runs read, removed, and unchanged."""
 
     read: int
     gone: int
@@ -54,9 +64,9 @@ class Changes:
 
     @property
     def text(self) -> str:
-        """For people: "12 of 300 runs read anew, 1 run gone"; empty where nothing changed."""
-        told = [f"{self.read} of {counted(self.read + self.unchanged, 'run')} read anew"] if self.read else []
-        return ", ".join([*told, *([f"{counted(self.gone, 'run')} gone"] if self.gone else [])])
+        """For people: "12 of 300 runs read, 1 run removed"; empty if nothing changed."""
+        read = [f"{self.read} of {counted(self.read + self.unchanged, 'run')} read"] if self.read else []
+        return ", ".join([*read, *([f"{counted(self.gone, 'run')} removed"] if self.gone else [])])
 
 
 @dataclass(frozen=True)
@@ -77,13 +87,14 @@ class RunIndex:
     Parameters
     ----------
     store : RunStore
-        Where the runs are.
+        The run folders.
     path : Path, optional
-        The index; by default ``index.duckdb`` beside the runs, and for an object store a file of its
-        own in the user's cache.
+        The index; by default ``index.duckdb`` beside the runs, and for an object store a file
+        in the user's cache.
     """
 
     def __init__(self, store: RunStore, path: Path | None = None) -> None:
+        self._duckdb = require("duckdb")
         self._store = store
         self.path = path or _default_path(store)
 
@@ -93,9 +104,9 @@ class RunIndex:
         Parameters
         ----------
         rebuild : bool
-            Whether to read all runs anew.
+            Whether to read all runs again.
         progress : callable, optional
-            Told how many of how many changed runs are read.
+            Called with the number of changed runs read so far and in total.
 
         Raises
         ------
@@ -121,25 +132,25 @@ class RunIndex:
         return Changes(len(changed), len(gone), len(found) - len(changed))
 
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
-        """Ask the index; the query can change nothing and sees no other file.
+        """Query the index, read-only and without access to other files.
 
         Raises
         ------
         DocumentError
-            The query is wrong.
+            The query is invalid.
         """
         with self._connect(read_only=True) as connection:
             try:
                 queries = connection.extract_statements(sql)
                 if len(queries) != 1:
-                    raise DocumentError(f"one query is answered at a time; found {len(queries)}")
+                    raise DocumentError(f"{len(queries)} queries given. Give one")
                 cursor = connection.execute(sql, list(parameters))
                 return QueryResult([column[0] for column in cursor.description or ()], cursor.fetchall())
-            except duckdb.Error as error:
-                raise DocumentError(f"the query can't be answered: {error}") from error
+            except self._duckdb.Error as error:
+                raise DocumentError(f"invalid query: {error}") from error
 
     def problems(self) -> dict[str, str]:
-        """Run folders that can't be read, and why."""
+        """Reasons by run folder that can't be read."""
         return dict(self.query("SELECT path, problem FROM files WHERE problem <> '' ORDER BY path").rows)
 
     def _read_changed(
@@ -149,8 +160,8 @@ class RunIndex:
         progress: ReportProgress | None,
     ) -> None:
         with ThreadPoolExecutor(1 if self._store.is_local else _READERS) as readers:
-            for first in range(0, len(changed), _AT_ONCE):
-                runs = changed[first : first + _AT_ONCE]
+            for first in range(0, len(changed), _RUNS_PER_TRANSACTION):
+                runs = changed[first : first + _RUNS_PER_TRANSACTION]
                 outcomes = list(readers.map(partial(_outcome, self._store), runs))
                 connection.begin()
                 _remove_runs(connection, [run.path for run in runs])
@@ -177,7 +188,7 @@ class RunIndex:
         connection.commit()
 
     def _fingerprints(self) -> dict[str, str]:
-        """Of the runs in the index; one with a problem has none, since what was wrong may be mended."""
+        """Fingerprints of the runs in the index; none for one with a problem, which is read again."""
         if not self.path.exists():
             return {}
         return dict(self.query("SELECT path, CASE problem WHEN '' THEN fingerprint END FROM files").rows)
@@ -188,7 +199,7 @@ class RunIndex:
             return False
         if not _is_duckdb(self.path):
             raise RunFolderError(
-                f"{self.path}: is no index of runs. Name another file with --index, or remove this one"
+                f"{self.path}: not an index of runs. Choose another file with --index, or remove this one"
             )
         try:
             return self.query("SELECT max(number) FROM version").rows == [(VERSION,)]
@@ -197,9 +208,7 @@ class RunIndex:
 
     def _remove(self) -> None:
         if self.path.exists() and not _is_duckdb(self.path):
-            raise RunFolderError(
-                f"{self.path}: is no index of runs, so it is not replaced. Remove it yourself"
-            )
+            raise RunFolderError(f"{self.path}: not an index of runs, so it is not replaced. Remove it")
         try:
             self.path.unlink(missing_ok=True)
         except OSError as error:
@@ -207,27 +216,30 @@ class RunIndex:
 
     def _connect(self, *, read_only: bool) -> duckdb.DuckDBPyConnection:
         clock = WallClock()
-        deadline = Deadline(clock, _PATIENCE_S)
+        deadline = Deadline(clock, _LOCK_TIMEOUT_S)
         while True:
             try:
-                return duckdb.connect(
+                connection: duckdb.DuckDBPyConnection = self._duckdb.connect(
                     str(self.path), read_only=read_only, config=dict(_PROTECTED) if read_only else {}
                 )
-            except duckdb.Error as error:
+                return connection
+            except self._duckdb.Error as error:
                 is_held = _LOCKED in str(error)
                 if not is_held or deadline.expired():
                     raise self._not_opened(error, is_held=is_held) from error
-            clock.sleep(_LOOK_S)
+            clock.sleep(_LOCK_POLL_S)
 
     def _not_opened(self, error: duckdb.Error, *, is_held: bool) -> RunFolderError:
         if is_held:
-            return RunFolderError(f"{self.path}: another process is at work on this index. Wait for its end")
+            return RunFolderError(
+                f"{self.path}: another process is using this index. Wait until it has finished"
+            )
         if any(mark in str(error) for mark in _DAMAGED):
-            raise DocumentError(f"{self.path}: is damaged. Make it anew with --rebuild") from error
+            raise DocumentError(f"{self.path}: damaged. Rebuild it with --rebuild") from error
         text = str(error).splitlines()[0]
         return RunFolderError(
-            f"{self.path}: can't be opened: {text}. Make it anew with --rebuild, or name another file with "
-            "--index where this one can't be written"
+            f"{self.path}: can't be opened: {text}. Rebuild it with --rebuild, or choose another file with "
+            "--index"
         )
 
 
@@ -258,7 +270,7 @@ def _make_tables(connection: duckdb.DuckDBPyConnection) -> None:
 
 
 def _remove_runs(connection: duckdb.DuckDBPyConnection, paths: Sequence[str]) -> None:
-    for table in (*OF_RUNS, "files"):
+    for table in (*RUN_TABLES, "files"):
         if paths:
             connection.execute(f"DELETE FROM {table} WHERE path IN (SELECT unnest(?))", [list(paths)])  # noqa: S608 - ours
 
@@ -270,7 +282,7 @@ def _insert(connection: duckdb.DuckDBPyConnection, table: str, rows: Sequence[di
 
 
 def _outcome(store: RunStore, run: RunFiles) -> RunRecord | str:
-    """Read a run, or say why it can't be read."""
+    """Read a run, or give the reason why it can't be read."""
     try:
         return read_run_record(run, store.read)
     except GyrobenchError as error:
@@ -280,3 +292,79 @@ def _outcome(store: RunStore, run: RunFiles) -> RunRecord | str:
 def _file_row(run: RunFiles, outcome: RunRecord | str) -> dict[str, Any]:
     problem = outcome if isinstance(outcome, str) else ""
     return {"path": run.path, "fingerprint": run.fingerprint, "problem": problem}
+
+
+def find_runs(index: RunIndex, selection: Selection) -> list[dict[str, Any]]:
+    """Selected rows of the table of runs, newest first."""
+    condition, parameters = selection.condition()
+    sql = f"SELECT * FROM runs WHERE {condition} ORDER BY started_utc DESC, path DESC"  # noqa: S608 - ours
+    return index.query(sql, parameters).records()
+
+
+Grouping = Literal["unit", "batch", "bench", "procedure", "month"]
+
+#: SQL expression of each group's name; versions of a procedure differ in the beginning of the SHA-256.
+_NAMES: dict[Grouping, str] = {
+    "unit": "unit",
+    "batch": "batch",
+    "bench": "station",
+    "procedure": "concat(procedure, ' ', left(procedure_sha256, 7))",
+    "month": "strftime(started_utc, '%Y-%m')",
+}
+
+_SQL = """
+WITH chosen AS (SELECT *, {name} AS name FROM runs WHERE {condition}),
+levels AS (
+    SELECT path, gyro, sum(bias_dph / sigma_dph ** 2) / sum(1 / sigma_dph ** 2) AS bias_dph
+    FROM bins WHERE count > 0 GROUP BY path, gyro
+),
+biases AS (
+    SELECT name, {columns}
+    FROM chosen JOIN levels USING (path) WHERE NOT compensated GROUP BY name
+),
+counts AS (
+    SELECT name, count(*) AS runs, count(DISTINCT unit) AS units,
+        count(*) FILTER (verdict = 'clean') AS clean,
+        count(*) FILTER (verdict = 'explained') AS explained,
+        count(*) FILTER (verdict IN ('ambiguous', 'unexplained')) AS other,
+        count(*) FILTER (acceptance = 'accepted') AS accepted,
+        count(*) FILTER (acceptance = 'marginal') AS marginal,
+        count(*) FILTER (acceptance = 'rejected') AS rejected,
+        median(error_before_dph) AS error_before_dph, median(error_after_dph) AS error_after_dph
+    FROM chosen GROUP BY name
+)
+SELECT * FROM counts LEFT JOIN biases USING (name) ORDER BY name
+"""
+
+
+def group_runs(index: RunIndex, by: Grouping, selection: Selection) -> list[dict[str, Any]]:
+    """Count verdicts and average biases of the selected runs by group.
+
+    A run's bias is the weighted mean over its bins and positions; the spread is the standard deviation
+    over the runs. Runs in which the INS compensated biases are left out of both.
+    """
+    condition, parameters = selection.condition()
+    columns = ", ".join(
+        f"{function}(bias_dph) FILTER (gyro = '{gyro}') AS {kind}_{gyro}_dph"
+        for gyro in "xyz"
+        for kind, function in (("bias", "avg"), ("spread", "stddev_samp"))
+    )
+    sql = _SQL.format(name=_NAMES[by], condition=condition, columns=columns)
+    return index.query(sql, parameters).records()
+
+
+def runs_in_index(root: str, index: RunIndex, selection: Selection) -> list[Path]:
+    """Absolute paths of the selected runs of an index.
+
+    Raises
+    ------
+    RunFolderError
+        No run is selected, or the store is an object store, which can't be written.
+    """
+    store = open_store(root)
+    if not store.is_local:
+        raise RunFolderError(f"{root}: runs in an object store can't be changed. Copy them to a folder first")
+    paths = [Path(store.root) / run["path"] for run in find_runs(index, selection)]
+    if not paths:
+        raise RunFolderError(f"{root}: no run matches the selection. List them with: gyrobench runs {root}")
+    return paths

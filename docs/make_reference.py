@@ -1,22 +1,110 @@
-"""The directive ``yaml-keys``: tables of all keys of a file, made from the model that checks it."""
+"""Write the generated parts of docs/reference/: ``python docs/make_reference.py``.
+
+A page holds a comment ``<!-- keys package.module:Model -->`` (or ``...:MAPPING`` of models by name, with
+A page holds a comment ``<!-- keys package.module:Model -->`` (or ``...:MAPPING``, models by name, with
+of all keys, made from the models that check the files, or by the help of every command. ``--check`` writes
+nothing and exits with 1 where a page differs.
+"""
 
 from __future__ import annotations
 
 import importlib
 import inspect
 import json
-from collections.abc import Callable, Iterator
+import re
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, get_args
+from pathlib import Path
+from typing import Annotated, Any, get_args
 
-from docutils import nodes
-from docutils.parsers.rst import directives
+import typer.main
 from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
-_MOST_VALUES_SHOWN = 60
+from gyrobench.bench.cli import app
+
+PAGES = Path(__file__).parent / "reference"
+_MAX_DEFAULT_LENGTH = 60
+_PART = re.compile(
+    r"(?P<head><!-- (?P<kind>keys|commands)(?P<words>[^>]*) -->\n).*?(?=<!-- end -->)", re.DOTALL
+)
+
+
+def page_text(page: Path) -> str:
+    """Text of a page with its generated parts made again."""
+    return _PART.sub(lambda part: f"{part['head']}\n{_generated(part)}\n", page.read_text(encoding="utf-8"))
+
+
+def _generated(part: re.Match[str]) -> str:
+    if part["kind"] == "commands":
+        return "\n".join(_command_section(name, command) for name, command in _commands())
+    place, *options = part["words"].split()
+    left_out = {key for option in options for key in option.removeprefix("without=").split(",")}
+    module, _, name = place.partition(":")
+    found = getattr(importlib.import_module(module), name)
+    tops = {"": found} if inspect.isclass(found) else found
+    sections = [each for path, model in tops.items() for each in sections_of(model, path)]
+    return "\n".join(_keys_section(section, left_out) for section in sections)
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [header, tuple("---" for _ in header), *rows]
+    return (
+        "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+        + "\n"
+    )
+
+
+def _keys_section(section: Section, left_out: set[str]) -> str:
+    rows = [
+        (f"`{key.name}`", key.meaning, key.values, _shown(key.default))
+        for key in section.keys
+        if key.name not in left_out
+    ]
+    parts = [
+        f"**`{section.path}`**\n" if section.path else "",
+        f"{section.meaning}\n" if section.meaning else "",
+    ]
+    parts.append(_table(("key", "meaning", "values", "default"), rows) if rows else "")
+    return "\n".join(part for part in parts if part)
+
+
+def _shown(default: str) -> str:
+    return default if default in ("", "required") else f"`{default}`"
+
+
+def _commands() -> Iterator[tuple[str, Any]]:
+    """Every command by the words that call it, groups opened."""
+    yield from _below("gyrobench", typer.main.get_command(app))
+
+
+def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
+    if getattr(command, "hidden", False):
+        return
+    if hasattr(command, "commands"):
+        for word, below in command.commands.items():
+            yield from _below(f"{name} {word}", below)
+    else:
+        yield name, command
+
+
+def _command_section(name: str, command: Any) -> str:
+    parts = [f"## {name}\n"]
+    for text in inspect.cleandoc(command.help or "").split("\n\n"):
+        head, example, rest = " ".join(text.split()).partition("Example: ")
+        parts += [f"{head.strip()}\n"] if head else []
+        parts += [f"```text\n{rest}\n```\n"] if example else []
+    rows = [_parameter(each) for each in command.params if not getattr(each, "hidden", False)]
+    return "\n".join([*parts, _table(("argument or option", "meaning", "default"), rows)] if rows else parts)
+
+
+def _parameter(parameter: Any) -> tuple[str, str, str]:
+    is_argument = parameter.param_type_name == "argument"
+    name = (parameter.metavar or parameter.name.upper()) if is_argument else ", ".join(parameter.opts)
+    default = parameter.default
+    shown = "" if default is None or callable(default) or default in ((), [], False) else f"`{default}`"
+    return f"`{name}`", parameter.help or "", "required" if parameter.required else shown
 
 
 @dataclass(frozen=True)
@@ -68,7 +156,7 @@ def sections_of(
 
 
 def first_sentence(thing: Any) -> str:
-    """First paragraph of what a class says of itself, on one line."""
+    """First paragraph of a docstring, on one line."""
     return " ".join((inspect.getdoc(thing) or "").partition("\n\n")[0].split())
 
 
@@ -84,7 +172,7 @@ def _default(info: FieldInfo) -> str:
     if default in (None, "") or isinstance(default, BaseModel):
         return ""
     text = json.dumps(default, default=str)
-    return text if len(text) <= _MOST_VALUES_SHOWN else ""
+    return text if len(text) <= _MAX_DEFAULT_LENGTH else ""
 
 
 def _values(info: FieldInfo, models: list[type[BaseModel]]) -> str:
@@ -93,7 +181,7 @@ def _values(info: FieldInfo, models: list[type[BaseModel]]) -> str:
     annotated: Any = Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
     try:
         return _in_words(TypeAdapter(annotated).json_schema())
-    except Exception:  # what has no schema is told by its meaning alone  # noqa: BLE001
+    except Exception:  # noqa: BLE001  a type without a schema has its meaning alone
         return ""
 
 
@@ -144,7 +232,7 @@ def _is_list(annotation: Any) -> bool:
 
 
 def _discriminating(model: type[BaseModel]) -> str:
-    """``(kind: bias_jump)`` where one of the keys tells the model from its alternatives."""
+    """``(kind: bias_jump)`` where one key distinguishes the model from its alternatives."""
     for key in ("kind", "fault"):
         if key in model.model_fields:
             values = get_args(model.model_fields[key].annotation)
@@ -152,73 +240,18 @@ def _discriminating(model: type[BaseModel]) -> str:
     return ""
 
 
-class YamlKeys(SphinxDirective):
-    """Tables of keys of ``package.module:Model``, or of ``package.module:MAPPING`` of models by name."""
-
-    required_arguments = 1
-    option_spec: ClassVar = {"without": directives.unchanged}
-
-    def run(self) -> list[nodes.Node]:
-        """Make the tables."""
-        module, _, name = self.arguments[0].partition(":")
-        found = getattr(importlib.import_module(module), name)
-        tops = {"": found} if inspect.isclass(found) else found
-        sections = [part for each, model in tops.items() for part in sections_of(model, each)]
-        left_out = self.options.get("without", "").split()
-        for section in sections:
-            section.keys = [key for key in section.keys if key.name not in left_out]
-        return [node for section in sections for node in self._drawn(section)]
-
-    def _drawn(self, section: Section) -> Iterator[nodes.Node]:
-        if section.path:
-            yield nodes.rubric("", "", nodes.literal("", section.path))
-        if section.meaning:
-            yield nodes.paragraph("", section.meaning)
-        if section.keys:
-            yield table(
-                ("key", "meaning", "values", "default"),
-                [(key.name, key.meaning, key.values, key.default) for key in section.keys],
-                (3, 6, 3, 2),
-                [nodes.literal, nodes.Text, nodes.Text, nodes.Text],
-            )
+def main() -> int:
+    """Write or check the pages; returns the exit code."""
+    stale = [
+        page for page in sorted(PAGES.glob("*.md")) if page_text(page) != page.read_text(encoding="utf-8")
+    ]
+    for page in stale:
+        if "--check" in sys.argv:
+            sys.stderr.write(f"{page}: differs from the models; run python docs/make_reference.py\n")
+        else:
+            page.write_text(page_text(page), encoding="utf-8")
+    return int(bool(stale) and "--check" in sys.argv)
 
 
-def table(
-    header: tuple[str, ...],
-    rows: list[tuple[str, ...]],
-    widths: tuple[int, ...],
-    kinds: list[Callable[..., nodes.Node]],
-) -> nodes.table:
-    """A table of plain text; each column is of one kind of node."""
-    group = nodes.tgroup(cols=len(header))
-    group.extend(nodes.colspec(colwidth=width) for width in widths)
-    head, body = nodes.thead(), nodes.tbody()
-    head += _row([nodes.Text(text) for text in header])
-    for row in rows:
-        body += _row([_cell(kind, text) for kind, text in zip(kinds, row, strict=True)])
-    group.extend([head, body])
-    return nodes.table("", group, classes=["keys"])
-
-
-def _cell(kind: Callable[..., nodes.Node], text: str) -> nodes.Node:
-    return nodes.literal("", text) if kind is nodes.literal and text else nodes.Text(text)
-
-
-def _row(cells: list[nodes.Node]) -> nodes.row:
-    row = nodes.row()
-    row.extend(nodes.entry("", nodes.paragraph("", "", *_with_literals(cell))) for cell in cells)
-    return row
-
-
-def _with_literals(cell: nodes.Node) -> list[nodes.Node]:
-    """What stands between back quotes as a literal, as in the models' own words."""
-    if not isinstance(cell, nodes.Text):
-        return [cell]
-    parts = cell.astext().split("`")
-    return [nodes.literal("", part) if number % 2 else nodes.Text(part) for number, part in enumerate(parts)]
-
-
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Register the directive."""
-    app.add_directive("yaml-keys", YamlKeys)
-    return {"parallel_read_safe": True}
+if __name__ == "__main__":
+    sys.exit(main())

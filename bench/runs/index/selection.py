@@ -1,4 +1,4 @@
-"""Which runs of an index are meant: by unit, batch, bench, procedure, date, verdict, end."""
+"""Criteria that select runs of an index."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any
 
-from gyrobench.bench.runs.index import RunIndex
-
 
 @dataclass(frozen=True)
 class Selection:
-    """What runs have to be to be meant; None for whatever they are.
+    """Criteria for runs; None for any.
 
     Attributes
     ----------
     unit, batch, bench : str
         Serial number, batch of its gyros, name of the station.
     procedure : str
-        Name of the procedure, or the beginning of its SHA-256, which tells versions of one name.
+        Name of the procedure, or the beginning of its SHA-256.
     since, until : date
-        Days (UTC) on which the run began, both among those meant.
+        First and last day (UTC) of the start of the run.
     verdict : str
-        Of the search for effects, or of the acceptance limits.
+        Verdict of the search for effects, or of acceptance.
     ended : str
-        How it ended.
+        End of the run.
     """
 
     unit: str | None = None
@@ -37,7 +35,7 @@ class Selection:
     ended: str | None = None
 
     def condition(self) -> tuple[str, list[Any]]:
-        """Give an SQL condition on the table of runs, and its parameters."""
+        """SQL condition on the table of runs, and its parameters."""
         tests = [
             ("unit = ?", self.unit),
             ("batch = ?", self.batch),
@@ -53,11 +51,8 @@ class Selection:
         return " AND ".join(test for test, _ in asked) or "true", parameters
 
 
-def find_runs(index: RunIndex, selection: Selection) -> list[dict[str, Any]]:
-    """Rows of the table of runs that are meant, newest first."""
-    condition, parameters = selection.condition()
-    sql = f"SELECT * FROM runs WHERE {condition} ORDER BY started_utc DESC, path DESC"  # noqa: S608 - ours
-    return index.query(sql, parameters).records()
+#: No criterion.
+ANY_RUN = Selection()
 
 
 def _midnight(day: date | None, days: int = 0) -> datetime | None:
