@@ -145,8 +145,8 @@ def _check_swing(axis: str, swing: float, temperatures: FloatArray, log_map: Log
     if swing < min_swing:
         raise MeasurementError(
             f"the temperature of gyro {axis} is between {temperatures.min():.2f} and "
-            f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; {min_swing:g} K are needed for a curve "
-            "over temperature. Log a larger swing, or allow a smaller one with "
+            f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; a curve needs {min_swing:g} K "
+            "of swing. Log a larger swing, or allow a smaller one with "
             "'temperatures: {min_swing_c: ...}' in the import map"
         )
 

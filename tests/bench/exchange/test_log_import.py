@@ -109,7 +109,7 @@ def test_what_is_no_number_is_left_out_and_a_window_with_much_of_it_too(log):
     log.columns["gz"][2000:2100] = np.inf
     result = imported(log)
     assert result.left_out == {"too many samples without a valid rate": 1}
-    assert any("105 samples left out without a valid rate" in each for each in result.warnings)
+    assert any("105 samples without a valid rate left out" in each for each in result.warnings)
     assert np.isfinite(biases(result.rows)).all()
 
 
@@ -121,7 +121,7 @@ def test_what_nothing_measures_counts_as_no_number(log, value):
     log.columns["time"][1203] = value
     result = imported(log)
     assert len(result.rows) == len(plain.rows)
-    assert any("1 samples left out without a valid rate" in each for each in result.warnings)
+    assert any("1 samples without a valid rate left out" in each for each in result.warnings)
     assert any("1 samples without a time left out" in each for each in result.warnings)
     np.testing.assert_allclose(biases(result.rows), biases(plain.rows), atol=NOISE_DPH / 10.0)
     np.testing.assert_allclose(
@@ -211,7 +211,7 @@ def test_too_few_steps_of_temperature_are_refused(log):
 
 def test_a_small_swing_is_refused_unless_it_is_allowed(log):
     log.columns["temp"] = 20.0 + 0.1 * log.columns["temp"]
-    with pytest.raises(MeasurementError, match=r"a swing of 2\.8\d K; 10 K are needed.*min_swing_c"):
+    with pytest.raises(MeasurementError, match=r"a swing of 2\.8\d K; a curve needs 10 K.*min_swing_c"):
         imported(log)
     assert imported(log, temperatures="{gyros: temp, min_swing_c: 2}").rows
 
