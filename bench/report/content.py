@@ -82,6 +82,16 @@ class RunContent:
         """What the journal tells in short."""
         return facts_of(self.journal)
 
+    @property
+    def marked_temperatures_c(self) -> list[float]:
+        """Temperatures in degC that the procedure marks in figures."""
+        marked = self.procedure.get("marked_temperatures_c", [])
+        return (
+            [float(each) for each in marked if isinstance(each, int | float)]
+            if isinstance(marked, list)
+            else []
+        )
+
     def entries(self, event: str) -> list[Entry]:
         """Entries of the journal that tell of one kind of event, in order."""
         return [entry for entry in self.journal if entry.get("event") == event]

@@ -72,13 +72,17 @@ def estimators_note(rows: Sequence[DwellRow]) -> str:
     return _UNKNOWN if rows else ""
 
 
-def estimators_section(rows: Sequence[DwellRow]) -> Section | None:
+def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ()) -> Section | None:
     """Compare the estimators; None where no good dwell has both."""
     both = with_both(rows)
     if not both:
         return None
     # A single dwell has no course to draw: the table says it all.
-    drawn = [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both))] if len(both) > 1 else []
+    drawn = (
+        [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both, marked_c))]
+        if len(both) > 1
+        else []
+    )
     return Section("The two estimators", [_LEAKS], drawn, [_difference_table(both)])
 
 

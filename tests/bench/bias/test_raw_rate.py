@@ -9,7 +9,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrix
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, DPH
+from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC
 from gyrobench.drivers.emulators.world.strapdown import sense, true_increments
 
 EAST, NORTH, UP = np.eye(3)
@@ -41,10 +41,10 @@ def recorded(
     noise += np.diff(angle, axis=0)
     pulse = pulse_arcsec * ARCSEC
     remainder = pulse * random.uniform(-0.5, 0.5, 3)
-    sensed = sense(rotation, np.zeros((3, 3)), bias_dph * DPH, noise, STEP_S, pulse, remainder)
+    sensed = sense(rotation, np.zeros((3, 3)), bias_dph * DPH_TO_RADPS, noise, STEP_S, pulse, remainder)
     time = 1000.0 + STEP_S * np.arange(1, count + 1)
     force = velocity / STEP_S + 0.005 * random.normal(size=(count, 3))
-    return RateRecording(time, sensed / STEP_S, force), rotation[0] / STEP_S + bias_dph * DPH
+    return RateRecording(time, sensed / STEP_S, force), rotation[0] / STEP_S + bias_dph * DPH_TO_RADPS
 
 
 def without_force(recording):
