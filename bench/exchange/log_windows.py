@@ -13,9 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.bias.raw_rate import RateRecording
 from gyrobench.bench.exchange.import_map import Column, LogMap, TextFormat
 from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DPH_TO_RADPS,
+    RADPS_TO_DPH,
+    STANDARD_GRAVITY,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -143,6 +150,29 @@ class SampleReader:
                 "first sample. Cut the log there, or, where only its clock is wrong, give "
                 "'time: {sample_rate_hz: ...}' in the import map"
             )
+
+
+def read_recording(path: Path, log_map: LogMap) -> RateRecording:
+    """Read a whole log at rest as one recording; the specific force is scaled to standard gravity.
+
+    Raises
+    ------
+    DocumentError
+        The log can't be read, or does not fit the map.
+    MeasurementError
+        The unit was not at rest, or samples are missing or wrong.
+    """
+    batches = list(SampleReader(path, log_map).batches())
+    samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    force = None
+    if FORCES[0] in samples:
+        force = np.column_stack([samples[name] for name in FORCES])
+        force *= STANDARD_GRAVITY / np.linalg.norm(force.mean(axis=0))
+    rates = np.column_stack([samples[name] for name in RATES]) * DPH_TO_RADPS
+    try:
+        return RateRecording(samples["time_s"], rates, force)
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error
 
 
 def _open(path: Path, log_map: LogMap) -> TextLog | RecordLog:

@@ -176,7 +176,7 @@ def _sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     sections = [
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
-        joint_section(content.joint_biases, content.joint_stops),
+        joint_section(content.joint_biases, content.joint_plateaus),
         noise_section(content.noise, content.station),
         verification_section(content.verification),
     ]
