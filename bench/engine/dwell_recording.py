@@ -172,7 +172,7 @@ class DwellLedger:
         frames = self._bench.end_capture()
         measure = measure_check_dwell if marks.is_verification else measure_dwell
         measured = measure(marks, frames, run.setup)
-        if measured.is_spoilt and self.may_repeat(marks.dwell):
+        if measured.is_disturbed and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, measured.flags, counts=True)
             return False
         run.journal.record(
