@@ -259,7 +259,7 @@ class Engine:
         add_identity(self._run.folder, "INS", identity)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
-        max_hold_s = self._bench.station.file.interlocks.longest_hold_s
+        max_hold_s = self._bench.station.file.interlocks.max_hold_s
         deadline = Deadline(self._bench.clock, max_hold_s)
         for _ in self._compensation.settle(after_power_on):
             self._tick()

@@ -117,7 +117,7 @@ class Holding:
     def _wait(self, why: str, trips: Sequence[Trip], after_s: float | None) -> str:
         """Wait, and return who continued the run."""
         clock, begin_s = self._bench.clock, self._bench.clock.now()
-        max_hold_s = self._bench.station.file.interlocks.longest_hold_s
+        max_hold_s = self._bench.station.file.interlocks.max_hold_s
         for by in self._continuations(why, needs_operator=after_s is None):
             held_s = clock.now() - begin_s
             self._raise_other_trips(trips)
@@ -182,7 +182,7 @@ class Holding:
     def _continues_after_s(self, trips: Sequence[Trip]) -> float | None:
         """Time without a trip after which the run continues without an operator; None where it does not."""
         unattended = all(
-            trip.rule.needs == "nobody" and self._run.state.resumes[trip.name] < trip.rule.most_resumes
+            trip.rule.resume == "automatic" and self._run.state.resumes[trip.name] < trip.rule.max_resumes
             for trip in trips
         )
         return max(trip.rule.resume_after_s for trip in trips) if trips and unattended else None

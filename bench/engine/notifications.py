@@ -60,7 +60,7 @@ class RunNotifier(RunObserver):
         """Send that a hold is over, once a step begins."""
         self._left_s = self._plan.duration_s - planned.start_s
         if why := self._continued_after:
-            self._send("goes_on", f"The hold is over: {why}", about=why)
+            self._send("resumes", f"The hold is over: {why}", about=why)
             self._continued_after, self._is_hold_sent = "", False
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: ARG002

@@ -84,7 +84,7 @@ def test_each_position_shows_the_gyros_that_point_east_and_north(one_run):
 
 
 def test_without_noise_the_biases_are_those_of_the_world_and_of_the_calibration(one_run):
-    for row in one_run[1].results.verification:
+    for row in one_run[1].results.calibration_check:
         truth_dph = BIAS_DPH[AXES.index(row.gyro)]
         assert row.flags == ""
         assert row.bias_dph == pytest.approx(truth_dph, abs=2e-4)
@@ -109,7 +109,7 @@ def test_the_temperatures_are_those_of_each_part(one_run):
     for each in verifications:
         assert all(np.less(each.aligning_c, each.temperatures.gyro_c))  # the unit warms up
         assert 180.0 <= each.marks.align_s < 185.0
-    alignment = one_run[1].results.verification[0]
+    alignment = one_run[1].results.calibration_check[0]
     first_c, second_c = (each.aligning_c[0] for each in verifications[:2])
     assert first_c < alignment.temperature_c < second_c
 
