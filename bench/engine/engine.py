@@ -179,23 +179,12 @@ class Engine:
             what=step.describe(),
             label=planned.label,
         )
-<<<<<<< HEAD
-        self._progress.step_started(planned, bench)
-        bench.step, bench.dwell = planned.number, planned.dwell or 0
-        self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
-        self._recorder.is_calibration_check = planned.is_calibration_check
-        self._context.retries = planned.step.retries
-        if isinstance(planned.step, Align) and not self._recorder.unit:
-            self._identify_unit()  # one that is always on
-        if isinstance(planned.step, Align):
-=======
         run.observers.step_started(planned, self._bench)
         self._state.step_started(planned)
         self._step_context.retries = step.retries
         if isinstance(step, Align):
             if not self._state.at.unit:
                 self._identify_ins()  # one that is always on
->>>>>>> main
             self._settle_compensation(after_power_on=False)
         if isinstance(step, GoTo):
             self._step_context.next_turns_deg = turns_after(self._plan, planned)
