@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import RunArgument
-from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.foundations.errors import RunFolderError
 
-_CommandArgument = Annotated[Order, typer.Argument(help="Command to the run.")]
+_CommandArgument = Annotated[RunCommand, typer.Argument(help="Command to the run.")]
 
 
 def control(run_folder: RunArgument, command: _CommandArgument) -> None:
@@ -23,7 +23,7 @@ def control(run_folder: RunArgument, command: _CommandArgument) -> None:
     """
     import socket
 
-    from gyrobench.bench.engine.orders import MEANINGS, SIGNALS
+    from gyrobench.bench.engine.operator import COMMAND_MEANINGS, COMMAND_SIGNALS
     from gyrobench.bench.station.locks import holder_of
 
     holder = holder_of(run_folder)
@@ -31,14 +31,14 @@ def control(run_folder: RunArgument, command: _CommandArgument) -> None:
         raise RunFolderError(f"{run_folder}: no run is in progress there on this machine")
     if holder.host != socket.gethostname():
         raise RunFolderError(f"{run_folder}: the run is on {holder.host}. Run gyrobench control there")
-    number = next(number for number, each in SIGNALS.items() if each is command)
+    number = next(number for number, each in COMMAND_SIGNALS.items() if each is command)
     try:
         os.kill(holder.pid, number)
     except OSError as error:
         raise RunFolderError(
             f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"
         ) from error
-    typer.echo(f"Sent to process {holder.pid}: {command} ({MEANINGS[command]}).")
+    typer.echo(f"Sent to process {holder.pid}: {command} ({COMMAND_MEANINGS[command]}).")
 
 
 def tell(run_folder: RunArgument, command: _CommandArgument) -> None:
