@@ -30,7 +30,7 @@ def procedure(
     like: Annotated[
         str,
         typer.Option(
-            help="Template: six_position, check, verification, a shipped procedure, or a file.",
+            help="Template: six_position, check, calibration_check, a shipped procedure, or a file.",
             autocompletion=complete_template,
         ),
     ] = "check",

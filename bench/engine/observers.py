@@ -29,7 +29,7 @@ class RunOutcome:
         Why it did not finish; empty where it did.
     dwells : list of MeasuredDwell
         Measured dwells.
-    verifications : list of CheckDwell
+    check_dwells : list of CheckDwell
         Dwells that check a calibration.
     results : RunResults
         Results of all dwells together.
@@ -44,7 +44,7 @@ class RunOutcome:
     ended: str = "finished"
     reason: str = ""
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[CheckDwell] = field(default_factory=list)
+    check_dwells: list[CheckDwell] = field(default_factory=list)
     results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)

@@ -36,7 +36,7 @@ class _Measured:
     """Dwells of the run with one compensation."""
 
     dwells: Sequence[DwellRow]
-    verifications: Sequence[CheckDwell]
+    check_dwells: Sequence[CheckDwell]
 
 
 class VerificationRuns:
@@ -145,7 +145,7 @@ class VerificationRuns:
         folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
             rows = [dwell.row for dwell in outcome.dwells]
-            self._measured[name] = _Measured(rows, outcome.verifications)
+            self._measured[name] = _Measured(rows, outcome.check_dwells)
         return folder, outcome
 
     def comparison(self) -> Comparison:
@@ -166,7 +166,7 @@ class VerificationRuns:
             closure=self._closure,
             models=self.models,
             leftovers=tuple(
-                leftover(name, each.dwells, each.verifications, site, fitted_c)
+                leftover(name, each.dwells, each.check_dwells, site, fitted_c)
                 for name, each in measured.items()
             ),
             new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
@@ -176,10 +176,10 @@ class VerificationRuns:
         )
 
     def _read(self, name: str) -> _Measured:
-        dwells, verifications = replay(
+        dwells, check_dwells = replay(
             RunFolder(self.folder / name), measurement_setup(self.jobs[name].station)
         )
-        return _Measured([dwell.row for dwell in dwells], verifications)
+        return _Measured([dwell.row for dwell in dwells], check_dwells)
 
     def _notes(self, measured: Mapping[str, _Measured]) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
