@@ -8,7 +8,6 @@ handlers of the last two in the packages named below; nothing of the emulators i
 from __future__ import annotations
 
 import contextlib
-import termios
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -19,8 +18,18 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyErr
 from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.tap import tapped
 
-#: What pyserial raises when a port goes away, depending on the call.
-_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    """Errors that pyserial raises when a port disappears; on POSIX systems also those of the terminal."""
+    errors: tuple[type[Exception], ...] = (serial.SerialException, OSError)
+    try:
+        import termios
+    except ImportError:
+        return errors
+    return (*errors, termios.error)
+
+
+_PORT_ERRORS = _port_errors()
 
 _WRITE_TIMEOUT_S = 5.0
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import tty
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -60,6 +59,8 @@ class PseudoTerminal:
     def plug_in(self) -> None:
         """Come back under the same ``url``, if there is a link."""
         self._master, self._slave = os.openpty()
+        import tty
+
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.url = os.ttyname(self._slave)

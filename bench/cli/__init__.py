@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gyrobench.bench import __version__
 from gyrobench.bench.cli import (
     bins,
     check,
@@ -41,7 +42,6 @@ from gyrobench.bench.cli.output import (
     fail,
 )
 from gyrobench.bench.foundations.errors import BenchInUseError, DocumentError, GyrobenchError, InstrumentError
-from gyrobench.bench.foundations.version import __version__
 
 # The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
