@@ -30,6 +30,7 @@ def _port_errors() -> tuple[type[Exception], ...]:
 
 
 _PORT_ERRORS = _port_errors()
+_OPEN_ERRORS = (*_PORT_ERRORS, ValueError)
 
 _WRITE_TIMEOUT_S = 5.0
 
@@ -122,7 +123,7 @@ class SerialLine:
         self.close()
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
-        except (*_PORT_ERRORS, ValueError) as error:
+        except _OPEN_ERRORS as error:
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",

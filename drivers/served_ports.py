@@ -58,9 +58,9 @@ class PseudoTerminal:
 
     def plug_in(self) -> None:
         """Come back under the same ``url``, if there is a link."""
-        self._master, self._slave = os.openpty()
         import tty
 
+        self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.url = os.ttyname(self._slave)
