@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -156,71 +156,54 @@ class AxisCommands:
 
     def handlers(self) -> Handlers:
         """All commands and queries of the axes."""
-        return {
-            **self._interlock_and_mode(),
-            **self._demands(),
-            **self._limits(),
-            **self._reads(),
-            (("STATUS", "CSR"), True): self._status_register,
-            (("STATUS", "ECP"), True): self._legacy_status,
-            (("STATUS", "ECP"), False): self._legacy_status,
+        commands: dict[str, Handler] = {
+            "INTERLOCK CLOSE": self._each(0, AclAxis.close),
+            "INTERLOCK OPEN": self._each(0, AclAxis.open),
+            "INTERLOCK RESET": self._reset,
+            "MODE": self._set_mode,
+            "MODE HOME": self._each(0, AclAxis.home),
+            **{f"MODE {mode.name}": self._each(0, partial(AclAxis.set_mode, mode=mode)) for mode in Mode},
+            "DEMAND POSITION": self._each(1, AclAxis.demand_position),
+            "DEMAND RATE": self._each(1, AclAxis.demand_rate),
+            "DEMAND ACCELERATION": self._each(1, AclAxis.demand_acceleration),
+            "DEMAND DELTAPOSITION": self._each(1, AclAxis.demand_delta),
+            "DEMAND SHORTVECTOR": self._each(2, _demand_short_vector),
+            "DEMAND VECTOR": self._each(3, _demand_vector),
+            "LIMIT": self._set_mode_limits,
+            "LIMIT VTRIP": self._limit_setter(AclAxis.set_trip_rate),
+            "LIMIT GLOBAL": self._each(4, _set_global_limits),
+            "STATUS ECP": self._legacy_status,
         }
-
-    def _interlock_and_mode(self) -> Handlers:
-        commands: Handlers = {
-            (("INTERLOCK", "CLOSE"), False): self._each(0, AclAxis.close),
-            (("INTERLOCK", "OPEN"), False): self._each(0, AclAxis.open),
-            (("INTERLOCK", "RESET"), False): self._reset,
-            (("INTERLOCK",), True): self._ask(lambda axis: axis.interlock),
-            (("MODE",), False): self._set_mode,
-            (("MODE",), True): self._ask(lambda axis: axis.mode.name.capitalize()),
-            (("MODE", "HOME"), False): self._each(0, AclAxis.home),
-        }
-        for mode in Mode:
-            commands[("MODE", mode.name), False] = self._each(0, partial(AclAxis.set_mode, mode=mode))
-        return commands
-
-    def _demands(self) -> Handlers:
-        return {
-            (("DEMAND", "POSITION"), False): self._each(1, AclAxis.demand_position),
-            (("DEMAND", "RATE"), False): self._each(1, AclAxis.demand_rate),
-            (("DEMAND", "ACCELERATION"), False): self._each(1, AclAxis.demand_acceleration),
-            (("DEMAND", "DELTAPOSITION"), False): self._each(1, AclAxis.demand_delta),
-            (("DEMAND", "SHORTVECTOR"), False): self._each(2, _demand_short_vector),
-            (("DEMAND", "VECTOR"), False): self._each(3, _demand_vector),
-            (("DEMAND", "POSITION"), True): self._ask_number(lambda axis: axis.demands.position_deg),
-            (("DEMAND", "RATE"), True): self._ask_number(lambda axis: axis.demands.rate_dps),
-            (("DEMAND", "ACCELERATION"), True): self._ask_number(lambda axis: axis.demands.acceleration_dps2),
-        }
-
-    def _reads(self) -> Handlers:
-        position = self._ask_number(lambda axis: axis.state.position_deg)
-        rate = self._ask_number(lambda axis: axis.state.rate_dps)
-        acceleration = self._ask_number(lambda axis: axis.state.acceleration_dps2)
-        reads: dict[str, Handler] = {
-            "POSITION": position,
-            "RATE": rate,
-            "ACCELERATION": acceleration,
-            "SHORTVECTOR": lambda words: ";".join((position(words), rate(words))),
-            "VECTOR": lambda words: ";".join(ask(words) for ask in (position, rate, acceleration)),
-            "VARIABLE": self._variable,
-        }
-        # the question mark of a read may be left out
-        return {(("READ", name), query): read for name, read in reads.items() for query in (True, False)}
-
-    def _limits(self) -> Handlers:
-        commands: Handlers = {
-            (("LIMIT",), False): self._set_mode_limits,
-            (("LIMIT",), True): self._mode_limits,
-            (("LIMIT", "VTRIP"), False): self._limit_setter(AclAxis.set_trip_rate),
-            (("LIMIT", "VTRIP"), True): self._limit_query(lambda axis, mode: axis.trip_rates_dps[mode]),
-            (("LIMIT", "GLOBAL"), False): self._each(4, _set_global_limits),
-            (("LIMIT", "ABSOLUTE"), True): self._ask(_absolute_limits),
+        queries: dict[str, Handler] = {
+            "INTERLOCK": self._ask(lambda axis: axis.interlock),
+            "MODE": self._ask(lambda axis: axis.mode.name.capitalize()),
+            "DEMAND POSITION": self._ask_numbers(lambda axis: (axis.demands.position_deg,)),
+            "DEMAND RATE": self._ask_numbers(lambda axis: (axis.demands.rate_dps,)),
+            "DEMAND ACCELERATION": self._ask_numbers(lambda axis: (axis.demands.acceleration_dps2,)),
+            "LIMIT": self._mode_limits,
+            "LIMIT VTRIP": self._limit_query(lambda axis, mode: axis.trip_rates_dps[mode]),
+            "LIMIT ABSOLUTE": self._ask(_absolute_limits),
+            "STATUS CSR": self._status_register,
+            "STATUS ECP": self._legacy_status,
         }
         for name, bound in _SINGLE_LIMITS.items():
-            commands[("LIMIT", name), False] = self._limit_setter(partial(_set_bound, bound))
-            commands[("LIMIT", name), True] = self._limit_query(partial(_bound, bound))
-        return commands
+            commands[f"LIMIT {name}"] = self._limit_setter(partial(_set_bound, bound))
+            queries[f"LIMIT {name}"] = self._limit_query(partial(_bound, bound))
+        reads = {
+            "READ POSITION": self._ask_numbers(lambda axis: axis.state[:1]),
+            "READ RATE": self._ask_numbers(lambda axis: axis.state[1:2]),
+            "READ ACCELERATION": self._ask_numbers(lambda axis: axis.state[2:]),
+            "READ SHORTVECTOR": self._ask_numbers(lambda axis: axis.state[:2]),
+            "READ VECTOR": self._ask_numbers(lambda axis: axis.state),
+            "READ VARIABLE": self._variable,
+        }
+        # the question mark of a read may be omitted
+        kinds = ((False, commands | reads), (True, queries | reads))
+        return {
+            (tuple(header.split()), is_query): handler
+            for is_query, handlers in kinds
+            for header, handler in handlers.items()
+        }
 
     def _one(self, argument: Argument) -> AclAxis:
         axis_number = whole_number(argument)
@@ -252,8 +235,10 @@ class AxisCommands:
 
         return query
 
-    def _ask_number(self, value: Callable[[AclAxis], float]) -> Handler:
-        return self._ask(lambda axis: format_number(value(axis), self._decimals))
+    def _ask_numbers(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
+        return self._ask(
+            lambda axis: ";".join(format_number(value, self._decimals) for value in values(axis))
+        )
 
     def _reset(self, arguments: Arguments) -> str:
         """Reset all axes; some clients name an axis, which has no effect."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Literal
 
 from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault
@@ -163,8 +164,8 @@ class Acutrol3000Emulator:
             (("*ESR",), True): self._answer(self._take_events),
             (("*ESE",), True): self._answer(lambda: str(self._events_enabled)),
             (("*SRE",), True): self._answer(lambda: str(self._requests_enabled)),
-            (("*ESE",), False): self._set_events_enabled,
-            (("*SRE",), False): self._set_requests_enabled,
+            (("*ESE",), False): partial(self._enable, "_events_enabled", 0xFF),
+            (("*SRE",), False): partial(self._enable, "_requests_enabled", ~_MASTER_SUMMARY),
             (("*CLS",), False): self._answer(self._clear_status),
             (("STATUS", "MSG"), True): self._next_error,
             (("QUERY", "ERROR"), True): self._error_text,
@@ -201,12 +202,12 @@ class Acutrol3000Emulator:
         self._errors.clear()
         return ""
 
-    def _set_events_enabled(self, arguments: Arguments) -> str:
-        self._events_enabled = _byte(arguments)
-        return ""
-
-    def _set_requests_enabled(self, arguments: Arguments) -> str:
-        self._requests_enabled = _byte(arguments) & ~_MASTER_SUMMARY
+    def _enable(self, register: str, mask: int, arguments: Arguments) -> str:
+        expect(arguments, 1)
+        value = whole_number(arguments[0])
+        if not 0 <= value <= 255:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        setattr(self, register, value & mask)
         return ""
 
     def _next_error(self, arguments: Arguments) -> str:
@@ -233,14 +234,6 @@ class Acutrol3000Emulator:
     def _refuse_format(self, _: Arguments) -> str:
         """Binary numbers exist only on the GPIB."""
         raise AclError(ErrorCode.NOT_AVAILABLE)
-
-
-def _byte(arguments: Arguments) -> int:
-    expect(arguments, 1)
-    value = whole_number(arguments[0])
-    if not 0 <= value <= 255:
-        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
-    return value
 
 
 DIALECT = TableEmulation(Acutrol3000Emulator)

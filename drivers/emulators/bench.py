@@ -56,29 +56,19 @@ class EmulatedBench:
 
     Parameters
     ----------
-    clock : Clock
-        Its time.
-    world : Path
-        World file.
-    seed : int
-        Seed of all random numbers.
-    faults : Path, optional
-        List of faults to inject.
-    faults_log : Path, optional
-        Log file of injected faults, in place of the list's own ``log``.
+    clock, world, seed
+        Its time, world file, and seed of all random numbers.
+    faults, faults_log : Path, optional
+        List of faults to inject, and log file in place of the list's own ``log``.
     table, chamber : str
         Dialects of these two.
 
     Attributes
     ----------
-    dialects : dict of str to str
-        Dialects of ``table`` and ``chamber``.
     table, chamber, ins
         The emulated instruments.
-    serial : dict of str to SerialInstrument
-        ``table`` and ``chamber`` at their ports, with faults.
-    bus : CanNode
-        The INS at the bus, with faults.
+    serial, bus
+        ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
     connections : dict of str to Connection
         The plugs of ``table``, ``chamber`` and ``ins``.
     injected : list of Injection

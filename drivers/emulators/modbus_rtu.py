@@ -118,17 +118,19 @@ class ModbusRtuDevice:
             request.decode(content)
         except (ValueError, struct.error):
             return ExceptionResponse(function, _ILLEGAL_VALUE)
+        first, values = request.address, request.registers
         match request:
             case WriteSingleRegisterRequest():
-                answer: ModbusPDU = WriteSingleRegisterResponse(
-                    address=request.address, registers=request.registers
-                )
-                failure = self._write(request.address, request.registers)
+                answer: ModbusPDU = WriteSingleRegisterResponse(address=first, registers=values)
             case WriteMultipleRegistersRequest():
-                answer = WriteMultipleRegistersResponse(address=request.address, count=request.count)
-                failure = self._write_several(request)
+                answer = WriteMultipleRegistersResponse(address=first, count=request.count)
+                count = len(values)
+                sizes_agree = request.count == count and request.byte_count == 2 * count
+                if not 1 <= count <= _MAX_WRITTEN or not sizes_agree:
+                    return ExceptionResponse(function, _ILLEGAL_VALUE)
             case _:
                 return self._read(request)
+        failure = self._write(first, values)
         return ExceptionResponse(function, failure) if failure else answer
 
     def _read(self, request: ModbusPDU) -> ModbusPDU:
@@ -137,12 +139,6 @@ class ModbusRtuDevice:
             return ExceptionResponse(request.function_code, _ILLEGAL_ADDRESS)
         numbers = [self._registers[address].read() & 0xFFFF for address in addresses]
         return ReadHoldingRegistersResponse(registers=numbers)
-
-    def _write_several(self, request: WriteMultipleRegistersRequest) -> int:
-        count = len(request.registers)
-        if not 1 <= count <= _MAX_WRITTEN or request.count != count or request.byte_count != 2 * count:
-            return _ILLEGAL_VALUE
-        return self._write(request.address, request.registers)
 
     def _write(self, first: int, values: Sequence[int]) -> int:
         """Write successive registers; returns an exception code, or zero."""

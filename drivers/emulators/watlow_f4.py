@@ -88,10 +88,7 @@ class WatlowF4Emulator:
             _SET_POINT_LOW: low_c,
             _SET_POINT_HIGH: high_c,
         }
-        registers = self._measurements() | self._settings() | self._commands() | self._event_outputs()
-        if model == "F4P":
-            registers |= self._ramp()
-        self._device = ModbusRtuDevice(registers, address)
+        self._device = ModbusRtuDevice(self._registers(ramps=model == "F4P"), address)
         self._memory = self._present_settings()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
@@ -138,50 +135,41 @@ class WatlowF4Emulator:
         """End the condition of the alarm; the alarm stays until it is cleared."""
         self._alarm_conditions[number] = _NO_ALARM
 
-    def _measurements(self) -> dict[int, HoldingRegister]:
-        return {
-            0: HoldingRegister(lambda: MODEL_NUMBER),
-            100: HoldingRegister(lambda: self._number(self.air.air_c)),
-            101: HoldingRegister(lambda: self.sensor_error),
-            102: HoldingRegister(lambda: self.alarm_1),
-            103: HoldingRegister(lambda: _hundredths_of_percent(self.air.power)),
-            106: HoldingRegister(lambda: self.alarm_2),
-            107: HoldingRegister(lambda: _hundredths_of_percent(-self.air.power)),
-            200: HoldingRegister(lambda: 0),
+    def _registers(self, ramps: bool) -> dict[int, HoldingRegister]:
+        read_only = {
+            0: lambda: MODEL_NUMBER,
+            100: lambda: self._number(self.air.air_c),
+            101: lambda: self.sensor_error,
+            102: lambda: self.alarm_1,
+            103: lambda: _hundredths_of_percent(self.air.power),
+            106: lambda: self.alarm_2,
+            107: lambda: _hundredths_of_percent(-self.air.power),
+            200: lambda: 0,
+            608: lambda: 0,
         }
-
-    def _settings(self) -> dict[int, HoldingRegister]:
-        limits = {
-            register: HoldingRegister(partial(self._limit, register), partial(self._set_limit, register))
-            for register in self._limits_c
-        }
-        return limits | {
-            300: HoldingRegister(lambda: self._number(self.air.set_point_c), self._set_set_point),
-            606: HoldingRegister(lambda: self._decimals, self._set_decimals),
-            608: HoldingRegister(lambda: 0),
-            901: HoldingRegister(lambda: _CELSIUS, lambda unit: unit == _CELSIUS),
-        }
-
-    def _commands(self) -> dict[int, HoldingRegister]:
-        save = HoldingRegister(lambda: 0, self._save)
-        clear_input_error = HoldingRegister(lambda: 0, self._clear_input_error)
-        clear_alarms = HoldingRegister(lambda: 0, self._clear_alarms)
-        silence = HoldingRegister(lambda: 0, lambda value: value in (0, 1))
-        return {25: save, 311: clear_input_error, 312: clear_alarms, 313: silence}
-
-    def _event_outputs(self) -> dict[int, HoldingRegister]:
-        return {
-            1990 + 10 * number: HoldingRegister(
+        registers = {register: HoldingRegister(read) for register, read in read_only.items()}
+        for register in self._limits_c:
+            registers[register] = HoldingRegister(
+                partial(self._limit, register), partial(self._set_limit, register)
+            )
+        for number in OUTPUTS:
+            registers[1990 + 10 * number] = HoldingRegister(
                 partial(self._event, number), partial(self._set_event, number)
             )
-            for number in OUTPUTS
-        }
-
-    def _ramp(self) -> dict[int, HoldingRegister]:
-        return {
-            1100: HoldingRegister(lambda: self._loop.action, self._set_ramp_action),
-            1101: HoldingRegister(lambda: self._number(self._loop.ramp_rate), self._set_ramp_rate),
-            1102: HoldingRegister(lambda: int(self._loop.per_hour), self._set_ramp_scale),
+        if ramps:
+            registers |= {
+                1100: HoldingRegister(lambda: self._loop.action, self._set_ramp_action),
+                1101: HoldingRegister(lambda: self._number(self._loop.ramp_rate), self._set_ramp_rate),
+                1102: HoldingRegister(lambda: int(self._loop.per_hour), self._set_ramp_scale),
+            }
+        return registers | {
+            25: HoldingRegister(lambda: 0, self._save),
+            300: HoldingRegister(lambda: self._number(self.air.set_point_c), self._set_set_point),
+            311: HoldingRegister(lambda: 0, self._clear_input_error),
+            312: HoldingRegister(lambda: 0, self._clear_alarms),
+            313: HoldingRegister(lambda: 0, lambda value: value in (0, 1)),
+            606: HoldingRegister(lambda: self._decimals, self._set_decimals),
+            901: HoldingRegister(lambda: _CELSIUS, lambda unit: unit == _CELSIUS),
         }
 
     def _number(self, value: float) -> int:

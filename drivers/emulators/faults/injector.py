@@ -73,11 +73,6 @@ class Schedule:
         For the spacing of ``every_s``: exponential gaps, so the rate is constant.
     start_s : float
         Start of the bench. Occurrences that ended before it are skipped; one that still lasts starts there.
-
-    Attributes
-    ----------
-    next_s : float
-        Next time at which something is due; infinite for none.
     """
 
     def __init__(self, timing: Timing, random: np.random.Generator, start_s: float = 0.0) -> None:
@@ -91,7 +86,7 @@ class Schedule:
 
     @property
     def next_s(self) -> float:
-        """Next time at which something is due."""
+        """Next time at which something is due; infinite for none."""
         return self._begin_s if self._end_s is None else self._end_s
 
     def observe(self, in_phase: bool, now_s: float) -> None:

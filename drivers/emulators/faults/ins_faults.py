@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import can
 from pydantic import Field
@@ -32,10 +32,8 @@ _PLACES: dict[str, tuple[int, int]] = {
     "pitch": (ROLL_PITCH, 4),
     "heading": (HEADING, 0),
 }
-_ALL: list[Signal] = ["velocity_north", "velocity_east", "roll", "pitch", "heading"]
-_SENSORS: tuple[Sensor, ...] = (
-    "case", "optics_x", "optics_y", "optics_z", "electronics_x", "electronics_y", "electronics_z",
-)  # fmt: skip
+_ALL: list[Signal] = list(get_args(Signal))
+_SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _INVALID = struct.pack("<i", -(2**31))
 _LARGEST = struct.pack("<i", 2**31 - 1)
 _SENSOR_LIMIT_C = 327.67

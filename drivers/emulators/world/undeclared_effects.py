@@ -36,10 +36,8 @@ class Conditions:
 
     Attributes
     ----------
-    time_s : float
-        Since the start of the world.
-    since_power_on_s : float or None
-        Time since power-on; None while the unit is off.
+    time_s, since_power_on_s : float
+        Time since the start of the world, and since power-on (None while the unit is off).
     optics_c, electronics_c : ndarray, shape (3,)
         Temperatures of each gyro.
     optics_rate_c_per_h : ndarray, shape (3,)
