@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode, refuse_if
 
 MAX_MESSAGE_CHARACTERS = 32768
 _MAX_NUMBER_CHARACTERS = 28
@@ -111,13 +111,11 @@ def find_keyword(word: str, known: tuple[str, ...]) -> str | None:
 
 def _parse_argument(word: str) -> Argument:
     if _NUMBER.fullmatch(word):
-        if len(word) >= _MAX_NUMBER_CHARACTERS:
-            raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
+        refuse_if(len(word) >= _MAX_NUMBER_CHARACTERS, ErrorCode.WRONG_PARAMETER_TYPE)
         if not math.isfinite(value := float(word)):
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         return value
-    if not word:
-        raise AclError(ErrorCode.SYNTAX)
+    refuse_if(not word, ErrorCode.SYNTAX)
     return word.upper()
 
 
@@ -136,15 +134,13 @@ def number(argument: Argument) -> float:
 def whole_number(argument: Argument) -> int:
     """Take an argument as a whole number."""
     value = number(argument)
-    if not value.is_integer():
-        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    refuse_if(not value.is_integer())
     return int(value)
 
 
 def expect(arguments: Arguments, *counts: int) -> None:
     """Refuse another number of arguments."""
-    if len(arguments) not in counts:
-        raise AclError(ErrorCode.WRONG_PARAMETER_COUNT)
+    refuse_if(len(arguments) not in counts, ErrorCode.WRONG_PARAMETER_COUNT)
 
 
 class AxisCommands:
@@ -207,8 +203,7 @@ class AxisCommands:
 
     def _one(self, argument: Argument) -> AclAxis:
         axis_number = whole_number(argument)
-        if axis_number not in self._axes:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(axis_number not in self._axes)
         return self._axes[axis_number]
 
     def _several(self, argument: Argument) -> list[AclAxis]:
@@ -304,8 +299,7 @@ class AxisCommands:
             166: state.position_deg,
             176: state.acceleration_dps2,
         }
-        if variable not in values:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(variable not in values)
         return format_number(values[variable], self._decimals)
 
     def _status_register(self, arguments: Arguments) -> str:
@@ -314,8 +308,7 @@ class AxisCommands:
         if len(arguments) == 1:
             return str(value)
         bit = whole_number(arguments[1])
-        if not 0 <= bit < 32:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(not 0 <= bit < 32)
         return str(value >> bit & 1)
 
     def _register(self, name: str) -> int:
@@ -337,8 +330,7 @@ class AxisCommands:
     def _legacy_status(self, arguments: Arguments) -> str:
         expect(arguments, 2)
         axis, word = self._one(arguments[0]), whole_number(arguments[1])
-        if word not in (1, 2):
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(word not in (1, 2))
         return str(int(axis.mode) if word == 1 else axis.legacy_register())
 
 
@@ -370,8 +362,7 @@ def _absolute_limits(axis: AclAxis) -> str:
 def _set_global_limits(
     axis: AclAxis, low_deg: float, high_deg: float, trip_dps: float, tracking_error_deg: float
 ) -> None:
-    if tracking_error_deg <= 0.0:
-        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    refuse_if(tracking_error_deg <= 0.0)
     for mode in Mode:
         axis.set_limits(mode, low_deg=low_deg, high_deg=high_deg)
         axis.set_trip_rate(mode, trip_dps)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Literal
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault, refuse_if
 from gyrobench.drivers.emulators.acl_commands import (
     MAX_MESSAGE_CHARACTERS,
     Arguments,
@@ -125,8 +125,7 @@ class Acutrol3000Emulator:
             return b""
         code = ErrorCode.NONE
         try:
-            if too_long:
-                raise AclError(ErrorCode.MESSAGE_TOO_LONG)
+            refuse_if(too_long, ErrorCode.MESSAGE_TOO_LONG)
             text = self._execute(message.decode("latin-1"), now_s)
         except AclError as error:
             code, text = error.code, error.code.text
@@ -141,16 +140,14 @@ class Acutrol3000Emulator:
         for axis in self.axes.values():
             axis.begin_frame(now_s)
         units = parse_message(message)
-        if sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES)
         try:
             handlers = [self._handlers[unit.header, unit.is_query] for unit in units]
         except KeyError:
             raise AclError(ErrorCode.UNKNOWN_COMMAND) from None
         answers = [handle(unit.arguments) for handle, unit in zip(handlers, units, strict=True)]
         text = ";".join(answer for answer in answers if answer) or "OK"
-        if len(text) > MAX_MESSAGE_CHARACTERS:
-            raise AclError(ErrorCode.MESSAGE_TOO_LONG)
+        refuse_if(len(text) > MAX_MESSAGE_CHARACTERS, ErrorCode.MESSAGE_TOO_LONG)
         return text
 
     def _note(self, code: ErrorCode) -> None:
@@ -205,15 +202,13 @@ class Acutrol3000Emulator:
     def _enable(self, register: str, mask: int, arguments: Arguments) -> str:
         expect(arguments, 1)
         value = whole_number(arguments[0])
-        if not 0 <= value <= 255:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(not 0 <= value <= 255)
         setattr(self, register, value & mask)
         return ""
 
     def _next_error(self, arguments: Arguments) -> str:
         expect(arguments, 1)
-        if arguments[0] != "QERROR":
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(arguments[0] != "QERROR")
         code = self._errors.popleft() if self._errors else ErrorCode.NONE
         return f"{int(code)},{code.text}"
 
@@ -226,8 +221,7 @@ class Acutrol3000Emulator:
 
     def _set_lockout(self, arguments: Arguments) -> str:
         expect(arguments, 1)
-        if arguments[0] not in ("ON", "OFF"):
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(arguments[0] not in ("ON", "OFF"))
         self._locked_out = arguments[0] == "ON"
         return ""
 

@@ -44,11 +44,14 @@ class HoldingRegister:
     read : callable
         Returns its value.
     write : callable or None
-        Sets it and returns whether the value is allowed; None for a read-only register.
+        Sets it; None for a read-only register.
+    allowed : callable
+        Whether a value may be written.
     """
 
     read: Callable[[], int]
-    write: Callable[[int], bool] | None = None
+    write: Callable[[int], None] | None = None
+    allowed: Callable[[int], bool] = lambda _: True
 
 
 def exception_frame(address: int, function: int, code: int) -> bytes:
@@ -141,13 +144,16 @@ class ModbusRtuDevice:
         return ReadHoldingRegistersResponse(registers=numbers)
 
     def _write(self, first: int, values: Sequence[int]) -> int:
-        """Write successive registers; returns an exception code, or zero."""
+        """Write successive registers up to a refused value; returns an exception code, or zero."""
         registers = [self._registers.get(first + offset) for offset in range(len(values))]
-        writes = [register.write for register in registers if register and register.write]
-        if len(writes) < len(values):
+        if not all(register and register.write for register in registers):
             return _ILLEGAL_ADDRESS
-        allowed = all(write(_signed(value)) for write, value in zip(writes, values, strict=True))
-        return 0 if allowed else _ILLEGAL_VALUE
+        for register, value in zip(registers, map(_signed, values), strict=True):
+            if register and register.write:
+                if not register.allowed(value):
+                    return _ILLEGAL_VALUE
+                register.write(value)
+        return 0
 
 
 def _signed(number: int) -> int:

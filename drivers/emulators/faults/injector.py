@@ -26,15 +26,8 @@ class Injection(NamedTuple):
     kind: str
 
 
-class InjectionLog:
-    """Keeps the injections, and appends each to a log file.
-
-    Parameters
-    ----------
-    injections : list of Injection
-        Where they are kept.
-    path : Path, optional
-        File of JSON lines, created if missing.
+class InjectionLog(list[Injection]):
+    """The injections so far, each also appended to a file of JSON lines, if a path is given.
 
     Raises
     ------
@@ -42,14 +35,13 @@ class InjectionLog:
         The file can't be written.
     """
 
-    def __init__(self, injections: list[Injection], path: Path | None) -> None:
-        self._injections = injections
+    def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._write("")
 
     def add(self, time_s: float, kind: str) -> None:
         """Add one injection."""
-        self._injections.append(Injection(time_s, kind))
+        self.append(Injection(time_s, kind))
         self._write(json.dumps({"time_s": round(time_s, 3), "fault": kind}) + "\n")
 
     def _write(self, line: str) -> None:
