@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.bins import BiasBin, read_bins
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -35,8 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gyrobench.bench.closure.loop import Closure
+    from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
-    from gyrobench.bench.engine.people import Progress
     from gyrobench.drivers.ins.can_bus import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
@@ -130,15 +128,13 @@ class Run:
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
-        from gyrobench.bench.bias.verdicts import read_acceptance
+        from gyrobench.bench.report.content import read_run
         from gyrobench.bench.report.run_report import run_figures
-        from gyrobench.bench.runs.telemetry import read_telemetry
 
-        telemetry = read_telemetry(self.folder.telemetry)
-        rows: list[DwellRow] = read_dwells(self.folder.dwells)
-        bins: list[BiasBin] = read_bins(self.folder.bias_bins)
-        acceptance = read_acceptance(self.folder.acceptance) if self.folder.acceptance.exists() else None
-        return dict(run_figures(telemetry, rows, bins, acceptance))
+        run = read_run(self.folder)
+        return dict(
+            run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+        )
 
     def _block(self, dwell: int) -> FrameBlock:
         from gyrobench.bench.dwells.run_dwells import read_dwell_frames
@@ -159,7 +155,7 @@ def run(
     seed: int = 0,
     out: str | Path | None = None,
     operator: Operator | None = None,
-    observer: Progress | None = None,
+    observer: RunObserver | None = None,
 ) -> Run:
     """Run a procedure, as ``gyrobench run`` does.
 
@@ -186,9 +182,10 @@ def run(
     MeasurementError
         The run ended before its procedure did; what it measured is in the run folder.
     """
+    from gyrobench.bench.engine.job import prepare_job
+    from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import ConsentingOperator
-    from gyrobench.bench.engine.people import Progress
-    from gyrobench.bench.engine.session import prepare_job, run_job
+    from gyrobench.bench.engine.run import run_job
     from gyrobench.bench.station.instruments import Emulation
 
     job = prepare_job(procedure, station, Emulation(world, seed, ""))
@@ -198,7 +195,7 @@ def run(
                 f"{station}: this bench works in real time. Pass operator= to answer its questions"
             )
         operator = ConsentingOperator()
-    folder, outcome = run_job(job, None if out is None else Path(out), observer or Progress(), operator)
+    folder, outcome = run_job(job, None if out is None else Path(out), observer or RunObserver(), operator)
     if outcome.ended != "finished":
         raise MeasurementError(f"{folder.path}: the run {outcome.ended}: {outcome.reason}")
     return Run(folder.path)
