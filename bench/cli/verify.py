@@ -99,7 +99,7 @@ def verify(
 def _search(run: RunFolder) -> Closure:
     """Search in a run as it was searched before; what is found is written unless it is there."""
     from gyrobench.bench.closure.files import is_written, read_held_out_cycles
-    from gyrobench.bench.report.closure.search_files import write_search
+    from gyrobench.bench.report.closure.closure_page import write_search
 
     closure = search(run.path, read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):

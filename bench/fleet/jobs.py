@@ -109,7 +109,7 @@ def _measured(folder: RunFolder) -> str:
 def _closed(folder: RunFolder) -> str:
     from gyrobench.bench.closure.loop import close_loop
     from gyrobench.bench.dwells.closure_inputs import read_campaign
-    from gyrobench.bench.report.closure.search_files import write_search
+    from gyrobench.bench.report.closure.closure_page import write_search
 
     try:
         closure = close_loop(read_campaign(folder.path))

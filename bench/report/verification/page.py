@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed
-from gyrobench.bench.report.closure.wording import verdict_sentence
+from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.page import Findings, write_findings
 from gyrobench.bench.report.verification.section import verify_sections
 from gyrobench.bench.report.verification.wording import (

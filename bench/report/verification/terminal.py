@@ -12,7 +12,7 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.closure.wording import verdict_sentence
+from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.terminal.tables import plain_table, topics
 from gyrobench.bench.report.verification.rows import SIZES, UNITS, stop_rows, total_rows
 from gyrobench.bench.report.verification.wording import (

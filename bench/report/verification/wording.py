@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import LEFT_OVER_P, Closure
 from gyrobench.bench.foundations.text import listed, plain_name
-from gyrobench.bench.report.closure.wording import found_names, p_phrase, size_text
+from gyrobench.bench.report.closure.closure_text import found_names, p_phrase, size_text
 from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
 
 #: The compensations as people read them.

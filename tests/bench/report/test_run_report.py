@@ -20,7 +20,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.report.closure.page import write_closure_page
+from gyrobench.bench.report.closure.closure_page import write_closure_page
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.figures.bias import bias_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.report.closure.effect_figure import closure_effect_figure
-from gyrobench.bench.report.closure.error_figure import closure_error_figure, temperature_groups
-from gyrobench.bench.report.closure.evidence_figure import closure_evidence_figure
-from gyrobench.bench.report.closure.residual_figure import closure_residual_figure
-from gyrobench.bench.report.closure.residuals import residuals_dph, rms
+from gyrobench.bench.report.closure.closure_figures import (
+    closure_effect_figure,
+    closure_error_figure,
+    closure_evidence_figure,
+    closure_residual_figure,
+    temperature_groups,
+)
+from gyrobench.bench.report.closure.closure_text import residuals_dph, rms
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,

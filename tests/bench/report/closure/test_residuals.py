@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.report.closure.residuals import (
+from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     residuals_dph,
     rests_on_noise,

@@ -1,6 +1,6 @@
 """Rows of the tables about a search for effects."""
 
-from gyrobench.bench.report.closure.rows import effect_table, evidence_table, tried_caption
+from gyrobench.bench.report.closure.closure_text import effect_table, evidence_table, tried_caption
 from tests.bench.report.made_up_closure import ambiguous, clean, explained, without_boards
 
 

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.closure.terminal import closure_summary
+from gyrobench.bench.report.closure.closure_summary import closure_summary
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,

@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.report.closure import wording
+from gyrobench.bench.report.closure import closure_text as wording
 from tests.bench.report.made_up_closure import (
     EFFECTS,
     SENSITIVITY,
