@@ -35,6 +35,7 @@ check: install
 	$(BIN)/lint-imports
 
 docs: install
+	$(BIN)/python docs/make_reference.py
 	$(BIN)/python -m sphinx -q -W --keep-going -n -b html docs build/docs
 
 # Known vulnerabilities of the pinned versions; asks the network, and installs pip-audit for itself.

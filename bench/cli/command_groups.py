@@ -17,7 +17,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 _OTHERS = "Other"
 #: A first sentence stands whole, on as many lines as it needs.
-_LONGEST = 300
+_MAX_HELP = 300
 
 
 class CommandGroups(TyperGroup):
@@ -39,7 +39,7 @@ class CommandGroups(TyperGroup):
             for name in names:
                 command = self.get_command(ctx, name)
                 if command is not None and not command.hidden and grouped.get(name, _OTHERS) == group:
-                    rows.append((name.ljust(widest), command.get_short_help_str(_LONGEST)))
+                    rows.append((name.ljust(widest), command.get_short_help_str(_MAX_HELP)))
             if rows:
                 with formatter.section(group):
                     formatter.write_dl(rows)

@@ -16,8 +16,8 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.procedure.document import checked_procedure
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.bench.station.station import Station

@@ -73,6 +73,22 @@ def finished_marks(folder: RunFolder) -> Iterator[DwellMarks]:
                 raise RunFolderError(f"{folder.journal}: {error}") from error
 
 
+def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
+    """Frames of one finished dwell.
+
+    Raises
+    ------
+    RunFolderError
+        The run has no finished dwell of that number, or the log lacks its frames.
+    """
+    marks = {each.dwell: each for each in finished_marks(folder)}.get(dwell)
+    if marks is None:
+        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}")
+    for _, messages in read_can_log(folder.can, {marks.log_part}):
+        return _frames(folder, marks, messages)
+    raise RunFolderError(f"{folder.can}: lacks part {marks.log_part}, which dwell {dwell} needs. Restore it")
+
+
 def _finished(folder: RunFolder) -> list[DwellMarks]:
     """Marks of the finished dwells, each number once."""
     return list({marks.dwell: marks for marks in finished_marks(folder)}.values())

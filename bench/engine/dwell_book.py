@@ -13,7 +13,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.outcome import RunOutcome
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.progress import RunProgress
-from gyrobench.bench.procedure.document import Procedure
+from gyrobench.bench.procedure.procedure_file import Procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 

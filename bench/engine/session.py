@@ -29,16 +29,16 @@ from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder, open_run_folder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import read_provenance, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
-from gyrobench.bench.station.bench_lock import BenchLock, RunLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.locks import BenchLock, RunLock
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.verification.calibration import read_calibration
 from gyrobench.bench.verification.calibration_check import calibration_check_rows

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.run_dwells import finished_marks
-from gyrobench.bench.exchange.export_folder import Destination, field_of
+from gyrobench.bench.exchange.export_folder import ExportFolder, field_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.attitude import euler_rpy321
@@ -48,7 +48,7 @@ _FIRST_CALENDAR_S = 631_152_000.0
 
 
 @dataclass(frozen=True)
-class PlacedPart:
+class TimedPart:
     """One part of the log.
 
     Attributes
@@ -63,7 +63,7 @@ class PlacedPart:
     messages: list[can.Message]
 
 
-class PlacedLog:
+class TimedLog:
     """The parts of a run's log that hold frames, one after the other; one is in memory at a time.
 
     A part that was never closed, and any part where the CAN adapter has a clock of its own, tells times
@@ -88,7 +88,7 @@ class PlacedLog:
         self.began_s = started_utc(folder).timestamp()
         self._folder = folder.can
 
-    def __iter__(self) -> Iterator[PlacedPart]:
+    def __iter__(self) -> Iterator[TimedPart]:
         end_s = self.began_s
         for number, messages in read_can_log(self._folder):
             if not messages:
@@ -98,7 +98,7 @@ class PlacedLog:
                 for message in messages:
                     message.timestamp += shift_s
             end_s = messages[-1].timestamp
-            yield PlacedPart(number, messages)
+            yield TimedPart(number, messages)
 
     def _shift_s(self, number: int, messages: list[can.Message], end_s: float) -> float:
         """What to add to the times of a part."""
@@ -110,7 +110,7 @@ class PlacedLog:
         return end_s - messages[0].timestamp
 
 
-def write_blf(path: Path, parts: Iterable[PlacedPart]) -> int:
+def write_blf(path: Path, parts: Iterable[TimedPart]) -> int:
     """Write all frames, with calendar times; returns how many."""
     with path.open("wb") as stream, can.BLFWriter(stream) as writer:
         for part in parts:
@@ -138,7 +138,7 @@ SCHEMA = pa.schema(
 
 
 def export_navigation(
-    folder: RunFolder, setup: MeasurementSetup, name: str, destination: Destination, dwell: int | None = None
+    folder: RunFolder, setup: MeasurementSetup, name: str, destination: ExportFolder, dwell: int | None = None
 ) -> None:
     """Write decoded navigation of a run, or of one finished dwell; one part of the log is read at a time.
 
@@ -152,7 +152,7 @@ def export_navigation(
 
 
 def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
-    log = PlacedLog(folder)
+    log = TimedLog(folder)
     finished = log.finished
     wanted = {number for number, marks in finished.items() if marks.dwell == dwell}
     if dwell is not None and not wanted:
@@ -164,7 +164,7 @@ def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> I
             yield _table(part, setup, finished.get(part.number), log.began_s)
 
 
-def _table(part: PlacedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
+def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
     """Table of one part; frames beyond those of its dwell belong to none."""
     data = setup.decode(FrameBlock.from_messages(part.messages))
     values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))

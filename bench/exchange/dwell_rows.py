@@ -17,14 +17,14 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 
-def legs(temperatures_c: Sequence[float], least_turn_c: float) -> list[int]:
-    """Number the legs between turning points, from 1.
+def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[int]:
+    """Number the cycle_numbers between turning points, from 1.
 
     Parameters
     ----------
     temperatures_c : sequence of float
         In the order of time.
-    least_turn_c : float
+    min_turn_c : float
         The temperature turned at its extreme once it came back by this much, K.
     """
     turns: list[int] = []
@@ -35,11 +35,11 @@ def legs(temperatures_c: Sequence[float], least_turn_c: float) -> list[int]:
             high = index
         if value < temperatures_c[low]:
             low = index
-        if direction >= 0 and temperatures_c[high] - value >= least_turn_c:
+        if direction >= 0 and temperatures_c[high] - value >= min_turn_c:
             if direction > 0:
                 turns.append(high)
             direction, low = -1, index
-        elif direction <= 0 and value - temperatures_c[low] >= least_turn_c:
+        elif direction <= 0 and value - temperatures_c[low] >= min_turn_c:
             if direction < 0:
                 turns.append(low)
             direction, high = 1, index
@@ -191,7 +191,7 @@ def _cycles(
         blocks = [int((begin - begins[0]) / rule.block_s + 1e-9) for begin in begins]
         return [1 + (block % rule.alternate if rule.alternate else block) for block in blocks]
     temperatures = [float(np.mean(_gyro_temperatures(window, log_map)[0])) for window in windows]
-    return legs(temperatures, rule.turning_point_c or 0.0)
+    return cycle_numbers(temperatures, rule.turning_point_c or 0.0)
 
 
 def _position(window: Window, log_map: LogMap) -> str:

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import (
     cant_be_written,
@@ -75,7 +75,7 @@ def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
     return pa.field(column, kind or type_of(column), metadata={"unit": unit} if unit else None)
 
 
-def origin_of(folder: RunFolder) -> dict[str, Any]:
+def data_origin(folder: RunFolder) -> dict[str, Any]:
     """Plain data: run, unit, versions, hashes, and how the run ended; None for what is not known.
 
     Raises
@@ -94,7 +94,7 @@ def origin_of(folder: RunFolder) -> dict[str, Any]:
         "started_utc": provenance.get("started_utc"),
         "instruments": provenance.get("instruments", {}),
         "measured_by": f"gyrobench {provenance.get('gyrobench', '?')}",
-        "exported_by": f"gyrobench {gyrobench.__version__}",
+        "exported_by": f"gyrobench {__version__}",
         "sha256": {**provenance.get("files_sha256", {}), folder.journal.name: file_sha256(folder.journal)},
     }
 
@@ -105,7 +105,7 @@ _MAX_ABOUT_BYTES = 10_000_000
 
 
 @dataclass
-class Destination:
+class ExportFolder:
     """Where files go, and what is said of them.
 
     Attributes
@@ -195,7 +195,7 @@ class Destination:
                             writer.write_table(batch.cast(schema))
 
     def finish(self) -> None:
-        """Write what is said of all files; what was said of others of the same run stays.
+        """Write what is said of all files; what was said of others of the same run bars.
 
         Raises
         ------

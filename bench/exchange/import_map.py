@@ -250,7 +250,7 @@ class LogMap(StrictModel):
         default=CycleRule(constant=1), description="what can be held out"
     )
     earth_rate: EarthRate | None = Field(
-        default=None, description="without it the Earth's rotation stays in the biases"
+        default=None, description="without it the Earth's rotation bars in the biases"
     )
     window_s: float = Field(ge=1e-3, le=1e12, description="length of the windows that are averaged")
     skip_s: NotNegative = Field(default=0.0, description="left out at the begin of each log")

@@ -151,14 +151,14 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
     if log_map.earth_rate is None:
         if len({row.position for row in rows}) > 1:
             warnings.append(
-                "the Earth's rotation, up to 15 deg/h, stays in the biases and differs between positions. "
+                "the Earth's rotation, up to 15 deg/h, bars in the biases and differs between positions. "
                 "Give 'earth_rate' in the mapping"
             )
     elif log_map.earth_rate.azimuth_deg is None:
         _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
         horizontal_dph = north * RADPS_TO_DPH
         warnings.append(
-            "without an azimuth the Earth's rotation stays in the biases of the horizontal gyros, up to "
+            "without an azimuth the Earth's rotation bars in the biases of the horizontal gyros, up to "
             f"{horizontal_dph:.1f} deg/h"
         )
     if len({row.cycle for row in rows}) == 1:

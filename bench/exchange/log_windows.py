@@ -28,7 +28,7 @@ RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
 
 #: Beyond these nothing is measured, and no log is as long; what lies there counts as NaN does.
-_LARGEST, _LONGEST_S = 1e15, 1e12
+_MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -73,7 +73,7 @@ class SampleReader:
         Raises
         ------
         DocumentError
-            The mapping names a column that the log lacks, or a cell can't be read.
+            The mapping names a column that the log missing, or a cell can't be read.
         MeasurementError
             Time goes back.
         """
@@ -97,7 +97,7 @@ class SampleReader:
                     self.first_s = origin * _TO_SECONDS[self._map.time.unit]
                 with np.errstate(over="ignore"):
                     time_s = (raw - (origin or 0.0)) * _TO_SECONDS[self._map.time.unit]
-            known = np.abs(time_s) <= _LONGEST_S
+            known = np.abs(time_s) <= _MAX_TIME_S
             self.no_time += int(count - known.sum())
             self._read += count
             samples = {name: values[known] for name, values in samples.items()}
@@ -172,7 +172,7 @@ def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatA
     """Values of a quantity; NaN where it can't have what the log says."""
     with np.errstate(over="ignore", invalid="ignore"):
         values = raw * scale + offset
-    low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_LARGEST, _LARGEST)
+    low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_MAX_VALUE, _MAX_VALUE)
     return np.where((values >= low) & (values <= high), values, np.nan)
 
 
@@ -213,7 +213,7 @@ class Window:
         Since the first sample of the log.
     samples, dropped : int
         Samples with all three rates, and those without.
-    widest_step_s : float
+    max_step_s : float
         Longest time between two samples, also to the last one before the window.
     covered_s : float
         From the first to the last sample.
@@ -225,9 +225,9 @@ class Window:
         Mean rates of as many equal parts as :data:`BLOCKS` allows, in the order of time.
     rate_step_dph : ndarray, shape (3,)
         Smallest change from one sample to the next; infinite where there is none.
-    extreme_dph, longest_at_extreme : ndarray, shape (3,)
+    extreme_dph, max_samples_at_extreme : ndarray, shape (3,)
         Largest rate without its sign, and how many samples in a row it stayed.
-    longest_unchanged : ndarray, shape (3,)
+    max_samples_unchanged : ndarray, shape (3,)
         How many samples in a row a rate was the same.
     means, slopes_per_h, steps, spans : dict of str to float
         Of temperatures, and of position and cycle: mean, slope, smallest change, and largest less
@@ -240,15 +240,15 @@ class Window:
     end_s: float
     samples: int
     dropped: int
-    widest_step_s: float
+    max_step_s: float
     covered_s: float
     rate_dph: FloatArray
     scatter_dph: FloatArray
     blocks_dph: FloatArray
     rate_step_dph: FloatArray
     extreme_dph: FloatArray
-    longest_at_extreme: NDArray[np.intp]
-    longest_unchanged: NDArray[np.intp]
+    max_samples_at_extreme: NDArray[np.intp]
+    max_samples_unchanged: NDArray[np.intp]
     means: dict[str, float]
     slopes_per_h: dict[str, float]
     steps: dict[str, float]
@@ -279,7 +279,7 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
         yield _window(rest, window_s, skip_s, before_s)
 
 
-def longest_run(same: BoolArray) -> int:
+def max_consecutive(same: BoolArray) -> int:
     """How many true values stand in a row at most."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
@@ -313,15 +313,15 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         end_s=skip_s + (number + 1) * window_s,
         samples=len(rates),
         dropped=int(good.size - len(rates)),
-        widest_step_s=float(steps.max()),
+        max_step_s=float(steps.max()),
         covered_s=float(time_s[-1] - time_s[0]),
         rate_dph=rates.mean(axis=0) if enough else nothing,
         scatter_dph=rates.std(axis=0, ddof=1) if enough else nothing,
         blocks_dph=_blocks(rates) if enough else np.empty((0, 3)),
         rate_step_dph=np.array([_smallest_step(rate) for rate in rates.T]),
         extreme_dph=np.abs(rates).max(axis=0, initial=0.0),
-        longest_at_extreme=np.array([_longest_at_extreme(rate) for rate in rates.T]),
-        longest_unchanged=np.array([1 + longest_run(np.diff(rate) == 0.0) for rate in rates.T]),
+        max_samples_at_extreme=np.array([_longest_at_extreme(rate) for rate in rates.T]),
+        max_samples_unchanged=np.array([1 + max_consecutive(np.diff(rate) == 0.0) for rate in rates.T]),
         means=means,
         slopes_per_h=slopes,
         steps=smallest,
@@ -355,7 +355,7 @@ def _smallest_step(values: FloatArray) -> float:
 
 def _longest_at_extreme(rate: FloatArray) -> int:
     sizes = np.abs(rate)
-    return longest_run(sizes == sizes.max(initial=0.0))
+    return max_consecutive(sizes == sizes.max(initial=0.0))
 
 
 def _mean(values: FloatArray) -> float:

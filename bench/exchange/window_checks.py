@@ -55,16 +55,16 @@ def earth_rate_dph(position: str, rule: EarthRate) -> FloatArray:
 
 
 #: Part of a window that must have been recorded, and of its samples that must be good.
-_LEAST_PART = 0.9
+_MIN_PART = 0.9
 #: Samples in a row at the largest rate of a log that are no chance, with noise over several steps.
 _SATURATED_RUN = 3
 _NOISY_STEPS = 3.0
-#: Share of a window that a rate may stay the same.
+#: Share of a window that a rate may bar the same.
 _STUCK_PART = 0.5
-#: A finer temperature never stays the same for this long, in windows and seconds.
+#: A finer temperature never bars the same for this long, in windows and seconds.
 _LIVELY_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
 #: Coarser steps of a temperature are told; fewer than these steps in its swing are refused.
-_COARSE_RESOLUTION_C, _LEAST_STEPS = 0.25, 8
+_COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
 
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
 
@@ -79,7 +79,7 @@ def sample_interval_s(windows: Sequence[Window]) -> float:
     return float(np.median(intervals)) if intervals else 0.0
 
 
-def longest_gap_s(windows: Sequence[Window], log_map: LogMap) -> float:
+def max_gap_s_of(windows: Sequence[Window], log_map: LogMap) -> float:
     """Longest time between samples of a good window."""
     if log_map.max_gap_s is not None:
         return log_map.max_gap_s
@@ -88,7 +88,7 @@ def longest_gap_s(windows: Sequence[Window], log_map: LogMap) -> float:
 
 def reasons_against(windows: Sequence[Window], log_map: LogMap) -> list[str]:
     """Why each window of a log is left out; empty for a good one."""
-    interval_s, gap_s = sample_interval_s(windows), longest_gap_s(windows, log_map)
+    interval_s, gap_s = sample_interval_s(windows), max_gap_s_of(windows, log_map)
     saturation = _saturation_dph(windows, log_map)
     stuck = _stuck_temperature(windows, log_map)
     return [
@@ -125,7 +125,7 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
         resolution = temperature_resolution_c(windows, name)
         if resolution <= _COARSE_RESOLUTION_C or swing == 0.0:
             continue
-        if swing < _LEAST_STEPS * resolution:
+        if swing < _MIN_STEPS * resolution:
             raise MeasurementError(
                 f"the temperature of gyro {axis} swings by {swing:.2f} K in steps of {resolution:.3g} K: "
                 "too few for a curve over temperature. Log it with 0.1 K or finer, or swing it further"
@@ -146,7 +146,7 @@ def _check_swing(axis: str, swing: float, temperatures: FloatArray, log_map: Log
     least = log_map.temperatures.least_swing_c
     if swing < least:
         raise MeasurementError(
-            f"the temperature of gyro {axis} stays between {temperatures.min():.2f} and "
+            f"the temperature of gyro {axis} bars between {temperatures.min():.2f} and "
             f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; {least:g} K are needed for a curve "
             "over temperature. Log a larger swing, or allow a smaller one with "
             "'temperatures: {least_swing_c: ...}' in the mapping"
@@ -157,18 +157,18 @@ def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s
     total = window.samples + window.dropped
     if total < MIN_SAMPLES:
         return f"fewer than {MIN_SAMPLES} samples (are 'window_s' and the unit of time right?)"
-    if window.covered_s + interval_s < _LEAST_PART * log_map.window_s:
+    if window.covered_s + interval_s < _MIN_PART * log_map.window_s:
         return "not recorded to the end"
-    if window.widest_step_s > gap_s:
+    if window.max_step_s > gap_s:
         return f"over a gap of more than {gap_s:.3g} s"
-    if window.samples < max(_LEAST_PART * total, MIN_SAMPLES):
+    if window.samples < max(_MIN_PART * total, MIN_SAMPLES):
         return "too many samples without a good rate"
     return ""
 
 
 def _reason_of_rates(window: Window, saturation: FloatArray) -> str:
     for axis, stayed, extreme, limit in zip(
-        AXES, window.longest_unchanged, window.extreme_dph, saturation, strict=True
+        AXES, window.max_samples_unchanged, window.extreme_dph, saturation, strict=True
     ):
         if stayed > _STUCK_PART * window.samples:
             return f"rate of gyro {axis} stuck"
@@ -204,13 +204,13 @@ def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> FloatArray:
     declared = full_scale_dph(log_map) * (1.0 - 1e-6)
     extremes = np.array([each.extreme_dph for each in windows])
     highest = extremes.max(axis=0)
-    runs = np.array([each.longest_at_extreme for each in windows])
+    runs = np.array([each.max_samples_at_extreme for each in windows])
     clipped = ((extremes == highest) & (runs >= _SATURATED_RUN)).any(axis=0)
     scatters = np.array([each.scatter_dph for each in windows])
     known = np.isfinite(scatters).all(axis=1)
     scatter = np.median(scatters[known], axis=0) if known.any() else np.zeros(3)
     step = np.min([each.rate_step_dph for each in windows], axis=0)
-    # A quiet gyro of coarse steps stays at its largest rate for long without being clipped.
+    # A quiet gyro of coarse steps bars at its largest rate for long without being clipped.
     clipped &= np.isfinite(step) & (scatter > _NOISY_STEPS * step)
     return np.where(clipped, np.minimum(highest, declared), declared)
 
@@ -243,7 +243,7 @@ _OF_WHITE_RATE = 6.0
 #: The same by noise white in the angle, over the variance of the angle at one end.
 _OF_WHITE_ANGLE = 20.0
 #: Second differences that an averaging time needs, and above which more do not count.
-_LEAST_DIFFERENCES, _MOST_DIFFERENCES = 8, 2000
+_MIN_DIFFERENCES, _MAX_DIFFERENCES = 8, 2000
 #: Excess over the noise that is drift, times the root of the number of differences.
 _TOLERANCE = 6.0
 
@@ -272,7 +272,7 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     differences = {
         part: each
         for part, each in (*_within(windows), (1.0, _between(logs)))
-        if len(each) >= _LEAST_DIFFERENCES
+        if len(each) >= _MIN_DIFFERENCES
     }
     if not differences:
         raise MeasurementError(
@@ -281,7 +281,7 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
         )
     squares = np.array([_mean_square(each) for each in differences.values()]) / _OF_WHITE_RATE
     parts = np.array(list(differences))
-    counts = np.minimum([len(each) for each in differences.values()], _MOST_DIFFERENCES)
+    counts = np.minimum([len(each) for each in differences.values()], _MAX_DIFFERENCES)
     # A rate whose differences are mostly zero changes by its resolution alone.
     noise = [_without_drift(parts, square, counts) if (square > 0.0).all() else 0.0 for square in squares.T]
     sigma = np.sqrt(np.maximum(noise, _resolution_variance(windows)))

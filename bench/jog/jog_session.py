@@ -27,8 +27,8 @@ from gyrobench.bench.jog.terminal import (
     StoppedByOperatorError,
     TypedLines,
 )
-from gyrobench.bench.station.bench_lock import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
 
 _PROMPT = "jog> "

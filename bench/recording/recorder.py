@@ -16,7 +16,6 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentEr
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, write_whole
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
-from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import (
     CHAMBER,
     RATE_TABLE,
@@ -26,6 +25,7 @@ from gyrobench.bench.station.instruments import (
     open_ins,
     open_table,
 )
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.can_ins import CanIns

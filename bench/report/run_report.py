@@ -332,18 +332,19 @@ def save_figures(
     """
     make_folder(folder.figures)
     paths = []
-    for name, figure in _figures(telemetry, dwells, bins, acceptance):
+    for name, figure in run_figures(telemetry, dwells, bins, acceptance):
         paths.append(folder.figures / f"{name}.png")
         save_figure(figure, paths[-1])
     return paths
 
 
-def _figures(
+def run_figures(
     telemetry: Readings,
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None,
 ) -> Iterator[tuple[str, Figure]]:
+    """Draw what a run gives: name and figure, one after the other."""
     if len(telemetry.get("time_s", ())) or dwells:
         yield "temperature", temperature_figure(telemetry, dwells)
     if bins or any(not row.flags for row in dwells):

@@ -13,7 +13,7 @@ import io
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -39,7 +39,7 @@ _FAST = 1
 #: Bytes before compression, some 340 frames: what a kill loses at most.
 _CONTAINER_BYTES = 16 * 1024
 #: What no program packs into one container; a few damaged bytes could ask for gigabytes.
-_MOST_UNPACKED_BYTES = 16 * 1024 * 1024
+_MAX_UNPACKED_BYTES = 16 * 1024 * 1024
 
 
 class CanLog:
@@ -125,11 +125,13 @@ class _OpenPart:
             self._stream.close()
 
 
-def read_can_log(folder: Path) -> Iterator[tuple[int, list[can.Message]]]:
+def read_can_log(
+    folder: Path, numbers: Container[int] | None = None
+) -> Iterator[tuple[int, list[can.Message]]]:
     """Frames of a run's log in the order received, part by part: its number and its frames.
 
     A part that was never ended, or is damaged, gives the frames before its first container that is
-    not whole; it may give none.
+    not whole; it may give none. ``numbers`` selects parts; by default all are read.
 
     Raises
     ------
@@ -140,6 +142,8 @@ def read_can_log(folder: Path) -> Iterator[tuple[int, list[can.Message]]]:
     if not parts:
         raise RunFolderError(f"{folder}: holds no CAN log")
     for number, path in parts.items():
+        if numbers is not None and number not in numbers:
+            continue
         content = read_limited(path, MAX_PART_BYTES, RunFolderError)
         yield number, _frames(content[: _whole_bytes(content)])
 
@@ -154,7 +158,7 @@ def _whole_bytes(content: bytes) -> int:
             method, unpacked_size = LOG_CONTAINER_STRUCT.unpack_from(packed)
             if kind != LOG_CONTAINER or method != ZLIB_DEFLATE or end + size > len(content):
                 break
-            if unpacked_size > _MOST_UNPACKED_BYTES:
+            if unpacked_size > _MAX_UNPACKED_BYTES:
                 break
             unpacking = zlib.decompressobj()
             unpacked = unpacking.decompress(packed[LOG_CONTAINER_STRUCT.size :], unpacked_size + 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
@@ -13,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+
+from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -94,13 +95,13 @@ class Journal:
 
     def _lock(self) -> None:
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            is_free = lock_descriptor(self._descriptor, blocking=False)
+        except OSError:  # a file system or a platform without locks
+            is_free = True
+        if not is_free:
             raise RunFolderError(
                 f"{self._path}: another process is writing this run. Wait for its end, or stop it."
-            ) from error
-        except OSError:
-            pass  # a file system without locks
+            )
 
     def _find_end(self) -> tuple[int, bytes]:
         try:
@@ -168,7 +169,7 @@ def _finite(value: Any) -> Any:
 
 
 #: What no run reaches; a later time is a damaged entry.
-LONGEST_RUN_S = 1e9
+MAX_RUN_S = 1e9
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,7 @@ def _text(entry: Mapping[str, Any], key: str) -> str:
 
 def _time_s(entry: Mapping[str, Any]) -> float:
     value = entry.get("time_s")
-    return float(value) if isinstance(value, int | float) and 0.0 <= value <= LONGEST_RUN_S else 0.0
+    return float(value) if isinstance(value, int | float) and 0.0 <= value <= MAX_RUN_S else 0.0
 
 
 def _safe_state(actions: object) -> tuple[Mapping[str, Any], ...]:

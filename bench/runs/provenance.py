@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import gyrobench
+from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, parse_json, read_limited, write_whole
 from gyrobench.bench.runs.folder import RunFolder
@@ -39,7 +39,7 @@ def write_provenance(
         Options of the command that decide what was run.
     """
     content = {
-        "gyrobench": gyrobench.__version__,
+        "gyrobench": __version__,
         "started_utc": started.isoformat(),
         "utc_offset_s": _utc_offset_s(started),
         "operator": _user(),

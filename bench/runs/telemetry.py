@@ -42,7 +42,7 @@ COLUMNS = (
 )
 _ROWS_PER_PART = 900
 #: A kill loses the readings of this time at most.
-_LONGEST_UNWRITTEN_S = 600.0
+_MAX_UNWRITTEN_S = 600.0
 _SUFFIX = ".parquet"
 _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 
@@ -76,7 +76,7 @@ class Telemetry:
             self._gap = False
         self._rows.append(row)
         unwritten_s = row[0] - self._rows[self._written_rows][0]
-        if unwritten_s >= _LONGEST_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
+        if unwritten_s >= _MAX_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
             self.flush()
 
     def flush(self) -> None:

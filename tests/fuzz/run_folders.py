@@ -20,7 +20,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
 from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
 from gyrobench.bench.engine.verify import new_emulation
-from gyrobench.bench.monitor.terminal import PatientConsole
+from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.report.calibration_check import verification_section
@@ -53,7 +53,7 @@ def finished_run(shared: Path, calibration: bytes) -> Path:
 
 
 def _unseen(nowhere: TextIO, plan: Plan) -> LinesView:
-    return LinesView(PatientConsole(file=nowhere), plan)
+    return LinesView(RunConsole(file=nowhere), plan)
 
 
 def _copied(run: Path, folder: Path) -> Path:

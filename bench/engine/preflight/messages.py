@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.text import listed, plain_name
-from gyrobench.bench.messages.secret import read_secret
+from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.station.check import Check
-from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 
 

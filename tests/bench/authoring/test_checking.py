@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.authoring.checking import check_file
-from gyrobench.bench.authoring.kinds import KINDS, PROCEDURE
+from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE
 from gyrobench.bench.foundations.shipped import find_document, shipped_names
 from gyrobench.bench.station.station import Station
 

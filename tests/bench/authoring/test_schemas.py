@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from gyrobench.bench.authoring.kinds import KINDS, PROCEDURE, STATION, kind_of
-from gyrobench.bench.authoring.schemas import editor_line
+from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE, STATION, editor_line, kind_of
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import shipped_folders
 from tests.bench.command_line import gyrobench

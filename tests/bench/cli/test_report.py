@@ -21,7 +21,7 @@ def run(tmp_path):
     return folder
 
 
-def test_the_report_is_written_anew_with_the_name_and_the_verdict(run, tmp_path):
+def test_the_report_is_written_again_with_the_name_and_the_verdict(run, tmp_path):
     done = gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Unit not judged. The procedure states no acceptance limits." in done.stdout
@@ -29,7 +29,7 @@ def test_the_report_is_written_anew_with_the_name_and_the_verdict(run, tmp_path)
     assert "A. Smith" in run.report.read_text()
 
 
-def test_who_prepares_it_stays_when_it_is_written_anew(run, tmp_path):
+def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
     run.provenance.write_text('{"gyrobench": "0.1.0"}')
     gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
     gyrobench("report", run.path, cwd=tmp_path)

@@ -179,7 +179,9 @@ def test_a_check_names_the_instrument_of_another_package(acme_station, installed
     assert "Acme Frost, shelf 3" in done.stdout
 
 
-def test_mistakes_in_the_keys_of_another_package_are_told_with_their_place(acme_station, installed, tmp_path):
+def test_mistakes_in_the_keys_of_another_package_are_shown_with_their_place(
+    acme_station, installed, tmp_path
+):
     done = gyrobench("plan", "ten_minute_check", "--station", acme_station(keys=""), cwd=tmp_path)
     assert done.returncode == 2
     assert re.search(r"acme\.yaml:\d+:1: the key 'shelf' is missing: shelf that the unit", done.stderr)

@@ -11,8 +11,8 @@ from gyrobench.bench.dwells.dwell import measurement_setup, misfit_text
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.joint_table import (
     joint_bias_rows,

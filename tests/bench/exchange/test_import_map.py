@@ -37,6 +37,6 @@ def test_the_shipped_mappings_are_right(name):
         ({"text": "absent", "records": "{fields: [a], type: float}"}, r"<>"),
     ],
 )  # fmt: skip
-def test_mistakes_are_told_with_their_place(log, changes, message):
+def test_mistakes_are_shown_with_their_place(log, changes, message):
     with pytest.raises(DocumentError, match=message):
         load_log_map(Path(log.mapping(**changes)))

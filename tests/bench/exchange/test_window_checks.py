@@ -9,7 +9,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 
 @pytest.mark.parametrize("name", POSITIONS)
-def test_the_force_at_rest_tells_the_position_and_the_tilt(name):
+def test_the_force_at_rest_reports_the_position_and_the_tilt(name):
     up = POSITIONS[name].C_nb()[2]
     beside = np.roll(up, 1)
     tilt = np.deg2rad(5.0)

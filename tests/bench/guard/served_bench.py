@@ -28,7 +28,7 @@ import serial
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.guard.link import guard_for
-from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
 

@@ -109,9 +109,7 @@ def measured(folder):
     return {dwell.row.dwell: dwell.row for dwell in dwells}
 
 
-def test_whatever_is_left_can_be_read_and_every_finished_dwell_is_measured_to_the_same_numbers(
-    cut_run, tmp_path
-):
+def test_any_is_left_can_be_read_and_every_finished_dwell_is_measured_to_the_same_numbers(cut_run, tmp_path):
     whole, states, _ = cut_run
     expected = measured(whole)
     assert list(expected) == finished(whole, "dwell")

@@ -20,8 +20,8 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import position_spans
 from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure
 from gyrobench.bench.report.figures.style import GYRO_STYLES, POSITION_STYLES, png_bytes, save_figure
