@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
+    """Compensations of `verify`, with the values of the module compensation_verification."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -73,7 +73,7 @@ def verify(
     Example: gyrobench verify runs/six_position_fig7-001
     """
     from gyrobench.bench.engine.verify import Verification, new_emulation
-    from gyrobench.bench.report.verification.terminal import verify_plan
+    from gyrobench.bench.report.verification.verification_summary import verification_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
@@ -90,7 +90,7 @@ def verify(
     )
     missing = [name for name in verification.wanted if not verification.is_there(name)]
     job = verification.jobs[verification.wanted[0]]
-    terminal.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
+    terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
         _measure(terminal, verification, name, view)
     _tell(terminal, verification, run, as_json)
@@ -123,22 +123,21 @@ def _measure(terminal: RunConsole, verification: Verification, name: str, view: 
 
 
 def _tell(terminal: RunConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
-    """Compare what was measured, write it, and say what came out."""
+    """Evaluate what was measured, write the files, print the result."""
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.verification.page import write_verify_page
-    from gyrobench.bench.report.verification.terminal import verify_summary
-    from gyrobench.bench.verification.comparison import write_comparison
+    from gyrobench.bench.report.verification.verification_page import write_verification_page
+    from gyrobench.bench.report.verification.verification_summary import verification_summary
+    from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
-    folder, comparison = verification.folder, verification.comparison()
+    folder, result = verification.folder, verification.result()
     table = folder / "comparison.csv"
-    write_comparison(table, comparison.leftovers)
-    page = write_verify_page(folder, comparison, run.dwells)
+    write_verification_table(table, result.results)
+    page = write_verification_page(folder, result, run.dwells)
     report = write_report(run) if folder == run.verify else None
     if as_json:
-        rows = [row for each in comparison.leftovers for row in (*each.rows, each.total)]
-        print_json({"folder": folder, "report": page, "comparison": rows})
+        print_json({"folder": folder, "report": page, "comparison": table_records(result.results)})
         return
-    terminal.print(verify_summary(comparison))
+    terminal.print(verification_summary(result))
     terminal.print(
         f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
         soft_wrap=True,

@@ -167,7 +167,7 @@ class Closure:
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
         return next(
-            (each.effect.label for each in self.evidence if each.effect.name == name), plain_name(name)
+            (each.effect.display_name for each in self.evidence if each.effect.name == name), plain_name(name)
         )
 
     @property
@@ -178,7 +178,7 @@ class Closure:
             if found.tied_with:
                 other = found.tied_with[0]
                 return (
-                    f"To distinguish {found.effect.label} from {self.label(other)}: "
+                    f"To distinguish {found.effect.display_name} from {self.label(other)}: "
                     f"{found.effect.experiment}; for {self.label(other)}: {experiments[other]}."
                 )
         return None

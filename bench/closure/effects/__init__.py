@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 from gyrobench.bench.closure.effects.effect import Effect, checked
@@ -25,14 +27,18 @@ def all_effects() -> tuple[Effect, ...]:
     effects = {each.name: each for each in found if isinstance(each, Effect)}
     for name in installed(EFFECTS):
         effect = load(EFFECTS, name, Effect)
-        if effect.name != name or name in effects:
-            reason = (
-                "is already used"
-                if name in effects
-                else f"differs from the name {effect.name!r} of its object"
-            )
+        reason = _reason_against(effect, name, effects)
+        if reason:
             raise DocumentError(
                 f"the entry point {name!r} in {EFFECTS} {reason}. Report this to the package's author"
             )
         effects[name] = replace(effect, forms=tuple(checked(form, name) for form in effect.forms))
     return tuple(effects[name] for name in sorted(effects))
+
+
+def _reason_against(effect: Effect, entry: str, known: Mapping[str, Effect]) -> str:
+    if entry in known:
+        return "has the name of another effect"
+    if effect.name != entry:
+        return f"differs from the name {effect.name!r} of its object"
+    return "" if re.fullmatch("[a-z0-9_]{1,60}", entry) else "has characters other than a-z, 0-9 and _"

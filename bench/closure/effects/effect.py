@@ -135,7 +135,7 @@ class Effect:
     compensation : callable
         How the INS compensates it.
     label : str
-        Name on pages and in the terminal; by default the name with spaces.
+        Displayed in place of the name; by default the name with spaces.
     """
 
     name: str
@@ -146,9 +146,10 @@ class Effect:
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM
     label: str = ""
 
-    def __post_init__(self) -> None:
-        """Make the default label."""
-        object.__setattr__(self, "label", self.label or plain_name(self.name))
+    @property
+    def display_name(self) -> str:
+        """Name on pages and in the terminal."""
+        return self.label or plain_name(self.name)
 
     def missing_input(self, campaign: Campaign) -> str | None:
         """The input without which no form can be fitted; None if one form can."""

@@ -160,7 +160,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
             _note(axes, length, place, p_phrase(each.p_value) if by_p_value else _evidence_text(each))
         else:
             _note(axes, 0.0, place, f"not fitted; missing: {each.missing_input}")
-    axes.set_yticks(range(len(closure.evidence)), [each.effect.label for each in closure.evidence])
+    axes.set_yticks(range(len(closure.evidence)), [each.effect.display_name for each in closure.evidence])
     for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
         label.set_color(NOTE_COLOUR if each.missing_input else "black")
     axes.set_ylim(len(closure.evidence) - 0.4, -0.6)
@@ -238,7 +238,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
         _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
     all_axes[0].set_ylabel(f"partial residual / ({scale.unit})")
     first = all_axes[min(parts)]
-    figure.suptitle(found.effect.label.capitalize(), fontsize=9)
+    figure.suptitle(found.effect.display_name.capitalize(), fontsize=9)
     figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 

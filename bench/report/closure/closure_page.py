@@ -95,7 +95,7 @@ def _effects(closure: Closure) -> Section | None:
         return None
     figures = []
     for each in closure.effects:
-        caption = _EFFECT.format(each.effect.label.capitalize())
+        caption = _EFFECT.format(each.effect.display_name.capitalize())
         figures.append(
             SectionFigure(f"effect_{each.effect.name}", caption, closure_effect_figure(closure, each))
         )
@@ -112,7 +112,7 @@ def _effects(closure: Closure) -> Section | None:
 def _sizes(closure: Closure) -> SectionTable:
     scale = scale_of_errors(closure)
     rows = [
-        [each.effect.label, term, *map(_size, scale.factor * sizes_dph)]
+        [each.effect.display_name, term, *map(_size, scale.factor * sizes_dph)]
         for each in closure.effects
         for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
     ]

@@ -101,7 +101,7 @@ def gains_text(gains: dict[int, float]) -> str:
 
 def found_labels(closure: Closure) -> str:
     """Labels of the effects found, listed."""
-    return listed([each.effect.label for each in closure.effects])
+    return listed([each.effect.display_name for each in closure.effects])
 
 
 def verdict_sentence(closure: Closure) -> str:
@@ -127,8 +127,8 @@ def verdict_sentence(closure: Closure) -> str:
 
 def _fit_of(closure: Closure, found: FoundEffect) -> str:
     if not found.tied_with:
-        return f"{found.effect.label} is certain"
-    return f"{found.effect.label} fits best, {_labels(closure, found.tied_with)} nearly as well"
+        return f"{found.effect.display_name} is certain"
+    return f"{found.effect.display_name} fits best, {_labels(closure, found.tied_with)} nearly as well"
 
 
 def before_sentence(closure: Closure) -> str:
@@ -191,11 +191,13 @@ def alternative_sentence(closure: Closure) -> str:
     best = min(others, key=lambda each: each.log_odds_against)
     if not names and is_noise_only(closure):
         best = min(others, key=lambda each: each.p_value)
-        return f"The most significant candidate alone is {best.effect.label} ({p_phrase(best.p_value)})."
+        return (
+            f"The most significant candidate alone is {best.effect.display_name} ({p_phrase(best.p_value)})."
+        )
     if not names:
-        return f"The best candidate alone, {best.effect.label}, explains {_share_of(best)}."
+        return f"The best candidate alone, {best.effect.display_name}, explains {_share_of(best)}."
     share = "" if is_noise_only(closure) else f" (explains {_share_of(best)})"
-    alternative = f"The best alternative is {best.effect.label} alone{share}; the data"
+    alternative = f"The best alternative is {best.effect.display_name} alone{share}; the data"
     if best.log_odds_against < _EVEN:
         return f"{alternative} do not prefer {found_labels(closure)}."
     odds = odds_text(best.log_odds_against).replace(">", "more than ")
@@ -215,11 +217,13 @@ def tie_sentences(closure: Closure) -> list[str]:
         others = [name for name in each.tied_with if name in not_fitted]
         if fitted:
             sentences.append(
-                f"Tied with {each.effect.label}: {_labels(closure, fitted)}. The odds are below 100 to 1."
+                f"Tied with {each.effect.display_name}: {_labels(closure, fitted)}. The odds are below 100 "
+                "to 1."
             )
         if others:
             sentences.append(
-                f"Not excluded in place of {each.effect.label}: {_labels(closure, others)}, not fitted."
+                f"Not excluded in place of {each.effect.display_name}: {_labels(closure, others)}, not "
+                "fitted."
             )
     if sentences:
         return [*sentences, closure.separating_measurement or ""]
@@ -231,7 +235,7 @@ def missing_input_sentences(closure: Closure) -> list[str]:
     labels: dict[str, list[str]] = {}
     for each in closure.evidence:
         if each.missing_input is not None:
-            labels.setdefault(each.missing_input, []).append(each.effect.label)
+            labels.setdefault(each.missing_input, []).append(each.effect.display_name)
     return [f"Not fitted: {listed(each)}. Missing input: {missing}." for missing, each in labels.items()]
 
 
@@ -301,7 +305,7 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
     scale = scale_of_errors(closure)
     rows = [
         [
-            each.effect.label,
+            each.effect.display_name,
             listed(each.axes),
             _labels(closure, each.tied_with) or "none",
             gains_text(each.gains) or "no",
@@ -324,7 +328,7 @@ def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
         if each.missing_input is None:
             name = each.effect.name
             cells = {
-                "effect": each.effect.label,
+                "effect": each.effect.display_name,
                 "": "found" if name in found else "tied" if name in tied else "",
                 "share": share_text(each.share),
                 "p": p_text(each.p_value),

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.validation import (
     pooled_gain,
     without_unseen_constants,
 )
-from tests.bench.closure.test_candidate import whole
+from tests.bench.closure.test_candidates import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, WARM_UP_H, jump
 
 
