@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.bins import BiasBin, read_bins
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -130,15 +128,13 @@ class Run:
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
-        from gyrobench.bench.bias.verdicts import read_acceptance
+        from gyrobench.bench.report.content import read_run
         from gyrobench.bench.report.run_report import run_figures
-        from gyrobench.bench.runs.telemetry import read_telemetry
 
-        telemetry = read_telemetry(self.folder.telemetry)
-        rows: list[DwellRow] = read_dwells(self.folder.dwells)
-        bins: list[BiasBin] = read_bins(self.folder.bias_bins)
-        acceptance = read_acceptance(self.folder.acceptance) if self.folder.acceptance.exists() else None
-        return dict(run_figures(telemetry, rows, bins, acceptance))
+        run = read_run(self.folder)
+        return dict(
+            run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+        )
 
     def _block(self, dwell: int) -> FrameBlock:
         from gyrobench.bench.dwells.run_dwells import read_dwell_frames

@@ -24,7 +24,7 @@ _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 
 _WRITE_TIMEOUT_S = 5.0
 
-for _handlers in ("gyrobench.drivers.emulators.serial_urls", "gyrobench.drivers.recording"):
+for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_handlers)
 

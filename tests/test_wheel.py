@@ -45,6 +45,30 @@ def test_the_wheel_holds_one_package(site):
         assert f"gyrobench/{file}" in files
 
 
+def test_it_ships_the_schemas_that_its_files_name(site):
+    shipped = [
+        path
+        for kind in ("procedures", "stations", "worlds", "faults", "imports")
+        for path in (site / "gyrobench" / kind).glob("*.yaml")
+    ]
+    assert len(shipped) > 20
+    for path in shipped:
+        mark, _, schema = path.read_text().splitlines()[0].partition("=")
+        assert mark == "# yaml-language-server: $schema"
+        assert '"$defs"' in (path.parent / schema).read_text()
+    made = subprocess.run(
+        [sys.executable, "-m", "gyrobench", "new", "procedure", "mine", "--out", "-"],
+        cwd=site.parent,
+        env=os.environ | {"PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    path = Path(made.stdout.splitlines()[0].partition("=")[2])
+    assert path == site.resolve() / "gyrobench" / "schemas" / "procedure.schema.json"
+    assert path.is_file()
+
+
 def test_it_runs_beside_packages_called_bench_and_drivers(site, tmp_path):
     for name in ("bench", "drivers"):  # in the folder of a notebook, too
         (tmp_path / name).mkdir()

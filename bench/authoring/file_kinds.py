@@ -228,7 +228,7 @@ def _or_variable(schema: Schema) -> Schema:
 
 
 _FOLDER = "schemas"
-#: What a YAML file begins with for the language server of its editor.
+#: Start of a YAML file's first line, which names its schema for the editor's language server.
 EDITOR_MARK = "# yaml-language-server: $schema="
 
 
@@ -241,15 +241,32 @@ def schema_of(kind: FileKind) -> Schema:
     return json_schema(kind.model, kind.title)
 
 
+def write_schemas(folder: Path) -> None:
+    """Write the schemas of all kinds of file into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for kind in KINDS.values():
+        (folder / kind.schema_name).write_text(schema_text(schema_of(kind)), encoding="utf-8")
+
+
 def schema_text(schema: Schema) -> str:
     """A schema as the files hold it."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
 def editor_line(kind: FileKind, path: Path) -> str:
-    """First line of a file at ``path``, which tells its editor the shipped schema."""
-    folder = shipped_folders(_FOLDER)[0].resolve()
-    shared = path.resolve().parent.parent
-    # Beside the shipped folders the line holds wherever the project is copied to.
-    place = f"../{_FOLDER}" if folder == shared / _FOLDER else str(folder)
+    """First line of a file at ``path``, which names the shipped schema for its editor.
+
+    Installed packages have the schemas; in a checkout they are written when first needed. Empty where
+    they can't be written.
+    """
+    folder = next(iter(shipped_folders(_FOLDER)), None)
+    if folder is None:
+        return ""
+    if not (folder / kind.schema_name).is_file():
+        try:
+            write_schemas(folder)
+        except OSError:
+            return ""
+    # Beside the shipped folders a relative path holds wherever the project is copied to.
+    place = f"../{_FOLDER}" if folder == path.resolve().parent.parent / _FOLDER else str(folder)
     return f"{EDITOR_MARK}{place}/{kind.schema_name}\n"

@@ -59,7 +59,7 @@ class DwellBook:
         frames = self._bench.end_capture()
         measure = measure_check_dwell if marks.is_verification else measure_dwell
         measured = measure(marks, frames, self._setup)
-        if measured.is_spoilt and self.may_repeat(marks.dwell):
+        if measured.is_disturbed and self.may_repeat(marks.dwell):
             self._drop(marks.dwell, measured.flags, counts=True)
             return False
         self._journal.record(

@@ -24,9 +24,9 @@ from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
-    JointStopRow,
+    JointPlateauRow,
     read_joint_biases,
-    read_joint_stops,
+    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -50,7 +50,7 @@ class RunContent:
     dwells, bins, telemetry
         Content of the tables; empty where missing. Bins are worked out from the dwells where
         only their own file is missing.
-    joint_biases, joint_stops, noise, verification
+    joint_biases, joint_plateaus, noise, verification
         What solving dwells together, the noise of the INS and verifying a calibration gave; empty
         where there is none.
     acceptance : Acceptance or None
@@ -70,7 +70,7 @@ class RunContent:
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
     joint_biases: list[JointBiasRow] = field(default_factory=list)
-    joint_stops: list[JointStopRow] = field(default_factory=list)
+    joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     verification: list[CalibrationCheckRow] = field(default_factory=list)
     acceptance: Acceptance | None = None
@@ -81,6 +81,16 @@ class RunContent:
     def facts(self) -> RunFacts:
         """What the journal tells in short."""
         return facts_of(self.journal)
+
+    @property
+    def marked_temperatures_c(self) -> list[float]:
+        """Temperatures in degC that the procedure marks in figures."""
+        marked = self.procedure.get("marked_temperatures_c", [])
+        return (
+            [float(each) for each in marked if isinstance(each, int | float)]
+            if isinstance(marked, list)
+            else []
+        )
 
     def entries(self, event: str) -> list[Entry]:
         """Entries of the journal that tell of one kind of event, in order."""
@@ -114,7 +124,7 @@ def read_run(folder: RunFolder) -> RunContent:
         return read(path, reader, missing) if path.exists() else missing
 
     no_joint_biases: list[JointBiasRow] = []
-    no_joint_stops: list[JointStopRow] = []
+    no_joint_stops: list[JointPlateauRow] = []
     no_verification: list[CalibrationCheckRow] = []
     read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
@@ -137,7 +147,7 @@ def read_run(folder: RunFolder) -> RunContent:
         joint_biases=read_if_there(
             folder.joint_biases, lambda: read_joint_biases(folder.joint_biases), no_joint_biases
         ),
-        joint_stops=read_if_there(folder.joint, lambda: read_joint_stops(folder.joint), no_joint_stops),
+        joint_plateaus=read_if_there(folder.joint, lambda: read_joint_plateaus(folder.joint), no_joint_stops),
         noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
         verification=verification,
         acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),

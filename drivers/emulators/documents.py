@@ -13,8 +13,8 @@ from pathlib import Path
 
 from gyrobench.bench.foundations.documents import StrictModel, json_schema, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.faults.document import FaultList
-from gyrobench.drivers.emulators.world.document import WorldFile
+from gyrobench.drivers.emulators.faults.fault_list import FaultList
+from gyrobench.drivers.emulators.world.world_file import WorldFile
 
 _WRONG_FILE = 2
 _KINDS: dict[str, tuple[type[StrictModel], str]] = {

@@ -30,7 +30,7 @@ from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.calibration_check_table import COLUMNS as VERIFICATION_COLUMNS
 from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
-from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops
+from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
 from gyrobench.bench.station.instruments import Emulation
@@ -247,7 +247,7 @@ def use_noise(run: Path) -> Callable[[Path, bytes], None]:
         copy.noise.write_bytes(data)
         for path, read in (
             (copy.bias_bins, read_bins),
-            (copy.joint, read_joint_stops),
+            (copy.joint, read_joint_plateaus),
             (copy.joint_biases, read_joint_biases),
         ):
             read(path)

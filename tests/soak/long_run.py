@@ -1,4 +1,4 @@
-"""One run of a thousand hours with a fault every few minutes: it goes on, and the program stays small."""
+"""One run of a thousand hours with a fault every few minutes: all dwells finish, memory stays bounded."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.drivers.emulators.world.dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
+from tests.bench.bias.simulated_dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
 
 DPH = np.pi / 180.0 / 3600.0
 UG = 9.80665e-6

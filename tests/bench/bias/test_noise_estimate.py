@@ -7,16 +7,16 @@ from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_estimate import compare_noise, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
-from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.earth import normal_gravity
-from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
 from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     euler_output,
     gyrocompass,
     navigate,
+    normal_gravity,
     sense,
     true_increments,
 )
@@ -57,7 +57,7 @@ def dwell(ins, random):
         np.array(ins.arw_deg_per_sqrt_h) * DEG_PER_SQRT_H_TO_SI,
         np.full(3, ins.vrw_ug_per_sqrt_hz * MICRO_G),
     )
-    bias = np.full(3, ins.gyro_bias_dph * DPH), np.full(3, ins.accelerometer_bias_ug * MICRO_G)
+    bias = np.full(3, ins.gyro_bias_dph * DPH_TO_RADPS), np.full(3, ins.accelerometer_bias_ug * MICRO_G)
     noise = np.sqrt(SAMPLE_S) * random.normal(size=(2, inner.size - 1, 3))
     rotation, velocity = (
         sense(true[k], np.zeros((3, 3)), bias[k], walk[k] * noise[k], SAMPLE_S, 0.0, np.zeros(3))
@@ -223,7 +223,7 @@ def test_an_attitude_too_coarse_hides_the_angle_random_walk_below_a_limit():
     assert 0.0006 * DEG_PER_SQRT_H_TO_SI < estimate.angle_random_walk.limit < 0.01 * DEG_PER_SQRT_H_TO_SI
     assert estimate.heading_white.value is None
     assert estimate.velocity_random_walk.is_found
-    with pytest.raises(MeasurementError, match="angle random walk can't be told"):
+    with pytest.raises(MeasurementError, match="angle random walk is not observable"):
         estimate.noise_model()
 
 

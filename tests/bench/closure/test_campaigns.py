@@ -10,7 +10,7 @@ from gyrobench.bench.engine.session import prepare_job
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.document import load_world
+from gyrobench.drivers.emulators.world.world_file import load_world
 from tests.bench.closure.campaigns import (
     EFFECTS,
     PROCEDURE,

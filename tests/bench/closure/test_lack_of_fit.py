@@ -22,7 +22,7 @@ def test_without_anything_left_the_sum_of_squares_is_uniform(of_clean_data):
 
 def test_without_anything_left_neighbours_are_not_called_alike_too_often(of_clean_data):
     # A fitted model makes neighbours a little unlike: large values are frequent, small ones are not.
-    p_values = [each.p_structure["the dwell before"] for each in of_clean_data]
+    p_values = [each.p_structure["the previous dwell"] for each in of_clean_data]
     assert kstest(p_values, "uniform", alternative="greater").pvalue > 0.01
 
 
@@ -53,7 +53,7 @@ def test_what_follows_the_temperature_rate_is_seen(problem):
 
 def test_residuals_that_follow_the_dwell_before_are_seen(problem):
     left = lack_of_fit(problem({"sinusoid": 2.0}, seed=3), 0)
-    assert left.p_structure["the dwell before"] < 1e-6
+    assert left.p_structure["the previous dwell"] < 1e-6
 
 
 @pytest.mark.parametrize("noise", [0.5, 2.0])

@@ -120,4 +120,4 @@ def test_a_stuck_sensor_flags_the_dwells_since_it_is_stuck_once(measured):
         )
         add_dwell(dwells, replace(measured, row=row))
     assert [each.row.flags.count("its sensor is stuck") for each in dwells] == [1, 1, 1]
-    assert all(each.is_spoilt for each in dwells)
+    assert all(each.is_disturbed for each in dwells)

@@ -52,7 +52,7 @@ def served_station(tmp_path):
         "--world",
         "ideal",
         "--for-s",
-        "600",
+        "1000",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"

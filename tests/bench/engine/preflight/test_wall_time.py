@@ -28,7 +28,7 @@ def test_a_bench_behind_real_ports_passes_and_one_that_a_run_holds_is_refused(tm
         "--world",
         "ideal",
         "--for-s",
-        "120",
+        "1000",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"

@@ -44,7 +44,7 @@ def test_the_residual_is_compared_with_the_noise():
 def test_an_effect_has_its_p_value_and_cross_validation():
     [sentence] = closure_text.effect_sentences(explained())
     assert "on the x and y gyros" in sentence
-    assert "p < 1e-9, corrected for 480 candidate fits." in sentence
+    assert "p < 1e-9, corrected for 5 candidate fits." in sentence
     assert "85 % of chi2 in cycle 1 and 86 % of chi2 in cycle 2" in sentence
 
 
