@@ -30,7 +30,7 @@ def _port_errors() -> tuple[type[Exception], ...]:
 
 
 _PORT_ERRORS = _port_errors()
-_OPEN_ERRORS = (*_PORT_ERRORS, ValueError)
+_OPEN_ERRORS: tuple[type[Exception], ...] = (*_PORT_ERRORS, ValueError)
 
 _WRITE_TIMEOUT_S = 5.0
 

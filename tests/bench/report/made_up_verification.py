@@ -1,4 +1,4 @@
-"""Comparisons of compensations with made-up measurements; each is made once."""
+"""Verifications with made-up measurements, one for each judgement; each is made once."""
 
 from functools import cache
 
@@ -8,13 +8,13 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.verification.comparison import Comparison, leftover
+from gyrobench.bench.verification.compensation_verification import VerificationResult, compensation_result
 from tests.bench.report.made_up_closure import clean, explained
 
 SITE = Site(np.radians(36.4), 60.0)
 SIGMA_DPH = 0.001
-#: Bias along Up that each compensation leaves, deg/h.
-LEFT_DPH = {"none": 0.02, "declared": 0.015, "effect": 0.0}
+#: Residual bias along Up with each compensation, deg/h.
+RESIDUAL_DPH = {"none": 0.02, "declared": 0.015, "effect": 0.0}
 
 
 def rows_of(bias_along_up_dph, constant_dph=0.003, seed=1, positions=POSITIONS):
@@ -48,17 +48,17 @@ def rows_of(bias_along_up_dph, constant_dph=0.003, seed=1, positions=POSITIONS):
     return rows
 
 
-def compare(closure, left_dph, notes=()):
-    """Comparison of compensations that leave a bias along Up, by their names."""
+def compare(closure, residual_dph, notes=()):
+    """VerificationResult of compensations that leave a bias along Up, by their names."""
     fitted_c = closure.campaign.gyro_c[closure.searched]
     whole = model_with_effects(closure)
-    return Comparison(
+    return VerificationResult(
         source="runs/made-up-001",
         closure=closure,
         models={"declared": declared_model(closure), **({"effect": whole} if whole.effects else {})},
-        leftovers=tuple(
-            leftover(name, rows_of(size, seed=seed), [], SITE, fitted_c)
-            for seed, (name, size) in enumerate(left_dph.items())
+        results=tuple(
+            compensation_result(name, rows_of(size, seed=seed), [], SITE, fitted_c)
+            for seed, (name, size) in enumerate(residual_dph.items())
         ),
         new_attitudes=14,
         dwells=14,
@@ -69,21 +69,21 @@ def compare(closure, left_dph, notes=()):
 
 @cache
 def confirmed():
-    return compare(explained(), LEFT_DPH)
+    return compare(explained(), RESIDUAL_DPH)
 
 
 @cache
-def better():
-    return compare(explained(), LEFT_DPH | {"effect": 0.008})
+def improved():
+    return compare(explained(), RESIDUAL_DPH | {"effect": 0.008})
 
 
 @cache
 def not_confirmed():
-    return compare(explained(), LEFT_DPH | {"effect": 0.03})
+    return compare(explained(), RESIDUAL_DPH | {"effect": 0.03})
 
 
 @cache
-def nothing_to_tell():
+def inconclusive():
     return compare(clean(), {"none": 0.0, "declared": 0.0}, ["In the run none 1 of 15 dwells have flags."])
 
 

@@ -3,16 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.candidates import evaluate, price
+from gyrobench.bench.closure.candidates import bic_penalty, evaluate
 from gyrobench.bench.closure.effects import g_sensitivity, time_drift
-from tests.bench.closure.test_candidate import whole
+from tests.bench.closure.test_candidates import whole
 
 
-def test_without_effects_nothing_is_paid(problem):
+def test_without_effects_there_is_no_penalty(problem):
     one = problem()
     nothing = evaluate(one, [])
     assert nothing.candidates == ()
-    assert nothing.chi2 == nothing.score == one.chi2
+    assert nothing.chi2 == nothing.bic == one.chi2
 
 
 def test_terms_that_the_data_have_are_kept_and_others_dropped(problem):
@@ -35,19 +35,19 @@ def test_terms_dropped_before_do_not_come_back(problem):
     np.testing.assert_array_equal(still.kept, kept)
 
 
-def test_the_score_is_what_is_left_and_what_the_unknowns_cost(problem):
+def test_the_bic_is_chi2_and_the_penalty_of_each_parameter(problem):
     one = problem({"time_drift": 4.0})
     drift = evaluate(one, [whole(time_drift.EFFECT)])
-    left = one.chi2 - one.gain(time_drift.EFFECT.forms[0].columns(one.campaign, ()))[0]
+    left = one.chi2 - one.chi2_reduction(time_drift.EFFECT.forms[0].columns(one.campaign, ()))[0]
     assert drift.chi2 == pytest.approx(left)
-    assert drift.score == pytest.approx(left + 3 * price(one))
-    assert price(one) == pytest.approx(np.log(75))
+    assert drift.bic == pytest.approx(left + 3 * bic_penalty(one))
+    assert bic_penalty(one) == pytest.approx(np.log(75))
 
 
-def test_what_is_there_scores_better_than_nothing_and_what_is_not_scores_worse(problem):
+def test_a_present_effect_lowers_the_bic_and_an_absent_one_raises_it(problem):
     there, not_there = problem({"time_drift": 4.0}), problem()
-    assert evaluate(there, [whole(time_drift.EFFECT)]).score < evaluate(there, []).score
-    assert evaluate(not_there, [whole(time_drift.EFFECT)]).score > evaluate(not_there, []).score
+    assert evaluate(there, [whole(time_drift.EFFECT)]).bic < evaluate(there, []).bic
+    assert evaluate(not_there, [whole(time_drift.EFFECT)]).bic > evaluate(not_there, []).bic
 
 
 def test_a_set_has_the_names_of_its_effects(problem):

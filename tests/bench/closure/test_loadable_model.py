@@ -90,7 +90,7 @@ def test_rates_and_differences_are_limited_to_what_was_fitted():
 
 
 @pytest.mark.parametrize("effect", NOT_LOADED)
-def test_what_an_ins_has_no_term_for_is_left_out_and_told(effect):
+def test_an_effect_without_a_term_of_the_ins_is_left_out_with_a_note(effect):
     _, closure = search(effect)
     loadable = model_with_effects(closure)
     assert loadable.effects == ()
@@ -105,15 +105,15 @@ def test_a_drift_is_taken_as_it_was_at_the_end():
     drifted_dph = days * closure.effects[0].sizes_dph[:, 0]
     constant_dph = closure.model.declared[:, 3]
     np.testing.assert_allclose(loadable.compensation.polynomial_dph[:, 0], constant_dph + drifted_dph)
-    assert any("as it was at the end of the campaign" in note for note in loadable.notes)
+    assert any("by its value at the end of the campaign" in note for note in loadable.notes)
 
 
-def test_the_constant_is_the_mean_of_the_power_ons_searched_and_their_scatter_is_told():
+def test_the_constant_is_the_mean_of_the_power_cycles_searched_with_their_scatter():
     _, closure = search("g_sensitivity", power_on_each_cycle=True)
     constants = closure.model.declared[:, 3 + np.unique(closure.campaign.run[closure.searched])]
     loadable = model_with_effects(closure)
     np.testing.assert_allclose(loadable.compensation.polynomial_dph[:, 0], constants.mean(axis=1))
-    assert "the mean of 2 power-ons, which scatter by" in loadable.notes[0]
+    assert "the mean of 2 power cycles, which scatter by" in loadable.notes[0]
 
 
 def test_without_sensors_at_the_electronics_what_goes_by_them_is_left_out():
@@ -124,12 +124,14 @@ def test_without_sensors_at_the_electronics_what_goes_by_them_is_left_out():
     assert "the INS has no sensors there" in loadable.notes[1]
 
 
-def test_an_effect_that_could_as_well_be_another_one_is_loaded_and_told():
+def test_a_tied_effect_is_loaded_with_a_note():
     _, closure = search("g_sensitivity")
     tied = replace(closure.effects[0], tied_with=("warm_up", "time_drift"))
     loadable = model_with_effects(replace(closure, effects=(tied,)))
     assert loadable.effects == ("g_sensitivity",)
-    assert "g_sensitivity could as well be warm_up or time_drift" in loadable.notes[1]
+    assert (
+        "g_sensitivity is loaded, but warm_up or time_drift fits the data equally well" in loadable.notes[1]
+    )
 
 
 def test_a_heat_flow_that_some_flagged_dwells_lack_is_left_out():

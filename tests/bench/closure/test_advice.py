@@ -33,9 +33,9 @@ def advice(fig7):
     return advise(document, plan, partial(plan_on, station()), unit, now, TARGET_DPH)
 
 
-def test_everything_that_is_not_told_is_answered_once(fig7, advice):
+def test_every_unresolved_effect_and_pair_gets_one_advice(fig7, advice):
     now = fig7[-1]
-    assert sorted(pair for each in advice for pair in each.pairs) == now.not_told(TARGET_DPH)
+    assert sorted(pair for each in advice for pair in each.pairs) == now.not_distinguished(TARGET_DPH)
     assert sorted(name for each in advice for name in each.found) == now.not_found(TARGET_DPH)
 
 
@@ -45,15 +45,15 @@ def test_the_least_added_time_comes_first(advice):
     assert hours[0] < 5.0
 
 
-def test_what_a_change_loses_was_told_before(fig7, advice):
+def test_a_lost_pair_was_distinguished_before(fig7, advice):
     now = fig7[-1]
     lost = {pair for each in advice for pair in each.lost}
     # On a ramp both go with the rate, and no dwell of the shipped procedure sees a ramp.
     assert ("thermal_gradient", "thermal_lag") in lost
-    assert not lost & set(now.not_told(TARGET_DPH))
+    assert not lost & set(now.not_distinguished(TARGET_DPH))
 
 
-def test_nothing_is_advised_where_all_is_told(fig7):
+def test_no_advice_if_all_effects_are_distinguished(fig7):
     document, plan, unit, now = fig7
     assert advise(document, plan, partial(plan_on, station()), unit, now, target_dph=0.1) == []
 
@@ -66,7 +66,7 @@ def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7):
 
     [open_] = advise(document, plan, refuse, unit, now, TARGET_DPH)
     assert open_.what == ()
-    assert list(open_.pairs) == now.not_told(TARGET_DPH)
+    assert list(open_.pairs) == now.not_distinguished(TARGET_DPH)
 
 
 def test_sensors_cost_no_time(fig7):

@@ -5,10 +5,10 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.report.closure.residuals import (
+from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
+    is_noise_only,
     residuals_dph,
-    rests_on_noise,
     rms,
     smallest_visible_dph,
 )
@@ -22,21 +22,21 @@ def test_the_residuals_of_the_dwells_held_out_give_the_errors_of_the_closure():
     assert rms(residuals_dph(closure, closure.model)[held_out]) == pytest.approx(closure.error_after_dph)
 
 
-def test_a_run_that_was_not_searched_has_its_mean_taken_out():
+def test_the_mean_of_a_run_not_searched_is_removed():
     closure = close_loop(campaign_of(made_up_rows(runs=3)), effects=EFFECTS)
     assert residuals_dph(closure, closure.model)[~closure.searched].mean(axis=0) == pytest.approx(
         0.0, abs=1e-12
     )
 
 
-def test_only_a_clean_campaign_rests_on_noise():
-    assert rests_on_noise(clean())
-    assert not rests_on_noise(explained())
-    assert not rests_on_noise(unexplained())
+def test_only_a_clean_campaign_is_noise_only():
+    assert is_noise_only(clean())
+    assert not is_noise_only(explained())
+    assert not is_noise_only(unexplained())
 
 
 @pytest.mark.parametrize(("part", "verdict"), [(0.5, "clean"), (2.0, "explained")])
-def test_an_effect_is_seen_from_about_the_size_that_is_told(part, verdict):
+def test_an_effect_is_found_from_about_the_stated_size(part, verdict):
     limit_dph = smallest_visible_dph(clean())
     slope = clean().campaign.rate_c_per_h[clean().searched, 0]
     rows = made_up_rows([part * limit_dph / np.std(slope), 0.0, 0.0])

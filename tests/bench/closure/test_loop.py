@@ -14,7 +14,7 @@ from gyrobench.bench.closure.effects import (
     time_drift,
     warm_up,
 )
-from gyrobench.bench.closure.loop import LEFT_OVER_P, PROVEN_SHARE, close_loop
+from gyrobench.bench.closure.loop import CONFIRMED_SHARE, LACK_OF_FIT_P, close_loop
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -23,7 +23,7 @@ from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
 
 
-def left_by_direct_fit(campaign, searched, terms=None):
+def residual_of_direct_fit(campaign, searched, terms=None):
     """Measured bias minus a least-squares fit to the dwells searched; all runs are in them."""
     rest = np.empty_like(campaign.bias_dph)
     for gyro in range(3):
@@ -56,10 +56,10 @@ def test_an_effect_is_explained_with_its_size(closed):
     assert found.axes == ("x", "y", "z")
     assert found.p_value < 1e-12
     assert found.tied_with == ()
-    assert closure.before.p_value < LEFT_OVER_P < closure.after.p_value
+    assert closure.before.p_value < LACK_OF_FIT_P < closure.after.p_value
 
 
-def test_the_size_told_is_that_in_the_dwells_searched(closed):
+def test_the_stated_size_is_that_in_the_dwells_searched(closed):
     measured = measure({"time_drift": 4.0}, cycles=2)
     [found] = closed({"time_drift": 4.0}).effects
     searched = np.array([row.cycle == 1 for row in measured.rows])
@@ -92,7 +92,7 @@ def test_what_two_effects_explain_alike_is_ambiguous(closed):
 def test_an_effect_that_no_candidate_has_is_unexplained(closed, outside):
     closure = closed({outside: 1.5}, seed=1)
     assert closure.verdict == "unexplained"
-    assert closure.after.p_value < LEFT_OVER_P
+    assert closure.after.p_value < LACK_OF_FIT_P
 
 
 def test_an_effect_without_its_candidate_is_unexplained():
@@ -101,17 +101,17 @@ def test_an_effect_without_its_candidate_is_unexplained():
     assert closure.verdict == "unexplained"
 
 
-def test_beside_something_unexplained_an_effect_that_shows_in_cycles_left_out_stays(closed):
+def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept(closed):
     closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=3, seed=1)
     [found] = closure.effects
     assert closure.verdict == "unexplained"
     assert found.candidate.effect.name == "g_sensitivity"
-    assert min(found.gains.values()) > PROVEN_SHARE
+    assert min(found.gains.values()) > CONFIRMED_SHARE
     assert closure.error_after_dph < 0.5 * closure.error_before_dph
 
 
-def test_what_stands_in_for_something_unexplained_makes_way_for_the_effect_that_is_proven():
-    """The best set does without the drift; one effect at a time it comes first."""
+def test_a_stand_in_for_an_unexplained_residual_is_replaced_by_the_confirmed_effect():
+    """The best hypothesis is without the drift; alone, the drift is best."""
     candidates = [each.EFFECT for each in (bias_jump, chamber_state, thermal_lag, time_drift)]
     rows = measure({"time_drift": 8.0, "square_wave": 2.0}, seed=1).rows
     closure = close_loop(campaign_of(rows), effects=candidates)
@@ -121,7 +121,7 @@ def test_what_stands_in_for_something_unexplained_makes_way_for_the_effect_that_
     assert closure.verdict == "unexplained"
 
 
-def test_beside_something_unexplained_what_is_not_proven_goes():
+def test_with_an_unexplained_residual_an_unconfirmed_effect_is_dropped():
     candidates = [each.EFFECT for each in (bias_jump, chamber_state, warm_up)]
     closure = close_loop(campaign_of(measure({"sinusoid": 3.0}, seed=1).rows), effects=candidates)
     best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
@@ -130,7 +130,7 @@ def test_beside_something_unexplained_what_is_not_proven_goes():
     assert closure.verdict == "unexplained"
 
 
-def test_with_one_cycle_searched_nothing_is_proven_beside_something_unexplained(closed):
+def test_with_one_cycle_searched_nothing_is_confirmed_beside_an_unexplained_residual(closed):
     closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=2, seed=1)
     assert closure.verdict == "unexplained"
     assert closure.effects == ()
@@ -160,10 +160,10 @@ def test_errors_are_those_of_a_direct_fit(closed):
     closure = closed({"g_sensitivity": 4.0})
     campaign, searched = closure.campaign, closure.searched
     [found] = closure.effects
-    before = left_by_direct_fit(campaign, searched)
+    before = residual_of_direct_fit(campaign, searched)
     assert closure.error_before_dph == pytest.approx(rms(before[~searched]), rel=1e-6)
     if found.candidate.kept.all():
-        after = left_by_direct_fit(campaign, searched, found.candidate.columns(campaign))
+        after = residual_of_direct_fit(campaign, searched, found.candidate.columns(campaign))
         assert closure.error_after_dph == pytest.approx(rms(after[~searched]), rel=1e-6)
 
 
@@ -212,21 +212,21 @@ def test_another_cycle_is_held_out():
     assert closure.error_before_dph == pytest.approx(SIGMA_DPH, rel=0.2)
 
 
-def test_a_cycle_that_is_not_there_is_told():
+def test_an_unknown_cycle_is_refused():
     with pytest.raises(MeasurementError, match="no cycle 7 to hold out"):
         close_loop(campaign_of(measure().rows), [7])
 
 
 def test_one_cycle_alone_can_not_be_held_out():
     with pytest.raises(
-        MeasurementError, match="nothing is left to search; measure the profile at least twice"
+        MeasurementError, match=r"no dwells remain to search\. Measure the profile at least twice"
     ):
         close_loop(campaign_of(measure(cycles=1).rows))
 
 
-def test_too_few_dwells_are_told():
+def test_too_few_dwells_are_refused():
     rows = measure(profile=((10.0, 1.0, 3.0),), cycles=2).rows
-    with pytest.raises(MeasurementError, match="measure more dwells a cycle or more cycles"):
+    with pytest.raises(MeasurementError, match="Measure more dwells per cycle or more cycles"):
         close_loop(campaign_of(rows))
 
 
@@ -261,14 +261,14 @@ def test_evidence_says_of_each_effect_what_it_explains_alone(closed):
     evidence = {each.effect.name: each for each in closure.evidence}
     assert set(evidence) == {each.name for each in all_effects()}
     assert evidence["g_sensitivity"].share == pytest.approx(1.0, abs=0.1)
-    assert evidence["g_sensitivity"].score_behind == pytest.approx(0.0, abs=1e-6)
+    assert evidence["g_sensitivity"].log_odds_against == pytest.approx(0.0, abs=1e-6)
     assert evidence["time_drift"].share < 0.1
-    assert evidence["time_drift"].score_behind > 100.0
+    assert evidence["time_drift"].log_odds_against > 100.0
 
 
-def test_evidence_says_which_inputs_lack():
+def test_evidence_names_missing_inputs():
     closure = close_loop(campaign_of(measure(sensors=(), cycles=2).rows))
-    lacks = {each.effect.name: each.lacks for each in closure.evidence}
+    lacks = {each.effect.name: each.missing_input for each in closure.evidence}
     assert lacks["chamber_state"] == "the chamber's set point"
     assert "temperature sensors" in lacks["thermal_gradient"]
     assert lacks["time_drift"] is None

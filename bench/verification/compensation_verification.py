@@ -1,4 +1,4 @@
-"""What different compensations of one unit leave, side by side: ``comparison.csv``."""
+"""Verification of a compensation loaded into the INS: the residual bias with each compensation."""
 
 from __future__ import annotations
 
@@ -19,47 +19,47 @@ from gyrobench.bench.foundations.csv_tables import format_cell, format_csv, writ
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.residuals import ResidualCheck, check_residuals
 
-#: The compensations that are compared, in this order.
+#: The compensations, in this order.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"
-#: Gyros this near to a dwell that was fitted are at a temperature that was fitted, K.
+#: Largest difference from a fitted dwell at which a gyro temperature counts as fitted, K.
 FITTED_WITHIN_K = 2.5
-#: Number of the row that all stops share.
-ALL_STOPS = 0
+#: Number of the row for all plateaus.
+ALL_PLATEAUS = 0
 
 
 @dataclass(frozen=True)
-class ComparisonRow:
-    """What one compensation leaves at one stop of the chamber, or at all of them.
+class VerificationRow:
+    """Residual bias with one compensation at one plateau, or at all of them.
 
-    What stands after a size under the name ``noise`` is what the noise alone would give in its place.
+    A ``noise`` is the value expected from the measurement noise alone.
 
     Attributes
     ----------
     compensation : str
         :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
-    stop : int
-        Number of the stop, from 1; 0 for all of them: rms over all dwells, and the largest of the rest.
+    plateau : int
+        Number of the plateau, from 1 (column ``stop``); 0 for all: rms over all dwells, otherwise maximum.
     cycle, chamber_set_c, gyro_c : int or None, float or None, float or None
-        Which stop it is, and the mean temperature of the gyros; None for all of them.
+        Of the plateau, with the mean gyro temperature; None for all.
     fit : str
-        Whether the model was fitted there: "fitted", "between" or "outside"; empty for all.
+        Position of the temperature relative to the fit: "fitted", "between" or "outside"; empty for all.
     dwells : int
-        How many biases of each gyro there are.
+        Number of biases per gyro.
     bias_rms_dph, bias_noise_dph : float
-        Of all gyros, with the constant of the power-on.
+        Rms of all gyros, including the constant of the power cycle.
     varying_rms_dph : float
-        The same without each gyro's mean over all dwells of the run, which the constant is part of.
+        The same without each gyro's mean over the run, which includes the constant.
     varying_p_value : float
-        Probability that noise alone varies as much, for all stops; NaN for one.
+        p-value of the varying bias, for all plateaus; NaN for one.
     spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps : float
         See :class:`gyrobench.bench.verification.residuals.ResidualCheck`.
     position_nmi, position_noise_nmi : float
-        Largest position error within a day of a rotational INS with these biases; NaN without all
+        Largest position error of a rotational INS with these biases within a day; NaN without all
         six positions.
     """
 
     compensation: str
-    stop: int
+    plateau: int
     cycle: int | None
     chamber_set_c: float | None
     gyro_c: float | None
@@ -78,69 +78,68 @@ class ComparisonRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Leftover:
-    """What one compensation leaves.
+class CompensationResult:
+    """Residual bias with one compensation.
 
     Attributes
     ----------
     compensation : str
         As in the rows.
-    stops : tuple of ResidualCheck
+    plateaus : tuple of ResidualCheck
         In the order of time.
-    rows : tuple of ComparisonRow
-        One for each stop.
-    total : ComparisonRow
-        All stops.
+    rows : tuple of VerificationRow
+        One for each plateau.
+    total : VerificationRow
+        All plateaus.
     """
 
     compensation: str
-    stops: tuple[ResidualCheck, ...]
-    rows: tuple[ComparisonRow, ...]
-    total: ComparisonRow
+    plateaus: tuple[ResidualCheck, ...]
+    rows: tuple[VerificationRow, ...]
+    total: VerificationRow
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """What the compensations made from one campaign leave, on measurements that came after it.
+class VerificationResult:
+    """Residual bias in new measurements with each compensation derived from a campaign.
 
     Attributes
     ----------
     source : str
-        The campaign, for people.
+        The campaign, as displayed.
     closure : Closure
         Outcome of the search in it.
     models : mapping of str to LoadableModel
-        What was to be loaded, by the name of the compensation.
-    leftovers : tuple of Leftover
-        Of the compensations measured, at least one.
+        The loadable models, by compensation.
+    results : tuple of CompensationResult
+        One for each compensation measured, at least one.
     new_attitudes, dwells : int
-        Dwells of one run that began in a position and azimuth that no dwell of the campaign
-        began in, of how many.
+        Dwells of one run that began in a position and azimuth in which no dwell of the campaign
+        began, and all dwells of the run.
     is_same_seed : bool
-        Whether all were measured in one emulated world with the same seed: with the same constants
-        of the power-on.
+        Whether all runs had the same emulated world and seed, and so the same constants of the power cycle.
     notes : tuple of str
-        What a reader has to know beside; sentences.
+        Remarks; sentences.
     """
 
     source: str
     closure: Closure
     models: Mapping[str, LoadableModel]
-    leftovers: tuple[Leftover, ...]
+    results: tuple[CompensationResult, ...]
     new_attitudes: int
     dwells: int
     is_same_seed: bool
     notes: tuple[str, ...]
 
 
-def leftover(
+def compensation_result(
     compensation: str,
     dwells: Iterable[DwellRow],
     verifications: Iterable[CheckDwell],
     site: Site,
     fitted_c: FloatArray,
-) -> Leftover:
-    """Measure what one compensation leaves; dwells with flags are left out.
+) -> CompensationResult:
+    """Residual bias with one compensation, without flagged dwells.
 
     Parameters
     ----------
@@ -150,16 +149,26 @@ def leftover(
         Temperatures of the gyros in the dwells that the model was fitted to.
     """
     good = [row for row in dwells if not row.flags]
-    stops = check_residuals(good, verifications, site)
+    plateaus = check_residuals(good, verifications, site)
     varying = _varying(good)
     rows = tuple(
-        _row(compensation, number, stop, varying[[row.dwell in stop.dwells for row in good]], fitted_c)
-        for number, stop in enumerate(stops, start=1)
+        _row(compensation, number, plateau, varying[[row.dwell in plateau.dwells for row in good]], fitted_c)
+        for number, plateau in enumerate(plateaus, start=1)
     )
-    return Leftover(compensation, tuple(stops), rows, _total(compensation, rows, good, varying))
+    return CompensationResult(compensation, tuple(plateaus), rows, _total(compensation, rows, good, varying))
 
 
-def write_comparison(path: Path, leftovers: Iterable[Leftover]) -> None:
+#: Columns of the table; the number of the plateau is in ``stop``.
+COLUMNS = tuple("stop" if each.name == "plateau" else each.name for each in fields(VerificationRow))
+
+
+def table_records(results: Iterable[CompensationResult]) -> list[dict[str, str | float | None]]:
+    """Rows of the table by column: the plateaus of each compensation, then all of them together."""
+    rows = [row for each in results for row in (*each.rows, each.total)]
+    return [dict(zip(COLUMNS, astuple(row), strict=True)) for row in rows]
+
+
+def write_verification_table(path: Path, results: Iterable[CompensationResult]) -> None:
     """Write the table.
 
     Raises
@@ -167,13 +176,12 @@ def write_comparison(path: Path, leftovers: Iterable[Leftover]) -> None:
     RunFolderError
         The file can't be written.
     """
-    columns = [field.name for field in fields(ComparisonRow)]
-    rows = [row for each in leftovers for row in (*each.rows, each.total)]
-    write_text(path, format_csv(columns, ([format_cell(cell) for cell in astuple(row)] for row in rows)))
+    rows = [map(format_cell, record.values()) for record in table_records(results)]
+    write_text(path, format_csv(COLUMNS, map(list, rows)))
 
 
 def _varying(rows: Sequence[DwellRow]) -> FloatArray:
-    """Biases (n, 3) less each gyro's mean in its power-on, weighted by the uncertainties."""
+    """Biases (n, 3) minus each gyro's weighted mean in its power cycle."""
     varying = np.array([row.bias_dph for row in rows]).reshape(-1, 3)
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
     for run in {row.run for row in rows}:
@@ -183,40 +191,40 @@ def _varying(rows: Sequence[DwellRow]) -> FloatArray:
 
 
 def _row(
-    compensation: str, number: int, stop: ResidualCheck, varying: FloatArray, fitted_c: FloatArray
-) -> ComparisonRow:
-    return ComparisonRow(
+    compensation: str, number: int, plateau: ResidualCheck, varying: FloatArray, fitted_c: FloatArray
+) -> VerificationRow:
+    return VerificationRow(
         compensation=compensation,
-        stop=number,
-        cycle=stop.cycle,
-        chamber_set_c=stop.chamber_set_c,
-        gyro_c=stop.gyro_c,
-        fit=_fit(stop.gyro_c, fitted_c),
+        plateau=number,
+        cycle=plateau.cycle,
+        chamber_set_c=plateau.chamber_set_c,
+        gyro_c=plateau.gyro_c,
+        fit=_fit(plateau.gyro_c, fitted_c),
         dwells=len(varying),
-        bias_rms_dph=stop.bias_rms_dph,
-        bias_noise_dph=stop.sigma_rms_dph,
+        bias_rms_dph=plateau.bias_rms_dph,
+        bias_noise_dph=plateau.sigma_rms_dph,
         varying_rms_dph=_rms(varying),
         varying_p_value=math.nan,
-        spread_dph=stop.spread_dph,
-        spread_noise_dph=stop.spread_noise_dph,
-        velocity_east_mps=stop.velocity_east_mps,
-        velocity_noise_mps=stop.velocity_noise_mps,
-        position_nmi=stop.day.error.max_nmi if stop.day else math.nan,
-        position_noise_nmi=stop.day.noise_nmi if stop.day else math.nan,
+        spread_dph=plateau.spread_dph,
+        spread_noise_dph=plateau.spread_noise_dph,
+        velocity_east_mps=plateau.velocity_east_mps,
+        velocity_noise_mps=plateau.velocity_noise_mps,
+        position_nmi=plateau.day.error.max_nmi if plateau.day else math.nan,
+        position_noise_nmi=plateau.day.noise_nmi if plateau.day else math.nan,
     )
 
 
 def _total(
-    compensation: str, rows: Sequence[ComparisonRow], good: Sequence[DwellRow], varying: FloatArray
-) -> ComparisonRow:
+    compensation: str, rows: Sequence[VerificationRow], good: Sequence[DwellRow], varying: FloatArray
+) -> VerificationRow:
     sigma = np.array([row.sigma_dph for row in good]).reshape(-1, 3)
     dof = varying.size - varying.shape[1] * len({row.run for row in good})
     spread, spread_noise = _largest(rows, lambda row: (row.spread_dph, row.spread_noise_dph))
     velocity, velocity_noise = _largest(rows, lambda row: (row.velocity_east_mps, row.velocity_noise_mps))
     position, position_noise = _largest(rows, lambda row: (row.position_nmi, row.position_noise_nmi))
-    return ComparisonRow(
+    return VerificationRow(
         compensation=compensation,
-        stop=ALL_STOPS,
+        plateau=ALL_PLATEAUS,
         cycle=None,
         chamber_set_c=None,
         gyro_c=None,
@@ -236,9 +244,9 @@ def _total(
 
 
 def _largest(
-    rows: Sequence[ComparisonRow], of: Callable[[ComparisonRow], tuple[float, float]]
+    rows: Sequence[VerificationRow], of: Callable[[VerificationRow], tuple[float, float]]
 ) -> tuple[float, float]:
-    """Largest size, and the noise in its place; both NaN where there is none."""
+    """Largest value with its noise; both NaN without any."""
     known = [of(row) for row in rows if not math.isnan(of(row)[0])]
     return max(known, default=(math.nan, math.nan))
 

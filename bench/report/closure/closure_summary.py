@@ -9,14 +9,22 @@ from rich.table import Table
 from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.report.closure.residuals import held_out_cycles, noise_dph, rms, scale_of_errors
-from gyrobench.bench.report.closure.rows import effect_table, evidence_table, tried_caption
-from gyrobench.bench.report.closure.wording import chain, verdict_sentence
+from gyrobench.bench.report.closure.closure_text import (
+    chain,
+    effect_table,
+    evidence_caption,
+    evidence_table,
+    held_out_cycles,
+    noise_dph,
+    rms,
+    scale_of_errors,
+    verdict_sentence,
+)
 from gyrobench.bench.report.terminal.tables import plain_table, topics
 
 
 def closure_summary(closure: Closure) -> RenderableType:
-    """Verdict, the chain in plain words, effects, what was tried, and the error before and after."""
+    """Verdict, chain of evidence, effects, candidates, and the error before and after."""
     parts: list[RenderableType] = [
         Text(f"{closure.verdict.capitalize()}. {verdict_sentence(closure)}", style="bold"),
         Text(),
@@ -24,11 +32,11 @@ def closure_summary(closure: Closure) -> RenderableType:
         Text(),
     ]
     if closure.effects:
-        title = f"Effects found; size rms in {scale_of_errors(closure).unit}"
+        title = f"Effects found, size rms in {scale_of_errors(closure).unit}"
         parts += _titled(title, _table(*effect_table(closure), words=4))
-    parts += _titled("What was tried", _table(*evidence_table(closure), words=2))[:-1]
-    parts += [Text(f"{tried_caption(closure)}."), Text()]
-    title = f"Error in {held_out_cycles(closure)}, held out; rms in {scale_of_errors(closure).unit}"
+    parts += _titled("Candidate effects", _table(*evidence_table(closure), words=2))[:-1]
+    parts += [Text(f"{evidence_caption(closure)}."), Text()]
+    title = f"Error in {held_out_cycles(closure)} (held out), rms in {scale_of_errors(closure).unit}"
     errors = _errors(closure)
     parts += _titled(title, _table(list(errors), [list(errors.values())], words=0))
     return Group(*parts)
@@ -42,7 +50,7 @@ def _errors(closure: Closure) -> dict[str, str]:
 
 
 def _titled(title: str, table: Table) -> list[RenderableType]:
-    # Not the table's title: rich would fold that to the width of the table.
+    # Not the table's own title: rich folds that to the width of the table.
     return [Text(title, style="bold"), table, Text()]
 
 

@@ -1,4 +1,4 @@
-"""The proof of a compensation in a terminal of 80 columns, readable without colour."""
+"""A verification in a terminal of 80 columns, readable without colour."""
 
 from __future__ import annotations
 
@@ -12,51 +12,55 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.report.closure.wording import verdict_sentence
+from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.terminal.tables import plain_table, topics
-from gyrobench.bench.report.verification.rows import SIZES, UNITS, stop_rows, total_rows
-from gyrobench.bench.report.verification.wording import (
+from gyrobench.bench.report.verification.verification_text import (
     LABELS,
+    SIZES,
+    UNITS,
     chain,
     model_sentences,
     outcome,
     outcome_sentence,
+    plateau_rows,
     reading_sentences,
+    total_rows,
 )
-from gyrobench.bench.verification.comparison import Comparison
+from gyrobench.bench.verification.compensation_verification import VerificationResult
 
 
-def verify_plan(
+def verification_plan(
     closure: Closure, models: Mapping[str, LoadableModel], missing: Sequence[str], run_s: float
 ) -> RenderableType:
-    """Verdict of the search, what is to be loaded, and how long the runs take that are missing."""
+    """Verdict of the search, compensations, and duration of the remaining runs."""
     sentences = model_sentences(closure, models)
     if missing:
         runs = listed([LABELS[name] for name in missing])
         total = hours_minutes(len(missing) * run_s)
         sentences.append(
-            f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h to come, {total} h in all: {runs}."
+            f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h remaining, {total} h in total: "
+            f"{runs}."
         )
     else:
-        sentences.append("All runs are there already.")
+        sentences.append("All runs are complete.")
     verdict = Text(f"{closure.verdict.capitalize()}. {verdict_sentence(closure)}", style="bold")
     return Group(verdict, *map(Text, sentences), Text())
 
 
-def verify_summary(comparison: Comparison) -> RenderableType:
-    """Judgement, what changed, and the numbers of all stops."""
+def verification_summary(result: VerificationResult) -> RenderableType:
+    """Judgement, changes, and the numbers of all plateaus."""
     return Group(
-        Text(f"{outcome(comparison).capitalize()}. {outcome_sentence(comparison)}", style="bold"),
+        Text(f"{outcome(result).capitalize()}. {outcome_sentence(result)}", style="bold"),
         Text(),
-        topics(chain(comparison)),
+        topics(chain(result)),
         Text(),
-        Text("All stops: rms over all dwells; of spread, V_E and 24 h the largest", style="bold"),
-        _table(["compensation", *SIZES], total_rows(comparison), words=1),
+        Text("All plateaus: rms over all dwells; maximum of spread, V_E and 24 h", style="bold"),
+        _table(["compensation", *SIZES], total_rows(result), words=1),
         Text(),
         Text("By gyro temperature, °C", style="bold"),
-        _table(["°C", "cycle", "fit", "compensation", *SIZES], stop_rows(comparison), words=4),
+        _table(["°C", "cycle", "fit", "compensation", *SIZES], plateau_rows(result), words=4),
         Text(f"{UNITS[0].upper()}{UNITS[1:]}."),
-        Text(" ".join(reading_sentences(comparison))),
+        Text(" ".join(reading_sentences(result))),
         Text(),
     )
 

@@ -9,8 +9,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.report.closure.page import write_closure_page
-from gyrobench.bench.report.closure.section import closure_sections
+from gyrobench.bench.report.closure.closure_page import closure_sections, write_closure_page
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
@@ -67,48 +66,48 @@ def test_equal_searches_give_equal_pages(tmp_path):
     assert once == again
 
 
-def test_the_argument_goes_from_residual_to_what_is_left():
+def test_the_sections_go_from_the_residual_to_the_lack_of_fit():
     assert [section.title for section in closure_sections(explained())] == [
-        "What the declared model leaves",
-        "The cause",
-        "What else was tried, and what else it could be",
-        "Error on data that the search did not see",
-        "What is left",
+        "Residual of the declared model",
+        "Effect",
+        "Alternatives",
+        "Held-out error",
+        "Lack of fit",
     ]
 
 
-def test_a_clean_search_has_no_cause_and_no_shares_to_draw():
+def test_a_clean_search_has_no_effect_and_no_shares_to_draw():
     sections = {section.title: section for section in closure_sections(clean())}
-    assert "The cause" not in sections
-    assert not sections["What was tried"].figures
-    assert any("would have been found" in text for text in sections["What was tried"].paragraphs)
+    assert "Effect" not in sections
+    assert not sections["Candidate effects"].figures
+    assert any("is found from about" in text for text in sections["Candidate effects"].paragraphs)
 
 
-def test_an_unexplained_rest_is_told_with_a_warning():
+def test_an_unexplained_residual_has_a_warning():
     *_, section = closure_sections(unexplained())
-    told = " ".join(section.paragraphs)
-    assert "7.3 times the noise" in told
-    assert "not to be trusted beyond that size" in told
+    text = " ".join(section.paragraphs)
+    assert "7.3 times the noise" in text
+    assert "Do not rely on the model below that size" in text
 
 
-def test_errors_are_told_by_gyro_and_sizes_by_term():
+def test_errors_are_listed_by_gyro_and_sizes_by_term():
     sections = {section.title: section for section in closure_sections(explained())}
-    [table] = sections["Error on data that the search did not see"].tables
+    [table] = sections["Held-out error"].tables
     assert [row[0] for row in table.rows] == ["declared model", "with the effects found", "noise"]
     assert float(table.rows[0][-1]) == pytest.approx(1000.0 * explained().error_before_dph, abs=0.005)
-    sizes = sections["The cause"].tables[1]
+    sizes = sections["Effect"].tables[1]
     [row] = sizes.rows
     assert [float(cell or 0.0) for cell in row[2:]] == pytest.approx([1.0, -0.8, 0.0], abs=0.1)
 
 
-def test_the_tests_of_what_is_left_stand_beside_those_before():
+def test_the_lack_of_fit_tests_are_listed_before_and_after():
     *_, section = closure_sections(explained())
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
-    assert rows["follows temperature rate"][0] == "<1e-09"
+    assert rows["follows temperature rate"][0] == "<1e-9"
     assert float(rows["follows temperature rate"][1]) > 0.01
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "figures").write_text("in the way")
     with pytest.raises(RunFolderError, match="figures"):
         write_closure_page(tmp_path, clean(), "dwells.csv")

@@ -41,7 +41,10 @@ def test_parameters_of_two_effects_are_improved_together(problem):
     one = problem({"warm_up": 8.0, "thermal_hysteresis": 8.0})
     begun = [whole(warm_up.EFFECT, 2700.0), whole(thermal_hysteresis.EFFECT, 7.0)]
     better = refine(one, begun)
-    assert one.gain(*stack(better, one.campaign))[0] > one.gain(*stack(begun, one.campaign))[0]
+    assert (
+        one.chi2_reduction(*stack(better, one.campaign))[0]
+        > one.chi2_reduction(*stack(begun, one.campaign))[0]
+    )
     (tau_s,), (half_width_c,) = (each.values for each in better)
     assert tau_s == pytest.approx(WARM_UP_H * 3600.0, rel=0.1)
     assert half_width_c == pytest.approx(HALF_WIDTH_C, rel=0.1)
@@ -60,15 +63,17 @@ def test_the_start_is_the_one_of_the_grid_that_explains_most(problem):
     one, [form] = problem({"thermal_hysteresis": 8.0}), thermal_hysteresis.EFFECT.forms
     start = best_start(one, thermal_hysteresis.EFFECT, form)
     assert start.values in starts(form, one.campaign)
-    gain = one.gain(start.columns(one.campaign))[0]
-    assert gain == max(one.gain(form.columns(one.campaign, each))[0] for each in starts(form, one.campaign))
+    gain = one.chi2_reduction(start.columns(one.campaign))[0]
+    assert gain == max(
+        one.chi2_reduction(form.columns(one.campaign, each))[0] for each in starts(form, one.campaign)
+    )
     assert start.kept.all()
 
 
 def test_a_form_without_parameters_has_nothing_to_improve(problem):
     drift = whole(time_drift.EFFECT)
     assert refine(problem(), [drift]) == [drift]
-    assert drift.unknowns == 3
+    assert drift.parameter_count == 3
 
 
 def test_all_combinations_of_starting_values_are_tried(clean):
@@ -81,4 +86,4 @@ def test_all_combinations_of_starting_values_are_tried(clean):
 def test_unknowns_are_the_terms_kept_and_the_parameters():
     attitude = attitude_thermal.EFFECT
     kept = np.array([[True, False, False, True], [True, True, False, False], [True, False, False, False]])
-    assert Candidate(attitude, attitude.forms[0], (45.0, 3.0), kept).unknowns == 7
+    assert Candidate(attitude, attitude.forms[0], (45.0, 3.0), kept).parameter_count == 7

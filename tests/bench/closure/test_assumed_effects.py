@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
-from gyrobench.bench.closure.separability import basis_of, rivals, truths, unit_parts
+from gyrobench.bench.closure.separability import alternative_fits, assumed_effects, basis_of, unit_parts
 from tests.bench.closure.plans import shipped
 
 
@@ -28,14 +28,14 @@ DECAY = Effect(
 
 
 def test_the_middle_value_comes_first_and_all_others_after_it(problem):
-    shapes = truths(problem, DECAY)
+    shapes = assumed_effects(problem, DECAY)
     assert len(shapes) == 1 + 3
     np.testing.assert_allclose(shapes[0].parts, shapes[2].parts)
 
 
 def test_nothing_of_a_shape_lies_along_the_declared_model(problem):
     campaign = problem.campaign
-    for shape in truths(problem, DECAY):
+    for shape in assumed_effects(problem, DECAY):
         for gyro in range(3):
             declared = declared_columns(campaign, gyro) / campaign.sigma_dph[:, gyro, np.newaxis]
             declared /= np.linalg.norm(declared, axis=0)
@@ -45,16 +45,16 @@ def test_nothing_of_a_shape_lies_along_the_declared_model(problem):
 
 
 def test_a_rival_tries_its_parameters_from_bound_to_bound(problem):
-    fits = rivals(problem, DECAY)
+    fits = alternative_fits(problem, DECAY)
     assert len(fits) >= 80
-    assert all(fit.unknowns == 3 + 1 for fit in fits)
-    shape = truths(problem, DECAY)[0]
+    assert all(fit.parameter_count == 3 + 1 for fit in fits)
+    shape = assumed_effects(problem, DECAY)[0]
     assert max(shape.explained_by(fit.basis) for fit in fits) == pytest.approx(shape.information)
 
 
 def test_an_effect_that_lacks_its_input_has_no_shape(problem):
-    blind = Effect("blind", "", "", (Form(("x",), decaying, lacks=lambda campaign: "a sensor"),))
-    assert truths(problem, blind) == rivals(problem, blind) == []
+    blind = Effect("blind", "", "", (Form(("x",), decaying, missing_input=lambda campaign: "a sensor"),))
+    assert assumed_effects(problem, blind) == alternative_fits(problem, blind) == []
 
 
 def test_directions_are_orthonormal_and_no_more_than_there_are():

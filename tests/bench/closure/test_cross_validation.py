@@ -12,7 +12,7 @@ from gyrobench.bench.closure.validation import (
     pooled_gain,
     without_unseen_constants,
 )
-from tests.bench.closure.test_candidate import whole
+from tests.bench.closure.test_candidates import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, WARM_UP_H, jump
 
 
@@ -80,8 +80,8 @@ def test_a_term_that_the_declared_model_makes_up_in_the_others_is_not_asked(prob
 
 
 def test_the_gain_is_the_share_of_the_squares_taken_away():
-    assert LeftOut(fewer=200.0, more=50.0).gain == pytest.approx(0.75)
-    assert LeftOut(fewer=100.0, more=150.0).gain == pytest.approx(-0.5)
+    assert LeftOut(chi2_fewer=200.0, chi2_more=50.0).gain == pytest.approx(0.75)
+    assert LeftOut(chi2_fewer=100.0, chi2_more=150.0).gain == pytest.approx(-0.5)
 
 
 def test_gains_of_cycles_are_pooled_by_their_squares():
@@ -109,7 +109,7 @@ def test_squares_of_a_cycle_left_out_are_those_of_a_fit_to_the_others(problem):
     told = leave_out_cycles(one, [], [drift])[2]
     first = declared_problem(one.campaign, one.campaign.cycle == 1)
     second = one.campaign.cycle == 2
-    for squares, candidates in ((told.fewer, []), (told.more, [drift])):
+    for squares, candidates in ((told.chi2_fewer, []), (told.chi2_more, [drift])):
         model = solve_with(first, candidates)
         rest = measured_minus(one.campaign, first.searched, model)[second] / one.campaign.sigma_dph[second]
         assert squares == pytest.approx(np.sum(rest**2))
