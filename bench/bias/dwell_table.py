@@ -209,6 +209,7 @@ def _row(table: CsvTable, index: int) -> DwellRow:
     values: dict[str, Any] = {
         name: table.number(index, name, may_be_empty=name in _OPTIONAL) for name in (*_SCALARS, *_FIT)
     }
+    values |= {name: triple(name) for name in _TRIPLES}
     row = DwellRow(
         unit=table.name(index, "unit"),
         run=table.name(index, "run"),
@@ -217,7 +218,6 @@ def _row(table: CsvTable, index: int) -> DwellRow:
         position=table.choice(index, "position", POSITIONS),
         flags=table.text(index, "flags"),
         **values,
-        **{name: triple(name) for name in _TRIPLES},
     )
     if row.end_s < row.start_s:
         table.problem(
