@@ -45,7 +45,7 @@ class Shell:
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
                     "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
-                    "table rate outer|inner RATE": "turn at a constant rate, within the limits",
+                    "table rate outer|inner RATE": "turn at a constant rate",
                 },
                 self._table,
             ),
@@ -183,7 +183,7 @@ class Shell:
 
     def _help(self, words: list[str]) -> None:  # noqa: ARG002 - one help for all
         usages = [usage for command in self._commands.values() for usage in command.usages.items()]
-        self._print([f"  {usage:36} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())])
+        self._print([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())])
         self._print(["Ctrl-C stops the table."])
 
     def _print(self, lines: list[str]) -> None:
