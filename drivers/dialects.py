@@ -1,10 +1,10 @@
-"""The installed dialects: this project's own, and those that other packages add by entry point.
+"""The installed dialects: this project's, and those of other packages, found by entry point.
 
-A package that adds one names it in its metadata, under the group of its class of instrument; the
+A package that adds a dialect names it in its metadata, under the group of its class of instrument; the
 object there is a :class:`~gyrobench.drivers.rate_table.TableDialect`, a
 :class:`~gyrobench.drivers.chamber.ChamberDialect`, or for an emulator one of
-:mod:`gyrobench.drivers.emulators.dialect`. Only the dialect that is asked for is imported, so that a broken
-package hurts nobody who does not use it.
+:mod:`gyrobench.drivers.emulators.dialect`. Only the dialect in use is imported, so a broken package
+affects only its users.
 """
 
 from __future__ import annotations
@@ -25,16 +25,14 @@ DialectT = TypeVar("DialectT")
 
 @dataclass(frozen=True)
 class LineDefaults:
-    """How a controller is reached unless the station file says otherwise.
+    """Settings of a controller's line that the station file does not give.
 
     Attributes
     ----------
-    baudrate : int
-        Bits per second.
     parity : {"N", "E", "O"}
         Parity bit; eight data bits and one stop bit always.
     tcp_port : int or None
-        Its TCP port, for an address that names none; None where it has no usual one.
+        TCP port for an address without one; None if there is no usual port.
     """
 
     baudrate: int = 9600
@@ -43,7 +41,7 @@ class LineDefaults:
 
 
 def installed(group: str) -> list[str]:
-    """Names of the dialects of a group, whether or not they can be imported."""
+    """Names of the dialects of a group, also those that can't be imported."""
     return sorted({entry.name for entry in _entries(group)})
 
 
@@ -55,14 +53,14 @@ def load(group: str, name: str, kind: type[DialectT]) -> DialectT:
     group : str
         One of the groups of this module.
     name : str
-        Its name, as a station file gives it.
+        Name in the station file.
     kind : type
-        What it has to be.
+        Type that the object must have.
 
     Raises
     ------
     DocumentError
-        None of that name is installed, or several, or it can't be imported, or it is no such object.
+        No dialect of that name is installed, or several, or it can't be imported or has another type.
     """
     found = [entry for entry in _entries(group) if entry.name == name]
     if not found:
@@ -76,13 +74,15 @@ def load(group: str, name: str, kind: type[DialectT]) -> DialectT:
     entry = found[0]
     origin = f"the dialect {name!r} of {_package(entry)}"
     try:
-        dialect = entry.load()  # another package's code may raise whatever it likes
+        dialect = entry.load()  # another package's code may raise anything
     except Exception as error:
         raise DocumentError(
             f"{origin} can't be imported: {type(error).__name__}: {error}. Repair or uninstall that package"
         ) from error
     if not isinstance(dialect, kind):
-        raise DocumentError(f"{origin} is no {kind.__name__} ({entry.value}); tell its maker")
+        raise DocumentError(
+            f"{origin} is no {kind.__name__} ({entry.value}); report this to the package's author"
+        )
     return dialect
 
 

@@ -14,8 +14,6 @@ from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import NoReplyError, ReplyError
 from gyrobench.drivers.serial_line import SerialLine
 
-#: Reply time-outs allowed for the line to become silent.
-MAX_TIMEOUTS_TO_SILENCE = 5
 _MAX_REPLY_BYTES = 256
 _SHOWN_BYTES = 60
 _NUMBER = re.compile(rb"[-+]?(?:[0-9]{1,15}(?:\.[0-9]{0,15})?|\.[0-9]{1,15})(?:[eE][-+]?[0-9]{1,3})?")
@@ -46,8 +44,7 @@ class TextLine:
     def send(self, request: str) -> None:
         """Send a request; input that arrived before is discarded."""
         if self._out_of_step:
-            timeout_s = self._reply_timeout_s
-            self.line.await_silence(timeout_s, MAX_TIMEOUTS_TO_SILENCE * timeout_s)
+            self.line.await_silence(self._reply_timeout_s)
             self._out_of_step = False
         self.line.discard_input()
         self.line.write(request.encode("ascii") + self._ending)

@@ -86,7 +86,8 @@ def section_of(section: type[DialectSection], name: str) -> type[DialectSection]
     taken = sorted(options.model_fields.keys() & section.model_fields.keys())
     if taken:
         raise DocumentError(
-            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}); tell its maker"
+            f"the dialect {name!r} redefines common keys ({', '.join(taken)}); report this to the package's "
+            "author"
         )
     dialect: Any = (Literal[name], Field(description="command language"))
     bases: Any = (options, section)  # a message names the section's own keys first

@@ -100,7 +100,7 @@ class WatlowF4T(TextChamber):
         return f":OUTPUT{number}:STATE"
 
     def _set_ramp(self, rate_c_per_min: float | None) -> None:
-        """Set ``RRATE``, ``RSCALE`` and ``RACTION``; the action last, so that no ramp starts at an old rate."""
+        """Set ``RRATE``, ``RSCALE`` and ``RACTION``; the action last, so that no ramp has an old rate."""
         if rate_c_per_min is None:
             self._set_word("RACTION", _NO_RAMP)
         else:

@@ -1,4 +1,4 @@
-"""The tap: lines that are opened while a recording is on keep what goes through them."""
+"""Recording of lines: what passes through a line opened while a recording is on is written to a file."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.drivers.recording.recording_file import RecordingFile, RecordingHeader
 
-#: What waits unread when a driver throws it away; more of it is not kept.
-_MOST_DISCARDED = 65536
+#: Bytes recorded of the unread input that a driver discards.
+_MAX_DISCARDED = 65536
 
 
 class LinePort(Protocol):
-    """What a line needs of its port; pyserial's have it."""
+    """The methods of a port that a line uses; pyserial's ports have them."""
 
     timeout: float | None
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have arrived."""
+        """Number of bytes that have arrived."""
         ...
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to ``size`` bytes that come before the time-out."""
+        """Up to ``size`` bytes that arrive before the time-out."""
         ...
 
     def write(self, data: bytes, /) -> int | None:
@@ -39,7 +39,7 @@ class LinePort(Protocol):
         ...
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
+        """Discard what has arrived."""
         ...
 
     def close(self) -> None:
@@ -48,7 +48,7 @@ class LinePort(Protocol):
 
 
 class RecordedPort:
-    """A port that keeps what goes through it; otherwise as the port itself."""
+    """A port that records what passes through it."""
 
     def __init__(self, port: LinePort, file: RecordingFile) -> None:
         self._port = port
@@ -56,7 +56,7 @@ class RecordedPort:
 
     @property
     def timeout(self) -> float | None:
-        """Longest wait of a read, s."""
+        """Time-out of a read, s."""
         return self._port.timeout
 
     @timeout.setter
@@ -65,17 +65,17 @@ class RecordedPort:
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have arrived."""
+        """Number of bytes that have arrived."""
         return self._port.in_waiting
 
     def read(self, size: int = 1, /) -> bytes:
-        """Read, and keep what came."""
+        """Read and record."""
         data = bytes(self._port.read(size))
         self._file.add(False, data)
         return data
 
     def write(self, data: bytes, /) -> int | None:
-        """Keep and send."""
+        """Record and send."""
         self._file.add(True, data)
         return self._port.write(data)
 
@@ -84,9 +84,9 @@ class RecordedPort:
         self._port.flush()
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived, and keep it in the recording."""
+        """Record and discard what has arrived."""
         self._port.timeout = 0
-        left = _MOST_DISCARDED
+        left = _MAX_DISCARDED
         while left > 0 and (waiting := self._port.in_waiting):
             left -= len(self.read(min(waiting, left)))
         self._port.reset_input_buffer()
@@ -103,7 +103,7 @@ class _Tap:
     headers: Mapping[str, RecordingHeader]
 
 
-#: The recording that is on; lines are opened deep inside the bench, in threads of their own too.
+#: The recordings that are on; lines are opened deep inside the bench, also in other threads.
 _taps: list[_Tap] = []
 
 
@@ -114,15 +114,15 @@ def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Ite
     Parameters
     ----------
     folder : Path
-        Made if absent. Files are named after the instrument and numbered.
+        Created if absent. Files are named after the instrument and numbered.
     headers : mapping of str to RecordingHeader
-        By the name that errors give the instrument: "rate table", "chamber". A line whose instrument
-        is not here is not recorded.
+        By the instrument's name in errors: "rate table", "chamber". Lines of other instruments are
+        not recorded.
 
     Raises
     ------
     RunFolderError
-        The folder can't be made; opening a line raises it where its file can't be.
+        The folder can't be created; opening a line raises it if its file can't be.
     """
     make_folder(folder)
     tap = _Tap(folder, headers)
@@ -134,7 +134,7 @@ def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Ite
 
 
 def tapped(instrument: str, port: LinePort, clock: Clock, baudrate: int, parity: str) -> LinePort:
-    """The port of an instrument, recorded where a recording is on."""
+    """The port of an instrument, recorded if a recording is on."""
     for tap in _taps:
         if instrument in tap.headers:
             header = tap.headers[instrument].model_copy(update={"baudrate": baudrate, "parity": parity})

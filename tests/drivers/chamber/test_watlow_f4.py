@@ -168,7 +168,7 @@ def test_an_f4s_takes_set_points_but_no_ramps(make_bench):
     bench = make_bench(model="F4S")
     chamber = bench.driver()
     bench.requests.clear()
-    with pytest.raises(RefusedError, match="ramps only by profiles"):
+    with pytest.raises(RefusedError, match="ramps by profiles only"):
         chamber.set_temperature(50.0, 2.0)
     assert bench.requests == []
     chamber.set_temperature(50.0, None)

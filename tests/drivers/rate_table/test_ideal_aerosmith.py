@@ -129,7 +129,7 @@ def test_an_axis_that_stands_short_of_its_target_is_a_fault(bench):
     table = bench.prepared()
     bench.axis.friction_deg = 0.5
     table.move_to({2: 30.0}, 10.0)
-    with pytest.raises(FaultError, match=r"stands still at 29\.500 deg, where 30\.000 deg was commanded"):
+    with pytest.raises(FaultError, match=r"stands still at 29\.500 deg; 30\.000 deg was commanded"):
         bench.until_in_position(table)
 
 
@@ -157,7 +157,7 @@ def test_it_tells_neither_limits_nor_who_it_is(bench):
     table = bench.driver()
     assert bench.requests_of(table.identify) == [b"STA\r"]
     assert table.identify() == ("Ideal Aerosmith single-axis table, status 0; it tells no serial number")
-    with pytest.raises(RefusedError, match="look at its panel"):
+    with pytest.raises(RefusedError, match="read them from its panel"):
         table.limits()
 
 
@@ -217,7 +217,7 @@ def test_an_axis_that_does_not_come_to_rest_is_told_after_its_motor_is_off(bench
 
 def test_an_axis_whose_rate_can_not_be_read_is_not_taken_for_one_at_rest(rig):
     line, heard = rig.line("table", NoRates())
-    with pytest.raises(FaultError, match="tells no rate 30 s after the stop and may still turn"):
+    with pytest.raises(FaultError, match="its rate can't be read 30 s after the stop and it may still turn"):
         IdealAerosmith(line).release()
     assert heard.requests[-1] == b"SRV0\r"
 
