@@ -131,7 +131,7 @@ def _check_compensation(station: Station, compensation: Compensation) -> None:
             f"{station.path}: ins.commands lacks load_compensation or apply_compensation, so the INS can't "
             "be given a compensation. Map them, or run without"
         )
-    refused = load.refuses(compensation)
+    refused = load.unsupported(compensation)
     if refused:
         raise DocumentError(
             f"{station.path}: ins.commands.load_compensation does not take "

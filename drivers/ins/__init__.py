@@ -1,9 +1,8 @@
-"""The INS on CAN: any that a DBC file describes.
+"""The INS on CAN: any INS that a DBC file describes, read and commanded.
 
-Frames come in by :class:`CanIns` and are decoded by :func:`decode_navigation`, live or out of the
-raw log, to the same numbers. The station file says which signals and commands mean what
-(:class:`SignalMap`, :class:`CommandMap`); :func:`resolution_report` says whether they are fine
-enough.
+:mod:`can_bus` receives frames, :mod:`dbc_codec` decodes them, :mod:`signal_map` says which signal is
+which quantity, :mod:`readout` gives the quantities at given frames, and :mod:`navigation_data` finds the
+epochs: live and from the raw log with the same result.
 """
 
 from gyrobench.drivers.ins.attitude import EulerSequence

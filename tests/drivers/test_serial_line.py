@@ -57,7 +57,7 @@ def exchange(line, plug):
     return line.read(5, Deadline(line.clock, 120.0))
 
 
-def test_a_line_goes_on_after_its_port_went_away_and_came_back(line, plug):
+def test_a_line_works_again_after_its_port_was_unplugged_and_plugged_in(line, plug):
     plug.pull()
     with pytest.raises(ConnectionFailedError, match="went away"):
         line.read(1, Deadline(line.clock, 0.1))

@@ -36,7 +36,7 @@ def test_what_a_client_writes_is_read_and_the_other_way(tmp_path):
     port.unplug()
 
 
-def test_a_port_number_that_is_taken_is_told():
+def test_a_port_number_in_use_is_an_error():
     first = TcpPort()
     with pytest.raises(OSError, match="in use"):
         TcpPort(first.number)

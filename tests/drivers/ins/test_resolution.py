@@ -66,7 +66,7 @@ def test_the_projects_ins_is_fine_enough(signal_map, codec):
     assert limits["velocity_east"].lsb == pytest.approx(1e-4)
     assert limits["attitude.euler.yaw"].lsb == pytest.approx(1e-6)
     assert "VELOCITY_NE.VELOCITY_EAST" in limits["velocity_east"].text
-    assert "fine enough" in limits["velocity_east"].text
+    assert "sufficient" in limits["velocity_east"].text
 
 
 def test_an_output_of_centimetres_per_second_and_tenths_of_milliradians_is_too_coarse(signal_map, codec_with):

@@ -156,7 +156,7 @@ def test_a_jog_too_fast_is_refused(bench):
 def test_it_tells_neither_limits_nor_who_it_is(bench):
     table = bench.driver()
     assert bench.requests_of(table.identify) == [b"STA\r"]
-    assert table.identify() == ("Ideal Aerosmith single-axis table, status 0; it tells no serial number")
+    assert table.identify() == ("Ideal Aerosmith single-axis table, status 0; no serial number available")
     with pytest.raises(RefusedError, match="read them from its panel"):
         table.limits()
 
