@@ -1,7 +1,7 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
 # make test   install into .venv and run the test suite, but for what takes long
 # make test-long  whole campaigns, kills, fuzzing
-# make soak   kill, hurt and keep runs going for an hour; writes docs/soak.md
+# make soak   kill, disturb and keep runs running for an hour; writes docs/reliability.md
 # make check  style, types, layers
 # make docs   pages of docs/ as HTML, in build/docs
 # make audit  known vulnerabilities of the dependencies (needs the network)
@@ -26,7 +26,7 @@ test-long: install
 	$(BIN)/python -m pytest -m long -n 4 --dist loadfile --no-loadscope-reorder
 
 soak: install
-	$(BIN)/python -m tests.soak all --table docs/soak.md
+	$(BIN)/python -m tests.soak all --table docs/reliability.md
 
 check: install
 	$(BIN)/ruff check .
@@ -35,6 +35,7 @@ check: install
 	$(BIN)/lint-imports
 
 docs: install
+	$(BIN)/python docs/make_reference.py
 	$(BIN)/python -m sphinx -q -W --keep-going -n -b html docs build/docs
 
 # Known vulnerabilities of the pinned versions; asks the network, and installs pip-audit for itself.
@@ -51,6 +52,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	$(BIN)/gyrobench schema --out schemas
 	touch $@
 
 # What developing needs beside what running needs.

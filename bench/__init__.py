@@ -14,3 +14,10 @@ Time
     Seconds of the one clock of a run (:mod:`gyrobench.bench.foundations.clock`), unless a name says
     ``ins_time_s`` (the clock of the INS) or ``utc``.
 """
+
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    __version__ = version("gyrobench")
+except PackageNotFoundError:  # a source tree that was not installed
+    __version__ = "0+unknown"

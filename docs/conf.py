@@ -7,7 +7,7 @@ sys.path[:0] = [str(Path(__file__).parent / "_ext")]
 
 project = "gyrobench"
 author = "The gyrobench authors"
-extensions = ["myst_parser", "yaml_keys", "command_line", "mathml"]
+extensions = ["myst_parser", "mathml"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_ext", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]

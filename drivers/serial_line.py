@@ -8,6 +8,7 @@ handlers of the last two in the packages named below; the emulators are not impo
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass
 from types import TracebackType
 
 import serial
@@ -21,9 +22,26 @@ _WRITE_TIMEOUT_S = 5.0
 #: A line that is not silent within this many times the silence required never will be.
 _MAX_SILENCES = 5
 
-for _handlers in ("gyrobench.drivers.emulators.serial_urls", "gyrobench.drivers.recording"):
+for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_handlers)
+
+
+@dataclass(frozen=True)
+class LineDefaults:
+    """Settings of a controller's line that the station file does not give.
+
+    Attributes
+    ----------
+    parity : {"N", "E", "O"}
+        Parity bit; eight data bits and one stop bit always.
+    tcp_port : int or None
+        TCP port for an address without one; None if there is no usual port.
+    """
+
+    baudrate: int = 9600
+    parity: str = "N"
+    tcp_port: int | None = None
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:

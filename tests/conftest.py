@@ -4,7 +4,7 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
-from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE
+from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
 
 # A busy machine must not make a test fail.
 hypothesis.settings.register_profile("no deadline", deadline=None)

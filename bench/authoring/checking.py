@@ -6,12 +6,18 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrobench.bench.authoring.emulator_files import check_emulator_file
-from gyrobench.bench.authoring.kinds import COMPENSATION, KINDS, PROCEDURE, STATION, FileKind, kind_of
+from gyrobench.bench.authoring.file_kinds import (
+    COMPENSATION,
+    KINDS,
+    PROCEDURE,
+    STATION,
+    FileKind,
+    check_emulator_file,
+    kind_of,
+)
 from gyrobench.bench.foundations.documents import Document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.document import checked_procedure
-from gyrobench.bench.procedure.resolve import resolve
+from gyrobench.bench.procedure.procedure_file import checked_procedure, resolve
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.station.station import Station

@@ -1,4 +1,4 @@
-"""Bias per gyro, position and temperature bin, and the table ``bias_bins.csv``."""
+"""Bias per gyro, position and temperature bin (``bias_bins.csv``), and how positions compare in a bin."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields, replace
+from itertools import combinations
 from pathlib import Path
 
+import numpy as np
+
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.weighted_mean import weighted_mean
+from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -17,7 +20,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: Usual width of a bin, K.
 DEFAULT_WIDTH_C = 5.0
 #: Narrower ones would fill the memory with empty bins.
-_NARROWEST_C = 0.01
+_MIN_WIDTH_C = 0.01
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,9 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
         The width is too small, or the dwells are of several units.
     """
     rows = list(rows)
-    if not (math.isfinite(width_c) and width_c >= _NARROWEST_C):
+    if not (math.isfinite(width_c) and width_c >= _MIN_WIDTH_C):
         raise MeasurementError(
-            f"temperature bins need a width of {_NARROWEST_C:g} K or more; found {width_c:g} K"
+            f"temperature bins need a width of {_MIN_WIDTH_C:g} K or more; found {width_c:g} K"
         )
     units = sorted({row.unit for row in rows})
     if len(units) > 1:
@@ -233,4 +236,80 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
         spread_p_value=number("spread_p_value"),
         paper_bias_dph=number("paper_bias_dph"),
         paper_sigma_dph=table.uncertainty(index, "paper_sigma_dph", may_be_empty=True),
+    )
+
+
+@dataclass(frozen=True)
+class PositionComparison:
+    """Positions compared for one gyro in one temperature bin.
+
+    Attributes
+    ----------
+    gyro : str
+        "x", "y" or "z".
+    bin_low_c, bin_high_c : float
+        Range of the gyro's temperature.
+    positions : tuple of str
+        Those measured in this bin, two or more.
+    bias_dph : float
+        Weighted mean over the positions.
+    p_value : float
+        Probability of differences at least as large if the positions were equal: the chi-square
+        test of homogeneity with ``len(positions) - 1`` degrees of freedom.
+    largest_pair : tuple of str
+        The two positions that differ most, the higher bias first.
+    largest_difference_dph, largest_difference_sigma_dph : float
+        By how much, and its standard uncertainty.
+    temperature_spread_c : float
+        Largest difference of the positions' mean temperatures inside the bin. The test takes no
+        account of it: the bias's own slope times this can pass for a difference of positions.
+    """
+
+    gyro: str
+    bin_low_c: float
+    bin_high_c: float
+    positions: tuple[str, ...]
+    bias_dph: float
+    p_value: float
+    largest_pair: tuple[str, str]
+    largest_difference_dph: float
+    largest_difference_sigma_dph: float
+    temperature_spread_c: float
+
+
+def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
+    """Compare the positions of each gyro and bin; bins with fewer than two positions are left out.
+
+    Parameters
+    ----------
+    bins : iterable of BiasBin
+        Of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
+
+    Returns
+    -------
+    list of PositionComparison
+        By gyro and temperature.
+    """
+    groups: dict[tuple[str, float], list[BiasBin]] = defaultdict(list)
+    for each in bins:
+        if not each.is_empty:
+            groups[each.gyro, each.bin_low_c].append(each)
+    return [_compared(group) for _, group in sorted(groups.items()) if len(group) > 1]
+
+
+def _compared(group: Sequence[BiasBin]) -> PositionComparison:
+    mean = weighted_mean([each.bias_dph for each in group], [each.sigma_dph for each in group])
+    pairs = combinations(sorted(group, key=lambda each: -each.bias_dph), 2)
+    high, low = max(pairs, key=lambda pair: pair[0].bias_dph - pair[1].bias_dph)
+    return PositionComparison(
+        gyro=group[0].gyro,
+        bin_low_c=group[0].bin_low_c,
+        bin_high_c=group[0].bin_high_c,
+        positions=tuple(each.position for each in group),
+        bias_dph=mean.value,
+        p_value=mean.p_value,
+        largest_pair=(high.position, low.position),
+        largest_difference_dph=high.bias_dph - low.bias_dph,
+        largest_difference_sigma_dph=float(np.hypot(high.sigma_dph, low.sigma_dph)),
+        temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
     )

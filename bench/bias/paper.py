@@ -21,7 +21,7 @@ from math import factorial
 import numpy as np
 
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix, rotation_vector_enu

@@ -1,12 +1,16 @@
-"""What acceptance asks of a unit, and the verdicts on it: how they are told and kept."""
+"""Limits of acceptance, the verdicts on a unit, and their file ``acceptance.json``."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from pydantic import AliasChoices, Field
 
+from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.files import parse_json
 
 #: What a limit is on.
 Quantity = Literal["position difference", "bias"]
@@ -19,10 +23,10 @@ RunVerdict = Literal["accepted", "marginal", "rejected", "not judged"]
 
 
 class AcceptanceLimits(StrictModel):
-    """What a gyro has to keep at every stop of the chamber."""
+    """What a gyro has to keep on every plateau."""
 
     position_difference_dph: float = Field(
-        gt=0.0, description="largest difference of a gyro's bias between two positions at one stop, deg/h"
+        gt=0.0, description="largest difference of a gyro's bias between two positions on one plateau, deg/h"
     )
     bias_dph: float | None = Field(
         default=None,
@@ -43,7 +47,7 @@ class AcceptanceLimits(StrictModel):
 
 
 class Judgement(StrictModel):
-    """One gyro at the stops of one bin against one limit; a stop is of the bin of its mean temperature.
+    """One gyro on the plateaus of one bin against one limit; the mean temperature decides the bin.
 
     Attributes
     ----------
@@ -57,7 +61,7 @@ class Judgement(StrictModel):
         Limits of the largest true one, each with the probability ``confidence`` that the limits of
         acceptance state: the lower one for all judgements of the run together.
     passes_agree : bool
-        Whether the stops here had the same differences in each pass; else each pass was judged by itself.
+        Whether these plateaus had the same differences in each pass; else each pass was judged alone.
     """
 
     gyro: str = Field(pattern="^[xyz]$")
@@ -76,7 +80,7 @@ class Judgement(StrictModel):
 
 
 class NotMeasured(StrictModel):
-    """A planned dwell of which a gyro's bias was not compared with the others of its stop."""
+    """A planned dwell of which a gyro's bias was not compared with the others of its plateau."""
 
     gyro: str = Field(pattern="^[xyz]$")
     cycle: int
@@ -93,14 +97,16 @@ class Acceptance(StrictModel):
         None where the procedure states none: then nothing is judged.
     gyros : dict of str to str
         Verdict on each gyro.
-    stops : int
-        Number of stops at which positions were compared.
+    plateaus : int
+        Number of plateaus on which positions were compared; ``stops`` in the file.
     """
 
     verdict: RunVerdict = "not judged"
     limits: AcceptanceLimits | None = None
     gyros: dict[str, GyroVerdict] = Field(default_factory=dict)
-    stops: int = 0
+    plateaus: int = Field(
+        default=0, validation_alias=AliasChoices("plateaus", "stops"), serialization_alias="stops"
+    )
     judgements: list[Judgement] = Field(default_factory=list)
     not_measured: list[NotMeasured] = Field(default_factory=list)
 
@@ -116,3 +122,29 @@ class Acceptance(StrictModel):
 def _severity(judged: Judgement) -> tuple[int, bool, float]:
     order = ("pass", "marginal", "fail")
     return order.index(judged.verdict), judged.quantity == "position difference", judged.at_most_dph
+
+
+def write_acceptance(path: Path, acceptance: Acceptance) -> None:
+    """Write a verdict and all that it stands on.
+
+    Raises
+    ------
+    RunFolderError
+        The file can't be written.
+    """
+    write_text(path, acceptance.model_dump_json(indent=2, by_alias=True) + "\n")
+
+
+def read_acceptance(path: Path) -> Acceptance:
+    """Read a verdict.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or holds something else.
+    """
+    text = read_text(path)
+    try:
+        return Acceptance.model_validate(parse_json(text))
+    except ValueError as error:
+        raise DocumentError(f"{path}: holds no verdict: {error}") from error

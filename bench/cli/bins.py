@@ -15,13 +15,13 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     Example: gyrobench bins runs/six_position_fig7-001
     """
     from gyrobench.bench.bias.bins import read_bins
+    from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.engine.session import measure_again
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
-    from gyrobench.bench.runs.tables.verification_table import read_verification
+    from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 
     folder = measure_again(run_folder)
-    verification = read_verification(folder.verification) if folder.verification.exists() else []
+    verification = read_calibration_check(folder.verification) if folder.verification.exists() else []
     if as_json:
         print_json(
             {

@@ -25,7 +25,7 @@ def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
         It can't be used for a search.
     """
     from gyrobench.bench.closure.loop import close_loop
-    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     try:
         return close_loop(read_campaign(campaign), hold_out_cycles)

@@ -10,14 +10,14 @@ from typer.core import TyperGroup
 GROUPS: dict[str, tuple[str, ...]] = {
     "Measure": ("run", "resume", "tell", "verify"),
     "Before a run": ("plan", "check", "jog", "message"),
-    "Look and report": ("monitor", "report", "export", "bins", "close", "import"),
+    "Look and report": ("monitor", "report", "export", "bins", "close", "import", "raw-rate"),
     "Many runs": ("runs", "fleet"),
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),
 }
 _OTHERS = "Other"
 #: A first sentence stands whole, on as many lines as it needs.
-_LONGEST = 300
+_MAX_HELP = 300
 
 
 class CommandGroups(TyperGroup):
@@ -39,7 +39,7 @@ class CommandGroups(TyperGroup):
             for name in names:
                 command = self.get_command(ctx, name)
                 if command is not None and not command.hidden and grouped.get(name, _OTHERS) == group:
-                    rows.append((name.ljust(widest), command.get_short_help_str(_LONGEST)))
+                    rows.append((name.ljust(widest), command.get_short_help_str(_MAX_HELP)))
             if rows:
                 with formatter.section(group):
                     formatter.write_dl(rows)

@@ -56,7 +56,7 @@ def emulate(
 
     Example: gyrobench emulate --speed 10 --write-station mine.yaml
     """
-    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.recording.emulated_station import guide, write_station_file
     from gyrobench.bench.recording.emulator_process import (
         EmulationSettings,

@@ -38,19 +38,19 @@ def export(
 
     Example: gyrobench export runs/six_position_fig7-001 --what dwells,can --format csv,mf4
     """
-    from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
+    from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
     from gyrobench.bench.runs.folder import open_run_folder
 
-    wanted = Wanted(
-        [What(name) for name in _chosen(what, list(What), "--what")],
+    selection = ExportSelection(
+        [DataKind(name) for name in _chosen(what, list(DataKind), "--what")],
         [Format(name) for name in _chosen(formats, list(Format), "--format")],
         dwell,
     )
     folder = open_run_folder(run_folder)
-    exported = export_run(folder, wanted, out or folder.path / "export", force)
+    exported = export_run(folder, selection, out or folder.path / "export", force)
     for path in exported.files:
         typer.echo(f"{_size(path):>9}  {path}")
-    for kind, why in exported.lacks.items():
+    for kind, why in exported.missing.items():
         typer.echo(f"without {kind}: {why}")
 
 

@@ -1,4 +1,4 @@
-"""`gyrobench fleet`: the same for many runs at once."""
+"""`gyrobench fleet`: evaluate many runs at once, compare the units of a batch."""
 
 from __future__ import annotations
 
@@ -8,27 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli import fleet_batch
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
-from gyrobench.bench.cli.run_selection import (
-    BatchOption,
-    BenchOption,
-    EndedOption,
-    IndexOption,
-    ProcedureOption,
-    SinceOption,
-    UnitOption,
-    UntilOption,
-    VerdictOption,
-    open_index,
-    selection_of,
-)
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_result
+from gyrobench.bench.cli.run_selection import IndexOption, RootArgument, open_index, with_selection
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.runs.index.selection import ANY_RUN, Selection
 
 if TYPE_CHECKING:
-    from gyrobench.bench.fleet.cluster import Workers
-    from gyrobench.bench.fleet.jobs import JobKind, JobResult
-    from gyrobench.bench.fleet.record import FleetRecord
+    from gyrobench.bench.fleet.jobs import FleetRecord, JobResult
+    from gyrobench.bench.fleet.workers import Workers
+    from gyrobench.bench.runs.index.run_index import RunIndex
 
 fleet = typer.Typer(
     help="Evaluate many runs at once, and compare the units of a batch.\n\n"
@@ -39,17 +27,16 @@ fleet = typer.Typer(
 
 _RunsArgument = Annotated[
     list[str] | None,
-    typer.Argument(metavar="RUNS...", help="Run folders, folders that hold some, patterns in quotes."),
+    typer.Argument(metavar="RUNS...", help="Run folders, folders that contain some, patterns in quotes."),
 ]
 _FromIndexOption = Annotated[
-    str | None,
-    typer.Option(metavar="ROOT", help="Take runs of ROOT's index, those that the options below choose."),
+    str | None, typer.Option(metavar="ROOT", help="Take the runs of ROOT's index that the options select.")
 ]
 _WorkersOption = Annotated[
-    int | None, typer.Option(min=1, help="Workers on this machine; by default one for each core.")
+    int | None, typer.Option(min=1, help="Workers on this machine; default: one per core.")
 ]
 _ThreadsOption = Annotated[
-    bool, typer.Option("--threads", help="Threads of one process in place of processes: less memory, slower.")
+    bool, typer.Option("--threads", help="Threads of one process instead of processes: less memory, slower.")
 ]
 _SchedulerOption = Annotated[
     str | None,
@@ -57,21 +44,21 @@ _SchedulerOption = Annotated[
         metavar="ADDRESS", help="Dask scheduler (tcp://host:8786) whose workers see the same paths."
     ),
 ]
-_AgainOption = Annotated[bool, typer.Option("--again", help="Do all runs, also those that are done.")]
+_AgainOption = Annotated[bool, typer.Option("--again", help="Process all runs, also those that are done.")]
 _OutOption = Annotated[
-    Path | None, typer.Option(help="Folder of the record fleet.json; by default ./fleet-KIND.")
+    Path | None, typer.Option(help="Folder of the record fleet.json; default: ./fleet-KIND.")
 ]
 
 _HELP = {
-    "bins": "Measure many runs anew from their raw CAN logs and write their tables.",
-    "close": "Search many runs for the effects behind what their bias models leave.",
+    "bins": "Re-evaluate many runs from their raw CAN logs and write their tables.",
+    "close": "Search many runs for effects that their bias models lack.",
     "report": "Write the reports of many runs.",
 }
 _DETAILS = """
 
-    What became of each run is in fleet.json; a second call does only runs that failed, are new or have
-    changed. A run that fails, or kills its worker, harms no other. One that another process holds is
-    left out with the reason. Ends with 1 if a run failed or was left out.
+    The outcome of each run is in fleet.json; a second call processes only runs that failed, are new or
+    have changed. A failed run or a killed worker does not affect the others. A run that another process
+    holds is skipped with the reason. Exits with 1 if a run failed or was skipped.
 
     Example: gyrobench fleet {kind} runs --workers 4
 """
@@ -81,14 +68,7 @@ def _add_command(kind: str) -> None:
     def command(
         runs: _RunsArgument = None,
         from_index: _FromIndexOption = None,
-        unit: UnitOption = None,
-        batch: BatchOption = None,
-        bench: BenchOption = None,
-        procedure: ProcedureOption = None,
-        since: SinceOption = None,
-        until: UntilOption = None,
-        verdict: VerdictOption = None,
-        ended: EndedOption = None,
+        selection: Selection = ANY_RUN,
         index: IndexOption = None,
         workers: _WorkersOption = None,
         threads: _ThreadsOption = False,
@@ -97,72 +77,113 @@ def _add_command(kind: str) -> None:
         out: _OutOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        from gyrobench.bench.fleet.choice import runs_in_index, runs_named
-        from gyrobench.bench.fleet.cluster import Workers
-        from gyrobench.bench.fleet.jobs import JobKind
+        from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, read_record
+        from gyrobench.bench.fleet.workers import Workers
+        from gyrobench.bench.runs.index.run_index import runs_in_index
+        from gyrobench.bench.runs.index.store import runs_named
 
         if scheduler and (workers or threads):
-            wrong = "--workers and --threads are of this machine, --scheduler has workers of its own"
-            raise DocumentError(f"{wrong}; give one or the other")
-        selection = selection_of(unit, batch, bench, procedure, since, until, verdict, ended)
-        if bool(runs) == bool(from_index) or (runs and selection != selection_of()):
-            wrong = "give either RUNS or --from-index ROOT, which alone can be asked by unit, date and so on"
+            raise DocumentError("--scheduler excludes --workers and --threads. Give one or the other")
+        if bool(runs) == bool(from_index) or (runs and selection != ANY_RUN):
+            wrong = (
+                "give either RUNS or --from-index ROOT; only the latter can be selected by unit, date etc."
+            )
             raise DocumentError(wrong)
         if from_index:
             paths = runs_in_index(from_index, open_index(from_index, index), selection)
         else:
             paths = runs_named(runs or [])
-        record = _record(JobKind(kind), out or Path(f"fleet-{kind}"), again=again)
-        _work(record, paths, Workers(workers, threads, scheduler), as_json=as_json)
+        folder, job = out or Path(f"fleet-{kind}"), JobKind(kind)
+        record = FleetRecord(job, folder) if again else read_record(job, folder)
+        _process(record, paths, Workers(workers, threads, scheduler), as_json=as_json)
 
     command.__doc__ = _HELP[kind] + _DETAILS.format(kind=kind)
-    fleet.command(kind)(command)
+    fleet.command(kind)(with_selection(command))
 
 
 for _kind in _HELP:
     _add_command(_kind)
-fleet.command()(fleet_batch.batch)
 
 
-def _record(kind: JobKind, folder: Path, *, again: bool) -> FleetRecord:
-    from gyrobench.bench.fleet.record import FleetRecord, read_record
-
-    return FleetRecord(kind, folder) if again else read_record(kind, folder)
-
-
-def _work(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: bool) -> None:
-    from gyrobench.bench.fleet.cluster import connected
-    from gyrobench.bench.fleet.progress import FleetProgress
-    from gyrobench.bench.fleet.record import RECORD
-    from gyrobench.bench.fleet.work import work_through
+def _process(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: bool) -> None:
+    from gyrobench.bench.fleet.jobs import RECORD
+    from gyrobench.bench.fleet.workers import FleetProgress, connected, work_through
     from gyrobench.bench.foundations.clock import WallClock
 
-    left = record.left_of(paths)
+    pending = record.pending(paths)
     terminal = console(as_json)
     clock = WallClock()
     results: list[JobResult] = []
-    if left:
-        terminal.print(f"fleet {record.kind}: {len(left)} of {len(paths)} runs to do, {workers.describe()}")
-        with connected(workers) as client, FleetProgress(terminal, len(left)) as progress:
-            for result in work_through(client, record, left):
+    if pending:
+        terminal.print(f"fleet {record.kind}: {len(pending)} of {len(paths)} runs, {workers.describe()}")
+        with connected(workers) as client, FleetProgress(terminal, len(pending)) as progress:
+            for result in work_through(client, record, pending):
                 results.append(result)
                 progress.advance(result)
-    counts = Counter(result.state.value for result in results)
     not_done = [result for result in results if result.state != "done"]
-    if as_json:
-        states = {str(path): record.runs[str(path)].model_dump() for path in paths}
-        print_json({"kind": record.kind.value, "took_s": clock.now(), "runs": states})
-    else:
-        for result in not_done:
-            terminal.print(f"{result.state}: {result.path}\n  {result.text}", soft_wrap=True)
-        terminal.print(_summary(counts, len(paths) - len(left), clock.now()))
-        terminal.print(f"Record   {record.folder / RECORD}", soft_wrap=True)
+    states = {str(path): record.runs[str(path)].model_dump() for path in paths}
+    print_result(
+        {"kind": record.kind.value, "took_s": clock.now(), "runs": states},
+        as_json,
+        *(f"{result.state}: {result.path}\n  {result.text}" for result in not_done),
+        _summary(results, len(paths) - len(pending), clock.now()),
+        f"Record   {record.folder / RECORD}",
+    )
     if not_done:
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _summary(counts: Counter[str], before: int, took_s: float) -> str:
+def _summary(results: list[JobResult], before: int, took_s: float) -> str:
+    counts = Counter(result.state.value for result in results)
     parts = [f"{counts[state]} {state}" for state in ("done", "failed", "skipped") if counts[state]]
     parts += [f"{before} done before"] if before else []
-    again = " The same command does only these again." if counts["failed"] or counts["skipped"] else ""
+    again = " Repeat the command to retry only these." if counts["failed"] or counts["skipped"] else ""
     return f"{', '.join(parts)}; {took_s:.1f} s.{again}"
+
+
+@fleet.command()
+@with_selection
+def batch(
+    root: RootArgument = "runs",
+    selection: Selection = ANY_RUN,
+    index: IndexOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for page, figures and batch.json.")] = Path("fleet-batch"),
+    as_json: JsonOption = False,
+) -> None:
+    """Compare the units of a batch: mean, spread between units, and outliers.
+
+    Each unit is compared with the prediction from the other units: bias of each gyro and temperature bin,
+    position differences, and sizes of the effects found by `gyrobench close`. The batch of each unit
+    comes from ROOT/units.csv.
+
+    Example: gyrobench fleet batch runs --batch B7
+    """
+    from gyrobench.bench.fleet.batch import fit_batch, read_batch
+    from gyrobench.bench.fleet.batch_report import batch_document, batch_summary, write_batch
+    from gyrobench.bench.runs.index.run_index import find_runs
+
+    opened = open_index(root, index)
+    runs = find_runs(opened, selection)
+    batches = sorted({run["batch"] for run in runs})
+    if len(batches) != 1:
+        raise DocumentError(_which_batch(opened, root, selection.batch, batches))
+    name = batches[0]
+    fitted = fit_batch(read_batch(opened, runs))
+    page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}")
+    print_result(
+        batch_document(name, fitted),
+        as_json,
+        batch_summary(name, fitted),
+        f"Report   {page}\nFigures  {out / 'figures'}\nTables   {out / 'batch.json'}",
+    )
+
+
+def _which_batch(opened: RunIndex, root: str, batch: str | None, found: list[str]) -> str:
+    """Say why there is not one batch to compare, and which can be given."""
+    if found:
+        return f"the selected runs are of several batches: {', '.join(map(repr, found))}. Give --batch"
+    known = [str(row[0]) for row in opened.query("SELECT DISTINCT batch FROM units ORDER BY batch").rows]
+    what = f"no run of batch {batch}" if batch else "no run is selected"
+    if known:
+        return f"{what}; {root}/units.csv has the batches {', '.join(known)}"
+    return f"{what}. List the batch of each unit in {root}/units.csv (columns unit,batch,hardware,note)"

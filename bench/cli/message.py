@@ -20,7 +20,7 @@ def message(
 
     Example: gyrobench message my_bench.yaml "A test of the bench's messages."
     """
-    from gyrobench.bench.messages.trial import send_test
+    from gyrobench.bench.messages.messenger import send_test
 
     answers = send_test(station, text)
     for answer in answers:

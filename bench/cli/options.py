@@ -12,7 +12,7 @@ import typer
 from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
 from gyrobench.bench.runs.folder import RUNS, RunFolder
 
-_MOST_RUNS = 200
+_MAX_RUNS = 200
 
 Completion = Callable[[str], list[str]]
 
@@ -38,14 +38,14 @@ def complete_template(incomplete: str) -> list[str]:
 
 def complete_table(incomplete: str) -> list[str]:
     """Installed dialects of rate tables."""
-    from gyrobench.drivers.dialects import RATE_TABLES, installed
+    from gyrobench.bench.foundations.entry_points import RATE_TABLES, installed
 
     return _beginning_with(incomplete, installed(RATE_TABLES))
 
 
 def complete_chamber(incomplete: str) -> list[str]:
     """Installed dialects of chambers."""
-    from gyrobench.drivers.dialects import CHAMBERS, installed
+    from gyrobench.bench.foundations.entry_points import CHAMBERS, installed
 
     return _beginning_with(incomplete, installed(CHAMBERS))
 
@@ -61,7 +61,7 @@ def complete_run(incomplete: str) -> list[str]:
     except OSError:
         return []
     newest_first = sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
-    return _beginning_with(incomplete, map(str, newest_first[:_MOST_RUNS]))
+    return _beginning_with(incomplete, map(str, newest_first[:_MAX_RUNS]))
 
 
 def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:

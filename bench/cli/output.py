@@ -18,14 +18,14 @@ from gyrobench.bench.foundations.errors import GyrobenchError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rich.console import Console
+    from rich.console import Console, RenderableType
 
     from gyrobench.bench.bias.bins import BiasBin
     from gyrobench.bench.bias.verdicts import Acceptance
     from gyrobench.bench.engine.outcome import RunOutcome
-    from gyrobench.bench.monitor.terminal import PatientConsole
+    from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.runs.tables.verification_table import VerificationRow
+    from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 
 #: The run did not finish, or what was looked at is not as it should be.
@@ -35,7 +35,7 @@ EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
 
-#: For the help; the lines stay as they are.
+#: For the help; the lines bar as they are.
 EXIT_CODES_HELP = """\b
 Exit codes of all commands:
   0  it is done; of run and resume: the run finished
@@ -53,11 +53,11 @@ def fail(error: GyrobenchError, code: int) -> NoReturn:
     sys.exit(code)
 
 
-def console(as_json: bool = False) -> PatientConsole:
+def console(as_json: bool = False) -> RunConsole:
     """Make a console that prints text as it is; on standard error where standard output is for JSON."""
-    from gyrobench.bench.monitor.terminal import PatientConsole
+    from gyrobench.bench.monitor.terminal import RunConsole
 
-    return PatientConsole(stderr=as_json, markup=False, highlight=False)
+    return RunConsole(stderr=as_json, markup=False, highlight=False)
 
 
 JSON_HELP = "Print one JSON object in place of text; everything else goes to standard error."
@@ -67,6 +67,16 @@ JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
 def print_json(content: dict[str, Any]) -> None:
     """Print an object; numbers that are not finite become null, as JSON has none."""
     typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType) -> None:
+    """Print a result as a JSON object, or as views with paths on lines of their own."""
+    if as_json:
+        print_json(content)
+        return
+    terminal = console()
+    for view in views:
+        terminal.print(view, soft_wrap=isinstance(view, str))
 
 
 def plain(value: Any) -> Any:
@@ -93,10 +103,10 @@ def plain(value: Any) -> Any:
 
 
 def print_biases(
-    console: Console, bins: list[BiasBin], verification: list[VerificationRow], acceptance: Acceptance
+    console: Console, bins: list[BiasBin], verification: list[CalibrationCheckRow], acceptance: Acceptance
 ) -> None:
     """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
-    from gyrobench.bench.bias.equality import compare_positions
+    from gyrobench.bench.bias.bins import compare_positions
     from gyrobench.bench.report.calibration_check import verification_table
     from gyrobench.bench.report.terminal.tables import acceptance_summary, bins_table
 
@@ -119,7 +129,7 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
         console.print(safe_state, soft_wrap=True)
     report = write_report(folder)
     results = outcome.results
-    print_biases(console, results.bins, results.verification, results.acceptance)
+    print_biases(console, results.bins, results.calibration_check, results.acceptance)
     console.print(durations_table(outcome.took_s))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

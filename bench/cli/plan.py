@@ -89,7 +89,7 @@ def _print_separability(job: Job, target_dph: float) -> None:
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
+    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
     from gyrobench.bench.report.figures.campaigns import separability_figure
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import separability_summary

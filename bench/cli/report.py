@@ -14,34 +14,40 @@ from gyrobench.bench.cli.output import console
 def report(
     run_folder: RunArgument,
     by: Annotated[
-        str, typer.Option(metavar="NAME", help="Who prepares it, for the sign-off; by default a blank line.")
+        str,
+        typer.Option(metavar="NAME", help="Name for 'prepared by' in the sign-off; default: a blank line."),
     ] = "",
     pdf: Annotated[
-        bool, typer.Option("--pdf", help="Write report.pdf too, for signing: A4, pages numbered.")
+        bool, typer.Option("--pdf", help="Also write report.pdf: A4 with page numbers, for signing.")
     ] = False,
     before: Annotated[
         Path | None,
         typer.Option(
             metavar="RUN",
-            help="Run before a change of the unit, to be set beside this one.",
+            help="Run before a change of the unit, to compare with this one.",
             autocompletion=complete_run,
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; by default the run's.")] = None,
+    mark_temperature: Annotated[
+        list[float] | None,
+        typer.Option(metavar="C", help="Mark a temperature (°C) in the figures; may be repeated."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Output folder; default: the run folder.")] = None,
 ) -> None:
-    """Write the report of a run anew, from what its folder holds.
+    """Write the report of a run from its folder.
 
-    What `close` and `verify` found in the run is taken in.
+    Includes the results of `close` and `verify`. Figures mark the temperatures that the procedure lists
+    (marked_temperatures_c) and those given with --mark-temperature.
 
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
+    from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import acceptance_summary
     from gyrobench.bench.runs.folder import open_run_folder
-    from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
 
     folder = open_run_folder(run_folder)
-    page = write_report(folder, by, out, open_run_folder(before) if before else None)
+    page = write_report(folder, by, out, open_run_folder(before) if before else None, mark_temperature or ())
     terminal = console()
     if folder.acceptance.exists():
         terminal.print(acceptance_summary(read_acceptance(folder.acceptance)))

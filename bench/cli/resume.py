@@ -23,7 +23,7 @@ def resume(
 ) -> None:
     """Go on with a run that was cut short: by a power cut, a kill, an order, or a fault.
 
-    What was finished stays. The dwell that was under way is repeated, with the temperature and the soak that
+    Finished dwells are kept. The dwell that was under way is repeated, with the temperature and the soak that
     it needs.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
@@ -32,7 +32,7 @@ def resume(
     Example: gyrobench resume runs/six_position_fig7-001
     """
     from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
-    from gyrobench.bench.monitor.terminal_view import watched
+    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
 
     terminal = console(as_json)
     resumption = prepare_resumption(run_folder, anyway)
@@ -40,6 +40,6 @@ def resume(
     if look:
         return
     job = resumption.job
-    with watched(terminal, job, view is View.LIVE) as (progress, operator):
+    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, operator):
         folder, outcome = resume_run(resumption, progress, operator)
     print_end(terminal, folder, outcome, as_json)

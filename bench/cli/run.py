@@ -49,13 +49,13 @@ def run(
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
     from gyrobench.bench.engine.session import prepare_job, run_job
-    from gyrobench.bench.monitor.terminal_view import watched
+    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.runs.compensation_file import read_compensation
     from gyrobench.bench.station.instruments import Emulation
 
     terminal = console(as_json)
     loaded = read_compensation(compensation) if compensation else None
     job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
-    with watched(terminal, job, view is View.LIVE) as (progress, operator):
+    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, operator):
         folder, outcome = run_job(job, out, progress, operator)
     print_end(terminal, folder, outcome, as_json)

@@ -1,78 +1,91 @@
-"""The options that choose runs from an index, and what they mean."""
+"""The options that select runs of an index, the same for every command on many runs."""
 
 from __future__ import annotations
 
+import functools
+import inspect
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gyrobench.bench.cli.output import console
+from gyrobench.bench.runs.index.selection import Selection
 
 if TYPE_CHECKING:
-    from gyrobench.bench.runs.index import RunIndex
-    from gyrobench.bench.runs.index_selection import Selection
+    from gyrobench.bench.runs.index.run_index import RunIndex
 
 _DAYS = ["%Y-%m-%d"]
 
 RootArgument = Annotated[
     str,
-    typer.Argument(metavar="[ROOT]", help="Folder or URL (s3://..., memory://...) that holds run folders."),
-]
-UnitOption = Annotated[str | None, typer.Option(help="Serial number of the INS.")]
-BatchOption = Annotated[str | None, typer.Option(help="Batch of the unit's gyros, as in ROOT/units.csv.")]
-BenchOption = Annotated[str | None, typer.Option(help="Name of the station.")]
-ProcedureOption = Annotated[
-    str | None, typer.Option(help="Procedure: its name, or the beginning of its file's SHA-256.")
-]
-SinceOption = Annotated[
-    datetime | None, typer.Option(formats=_DAYS, metavar="DATE", help="First day (UTC) of the start.")
-]
-UntilOption = Annotated[
-    datetime | None, typer.Option(formats=_DAYS, metavar="DATE", help="Last day (UTC) of the start.")
-]
-VerdictOption = Annotated[
-    str | None,
-    typer.Option(help="Verdict of the search for effects (clean ...) or the limits (accepted ...)."),
-]
-EndedOption = Annotated[
-    str | None, typer.Option(help="How the run ended: finished, failed, stopped or 'not ended'.")
+    typer.Argument(
+        metavar="[ROOT]", help="Folder or URL (s3://..., memory://...) that contains run folders."
+    ),
 ]
 IndexOption = Annotated[
     Path | None,
-    typer.Option(help="Index file; by default ROOT/index.duckdb, for a URL one in the user's cache."),
+    typer.Option(help="Index file; default: ROOT/index.duckdb, for a URL a file in the user's cache."),
 ]
 
 
-def selection_of(
-    unit: str | None = None,
-    batch: str | None = None,
-    bench: str | None = None,
-    procedure: str | None = None,
-    since: datetime | None = None,
-    until: datetime | None = None,
-    verdict: str | None = None,
-    ended: str | None = None,
+def _selection(
+    unit: Annotated[str | None, typer.Option(help="Serial number of the INS.")] = None,
+    batch: Annotated[str | None, typer.Option(help="Batch of the unit's gyros, from ROOT/units.csv.")] = None,
+    bench: Annotated[str | None, typer.Option(help="Name of the station.")] = None,
+    procedure: Annotated[
+        str | None, typer.Option(help="Procedure: its name, or the beginning of its file's SHA-256.")
+    ] = None,
+    since: Annotated[
+        datetime | None, typer.Option(formats=_DAYS, metavar="DATE", help="First day (UTC) of the start.")
+    ] = None,
+    until: Annotated[
+        datetime | None, typer.Option(formats=_DAYS, metavar="DATE", help="Last day (UTC) of the start.")
+    ] = None,
+    verdict: Annotated[
+        str | None,
+        typer.Option(help="Verdict of the search for effects (clean ...) or of acceptance (accepted ...)."),
+    ] = None,
+    ended: Annotated[
+        str | None, typer.Option(help="End of the run: finished, failed, stopped or 'not ended'.")
+    ] = None,
 ) -> Selection:
-    """What the options above choose."""
-    from gyrobench.bench.runs.index_selection import Selection
-
     first, last = (None if day is None else day.date() for day in (since, until))
     return Selection(unit, batch, bench, procedure, first, last, verdict, ended)
 
 
+def with_selection(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace a command's parameter ``selection`` by the options that make a :class:`Selection`."""
+    options = inspect.signature(_selection, eval_str=True).parameters
+    signature = inspect.signature(command, eval_str=True)
+
+    @functools.wraps(command)
+    def with_options(**values: Any) -> None:
+        command(selection=_selection(**{name: values.pop(name) for name in options}), **values)
+
+    parameters = [
+        each
+        for name, parameter in signature.parameters.items()
+        for each in (options.values() if name == "selection" else [parameter])
+    ]
+    with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {each.name: each.annotation for each in parameters}
+    return with_options
+
+
 def open_index(root: str, path: Path | None = None, *, rebuild: bool = False) -> RunIndex:
-    """Open the index of a store, up to date; a terminal is told how far it has come, and what changed."""
-    from gyrobench.bench.runs.index import RunIndex
-    from gyrobench.bench.runs.index_run_files import open_store
+    """Open and update the index of a store; a terminal shows progress and changes."""
+    from gyrobench.bench.runs.index.run_index import RunIndex
+    from gyrobench.bench.runs.index.store import open_store
 
     opened = RunIndex(open_store(root), path)
     terminal = console(as_json=True)
     if not terminal.is_terminal:
         opened.update(rebuild=rebuild)
         return opened
-    with terminal.status("looking for runs") as status:
+    with terminal.status("searching for runs") as status:
         changes = opened.update(
             rebuild=rebuild, progress=lambda done, of: status.update(f"{done} of {of} changed runs read")
         )

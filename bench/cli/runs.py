@@ -7,72 +7,51 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gyrobench.bench.cli.output import JsonOption, console, print_json
-from gyrobench.bench.cli.run_selection import (
-    BatchOption,
-    BenchOption,
-    EndedOption,
-    IndexOption,
-    ProcedureOption,
-    RootArgument,
-    SinceOption,
-    UnitOption,
-    UntilOption,
-    VerdictOption,
-    open_index,
-    selection_of,
-)
+from gyrobench.bench.cli.output import JsonOption, print_result
+from gyrobench.bench.cli.run_selection import IndexOption, RootArgument, open_index, with_selection
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.runs.index.selection import ANY_RUN, Selection
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from gyrobench.bench.runs.index import RunIndex
-    from gyrobench.bench.runs.index_selection import Selection
+    from gyrobench.bench.runs.index.run_index import RunIndex
 
 _SHOWN = 40
 
 
+@with_selection
 def runs(
     root: RootArgument = "runs",
-    unit: UnitOption = None,
-    batch: BatchOption = None,
-    bench: BenchOption = None,
-    procedure: ProcedureOption = None,
-    since: SinceOption = None,
-    until: UntilOption = None,
-    verdict: VerdictOption = None,
-    ended: EndedOption = None,
+    selection: Selection = ANY_RUN,
     by: Annotated[
         Literal["unit", "batch", "bench", "procedure", "month"] | None,
-        typer.Option(help="Count verdicts and average biases by this."),
+        typer.Option(help="Count verdicts and average biases by group."),
     ] = None,
     trend: Annotated[bool, typer.Option("--trend", help="Drift of one unit's biases over its runs.")] = False,
-    figure: Annotated[Path | None, typer.Option(help="PNG file to draw the trend into.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="PNG file for the figure of the trend.")] = None,
     sql: Annotated[
         str | None,
-        typer.Option(
-            help="Query of the tables runs, bins, dwells, effects, units and files; it can only read."
-        ),
+        typer.Option(help="Read-only query of the tables runs, bins, dwells, effects, units and files."),
     ] = None,
-    most: Annotated[int, typer.Option(min=1, help="Number of runs to show.")] = _SHOWN,
-    rebuild: Annotated[bool, typer.Option("--rebuild", help="Read all runs anew.")] = False,
+    most: Annotated[int, typer.Option(min=1, help="Number of runs shown.")] = _SHOWN,
+    rebuild: Annotated[bool, typer.Option("--rebuild", help="Rebuild the index.")] = False,
     index: IndexOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the runs of a folder or object store, find some, and look what they say over time.
+    """List, select and compare the runs of a folder or object store.
 
-    What is asked is answered from an index of the run folders. It is brought up to date each time, holds
-    nothing else and may be removed. Which batch a unit is of no run tells: keep a table units.csv in ROOT
-    with the columns unit,batch,hardware,note.
+    Uses an index of the run folders, which is updated each time and may be removed. The batch of a unit
+    comes from a table ROOT/units.csv with the columns unit,batch,hardware,note.
 
     Example: gyrobench runs --unit 1001 --since 2026-01-01 --trend --figure drift.png
     """
     if sum((sql is not None, trend, by is not None)) > 1:
-        raise DocumentError("--sql, --trend and --by each give an answer of their own; give one")
+        raise DocumentError("--sql, --trend and --by exclude each other. Give one")
     if figure is not None and not trend:
-        raise DocumentError("--figure draws the trend; give --trend too")
-    selection = selection_of(unit, batch, bench, procedure, since, until, verdict, ended)
+        raise DocumentError("--figure draws the trend. Give --trend too")
+    from gyrobench.bench.report.terminal.runs import problems_text
+
     opened = open_index(root, index, rebuild=rebuild)
     if sql is not None:
         content, view = _queried(opened, sql)
@@ -83,15 +62,13 @@ def runs(
     else:
         content, view = _listed(opened, selection, most)
     problems = opened.problems()
-    if as_json:
-        print_json({**content, "problems": problems})
-    else:
-        _print(view, problems)
+    views = [view, problems_text(problems)] if problems else [view]
+    print_result({**content, "problems": problems}, as_json, *views)
 
 
 def _listed(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import runs_table
-    from gyrobench.bench.runs.index_selection import find_runs
+    from gyrobench.bench.runs.index.run_index import find_runs
 
     found = find_runs(index, selection)
     return {"runs": found}, runs_table(found, most)
@@ -99,7 +76,7 @@ def _listed(index: RunIndex, selection: Selection, most: int) -> tuple[dict[str,
 
 def _grouped(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import groups_table
-    from gyrobench.bench.runs.index_groups import group_runs
+    from gyrobench.bench.runs.index.run_index import group_runs
 
     groups = group_runs(index, by, selection)
     return {"by": by, "groups": groups}, groups_table(by, groups)
@@ -109,16 +86,15 @@ def _trends(
     index: RunIndex, selection: Selection, figure: Path | None
 ) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import trend_summary
-    from gyrobench.bench.runs.index_run_biases import read_run_biases
-    from gyrobench.bench.runs.index_selection import find_runs
-    from gyrobench.bench.runs.index_trend import mixed_origins, trends
+    from gyrobench.bench.runs.index.run_biases import mixed_origins, read_run_biases, trends
+    from gyrobench.bench.runs.index.run_index import find_runs
 
     found = find_runs(index, selection)
     units = sorted({run["unit"] for run in found})
     if len(units) != 1:
         shown = f"{', '.join(units[:10])}{' ...' if len(units) > 10 else ''}"
-        what = f"these runs are of {len(units)} units ({shown})" if units else "no run is meant"
-        raise DocumentError(f"a trend is of one unit; {what}. Give --unit")
+        what = f"the selected runs are of {len(units)} units ({shown})" if units else "no run is selected"
+        raise DocumentError(f"a trend is of one unit, but {what}. Give --unit")
     fitted = trends(read_run_biases(index, [run["path"] for run in found]))
     if figure is not None:
         from gyrobench.bench.report.figures.campaigns import trend_figure
@@ -143,12 +119,3 @@ def _plain_trend(trend: Any) -> dict[str, Any]:
         **{name: value for name, value in values.items() if name not in ("quantity", "runs")},
         "runs": [vars(run) for run in trend.runs],
     }
-
-
-def _print(view: RenderableType, problems: dict[str, str]) -> None:
-    from gyrobench.bench.report.terminal.runs import problems_text
-
-    terminal = console()
-    terminal.print(view)
-    if problems:
-        terminal.print(problems_text(problems), soft_wrap=True)

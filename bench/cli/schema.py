@@ -13,7 +13,7 @@ from gyrobench.bench.cli.validate import Kind
 def schema(
     kind: Annotated[
         Kind | None,
-        typer.Argument(help="Print the schema of this kind of file; without it say where they are."),
+        typer.Argument(help="Print the schema of this kind of file; by default the lines that name them."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write all of them to.")] = None,
 ) -> None:
@@ -24,15 +24,18 @@ def schema(
 
     Example: gyrobench schema procedure
     """
-    from gyrobench.bench.authoring.kinds import KINDS
-    from gyrobench.bench.authoring.schemas import editor_line, schema_of, schema_text
+    from gyrobench.bench.authoring.file_kinds import (
+        KINDS,
+        editor_line,
+        schema_of,
+        schema_text,
+        write_schemas,
+    )
 
     if kind is not None:
         typer.echo(schema_text(schema_of(KINDS[kind.value])), nl=False)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        for each in KINDS.values():
-            (out / each.schema_name).write_text(schema_text(schema_of(each)), encoding="utf-8")
+        write_schemas(out)
     if kind is None and out is None:
         for each in KINDS.values():
             typer.echo(editor_line(each, Path.cwd() / "a.yaml"), nl=False)

@@ -25,7 +25,7 @@ def tell(
     import socket
 
     from gyrobench.bench.engine.orders import MEANINGS, SIGNALS
-    from gyrobench.bench.station.bench_lock import holder_of
+    from gyrobench.bench.station.locks import holder_of
 
     holder = holder_of(run_folder)
     if holder is None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Kind(StrEnum):
-    """Kinds of file; the names are those of gyrobench.bench.authoring.kinds."""
+    """Kinds of file; the names are those of gyrobench.bench.authoring.file_kinds."""
 
     PROCEDURE = "procedure"
     STATION = "station"
@@ -49,8 +49,8 @@ def validate(
     Example: gyrobench validate my_procedure.yaml --station my_bench.yaml
     """
     from gyrobench.bench.authoring.checking import check_file
-    from gyrobench.bench.authoring.kinds import KINDS
-    from gyrobench.bench.foundations.documents import find_document
+    from gyrobench.bench.authoring.file_kinds import KINDS
+    from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.station.station import Station
 
     kind = KINDS[as_kind.value] if as_kind else None

@@ -23,12 +23,12 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, p
 if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.verify import Verification
-    from gyrobench.bench.monitor.terminal import PatientConsole
+    from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.dwells.comparison."""
+    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -107,13 +107,13 @@ def _search(run: RunFolder) -> Closure:
     return closure
 
 
-def _measure(terminal: PatientConsole, verification: Verification, name: str, view: View) -> None:
+def _measure(terminal: RunConsole, verification: Verification, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
-    from gyrobench.bench.monitor.terminal_view import watched
+    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
 
     terminal.print(f"Compensation: {name}", style="bold")
-    with watched(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
+    with observe_in_terminal(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
         measured, outcome = verification.measure(name, progress, operator)
     write_report(measured)
     if outcome.ended != "finished":
@@ -122,12 +122,12 @@ def _measure(terminal: PatientConsole, verification: Verification, name: str, vi
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _tell(terminal: PatientConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
+def _tell(terminal: RunConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
-    from gyrobench.bench.dwells.comparison import write_comparison
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.page import write_verify_page
     from gyrobench.bench.report.verification.terminal import verify_summary
+    from gyrobench.bench.verification.comparison import write_comparison
 
     folder, comparison = verification.folder, verification.comparison()
     table = folder / "comparison.csv"

@@ -14,8 +14,7 @@ from gyrobench.bench.closure.loop import Closure, FoundEffect, separating_measur
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import make_folder
-from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.foundations.files import make_folder, parse_json, read_limited
 from gyrobench.bench.navigation.positions import AXES
 
 _DOCUMENT = "closure.json"

@@ -22,7 +22,7 @@ from gyrobench.bench.closure.validation import (
 )
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import listed, spoken
+from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
 
 #: Below this probability of chance something is left.
@@ -374,8 +374,8 @@ def separating_measurement(closure: Closure) -> str | None:
             other = found.tied_with[0]
             one = found.candidate.effect
             return (
-                f"To tell {spoken(one.name)} from {spoken(other)}: {one.experiment}; "
-                f"for {spoken(other)}: {experiments[other]}."
+                f"To tell {plain_name(one.name)} from {plain_name(other)}: {one.experiment}; "
+                f"for {plain_name(other)}: {experiments[other]}."
             )
     return None
 
@@ -394,7 +394,7 @@ def whereabouts(closure: Closure) -> str | None:
     low_h, high_h = _worst_span(campaign.middle_s[searched] / 3600.0, squares)
     return (
         f"{size:.2g} deg/h rms is left, {closure.after.noise_ratio:.1f} times the noise; it follows "
-        f"{closure.after.follows} most clearly, and is largest in position {spoken(position)}, "
+        f"{closure.after.follows} most clearly, and is largest in position {plain_name(position)}, "
         f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
     )
 

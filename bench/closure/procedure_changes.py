@@ -12,10 +12,19 @@ from gyrobench.bench.closure.separability import Separability, searched_dwells, 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.document import variable_in
-from gyrobench.bench.procedure.navigation_steps import Align, Navigate
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.steps import Chamber, GoTo, PowerOff, PowerOn, Soak, Turn, Wait
+from gyrobench.bench.procedure.procedure_file import variable_in
+from gyrobench.bench.procedure.steps import (
+    Align,
+    Chamber,
+    GoTo,
+    Navigate,
+    PowerOff,
+    PowerOn,
+    Soak,
+    Turn,
+    Wait,
+)
 
 #: A step or loop: its name alone, or ``{name: {key: value}}``.
 Entry = Any

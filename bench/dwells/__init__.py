@@ -1,6 +1,5 @@
 """From CAN frames to measured biases: the same path live and from the raw log.
 
-``marks`` says which frames make a dwell and what the rest of the bench was doing; ``dwell``
-turns marks and frames into a row of the dwell table; ``replay`` does that for a whole run from
-what it left on disk.
+``marks`` names the frames of a dwell and the state of the bench; ``dwell`` turns marks and frames into a row
+of the dwell table; ``run_dwells`` does that for a whole run; ``results`` evaluates them together.
 """

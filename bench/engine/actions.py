@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
 from gyrobench.bench.engine.dwell_recorder import DwellRecorder
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -23,8 +23,8 @@ from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     FaultError,
     InstrumentError,
+    InvalidDwellError,
     RunStoppedError,
-    SpoiltDwellError,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles
@@ -229,7 +229,7 @@ def _navigate(step: Navigate, context: Context) -> Ticks:
         context.recorder.disturb("the INS left navigation in the turn")
     elif status.mode is not InsMode.NAVIGATE:
         if status.alignment is Alignment.NONE:
-            raise SpoiltDwellError("the INS has not aligned, so it can't navigate. Give align more time.")
+            raise InvalidDwellError("the INS has not aligned, so it can't navigate. Give align more time.")
         yield from tried(context, lambda: instruments.ins.navigate())
     yield from _table_read_anew(context)
     context.recorder.begin_window()

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.dwells.check_dwell import measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.run_dwells import add_dwell
-from gyrobench.bench.dwells.verification_dwell import measure_verification
 from gyrobench.bench.engine.dwell_recorder import DwellRecorder
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.outcome import RunOutcome
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.progress import RunProgress
-from gyrobench.bench.procedure.document import Procedure
+from gyrobench.bench.procedure.procedure_file import Procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 
@@ -57,9 +57,9 @@ class DwellBook:
         """Measure the dwell that is over; tells whether it stays, or has to be repeated."""
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
-        measure = measure_verification if marks.is_verification else measure_dwell
+        measure = measure_check_dwell if marks.is_verification else measure_dwell
         measured = measure(marks, frames, self._setup)
-        if measured.is_spoilt and self.may_repeat(marks.dwell):
+        if measured.is_disturbed and self.may_repeat(marks.dwell):
             self._drop(marks.dwell, measured.flags, counts=True)
             return False
         self._journal.record(
@@ -81,8 +81,8 @@ class DwellBook:
         procedure, repeats = self._procedure, self._done.repeats
         return (
             procedure.disturbed_dwell == "repeat"
-            and repeats[dwell] < procedure.most_repeats
-            and repeats.total() < procedure.most_repeats_in_all
+            and repeats[dwell] < procedure.max_repeats
+            and repeats.total() < procedure.max_repeats_total
         )
 
     def give_up(self, dwell: int | None, why: str, counts: bool) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.live import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark

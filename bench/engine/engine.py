@@ -26,9 +26,9 @@ from gyrobench.bench.foundations.errors import (
     FaultError,
     GyrobenchError,
     InstrumentError,
+    InvalidDwellError,
     RunFolderError,
     RunStoppedError,
-    SpoiltDwellError,
     StepTimeoutError,
 )
 from gyrobench.bench.guard.link import Guard
@@ -165,7 +165,7 @@ class Engine:
                     index -= 1
             except TrippedError as error:
                 standing = self._recover(index, error.trips)
-            except (SpoiltDwellError, StepTimeoutError) as error:
+            except (InvalidDwellError, StepTimeoutError) as error:
                 index, standing = self._after_failed_step(index, error)
             except InstrumentError as error:
                 standing = self._recover(index, [trip_of(error, self._bench.station)])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell
 from gyrobench.bench.dwells.results import RunResults
-from gyrobench.bench.dwells.verification_dwell import VerificationDwell
 from gyrobench.bench.station.safe_state import SafeAction
 
 
@@ -22,7 +22,7 @@ class RunOutcome:
         Why it did not finish; empty where it did.
     dwells : list of MeasuredDwell
         What was measured.
-    verifications : list of VerificationDwell
+    verifications : list of CheckDwell
         What was taken to verify a calibration.
     results : RunResults
         What the dwells give together.
@@ -37,7 +37,7 @@ class RunOutcome:
     ended: str = "finished"
     reason: str = ""
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[VerificationDwell] = field(default_factory=list)
+    verifications: list[CheckDwell] = field(default_factory=list)
     results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)

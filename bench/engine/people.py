@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.orders import Order, Orders

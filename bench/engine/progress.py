@@ -10,7 +10,7 @@ from typing import Any
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.runs.journal import LONGEST_RUN_S
+from gyrobench.bench.runs.journal import MAX_RUN_S
 
 #: What no run reaches; more is a damaged journal.
 _MOST_POWER_ONS = 1_000_000
@@ -132,7 +132,7 @@ def _take(progress: RunProgress, entry: Mapping[str, Any], plan: Plan) -> None:
 
 def _time_s(entry: Mapping[str, Any]) -> float:
     time_s = float(entry["time_s"])
-    if not 0.0 <= time_s <= LONGEST_RUN_S:
+    if not 0.0 <= time_s <= MAX_RUN_S:
         raise ValueError(f"{time_s} s is no time of a run")
     return time_s
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.replay import replay
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.outcome import RunOutcome
 from gyrobench.bench.engine.people import Progress

@@ -9,12 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
-from gyrobench.bench.dwells.calibration import read_calibration
-from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.dwell import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.live import warm_up
-from gyrobench.bench.dwells.replay import replay
 from gyrobench.bench.dwells.results import evaluate, planned_dwells, write_results
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.engine import Engine
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -25,22 +23,25 @@ from gyrobench.bench.engine.people import AnnouncedOperator, People, Progress
 from gyrobench.bench.engine.progress import RunProgress
 from gyrobench.bench.engine.run_news import RunNews
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import Document, find_document
+from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder, open_run_folder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import read_provenance, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
-from gyrobench.bench.station.bench_lock import BenchLock, RunLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.locks import BenchLock, RunLock
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.verification.calibration import read_calibration
+from gyrobench.bench.verification.calibration_check import calibration_check_rows
 from gyrobench.drivers.ins.command_map import Compensation
 
 #: A guard that has just made the bench safe lets go of it within this time.
@@ -251,12 +252,13 @@ def carry_out(
         procedure, planned = job.plan.procedure, planned_dwells(job.plan)
         outcome.results = evaluate(
             outcome.dwells,
-            outcome.verifications,
-            job.calibration,
             setup,
             procedure.bin_width_c,
             procedure.acceptance,
             planned,
+            calibration_check_rows(
+                outcome.verifications, job.calibration or [dwell.row for dwell in outcome.dwells], setup
+            ),
         )
         write_results(folder, outcome.results)
     except GyrobenchError as error:
@@ -303,12 +305,12 @@ def measure_again(path: Path) -> RunFolder:
     station = Station(folder.station)
     setup = measurement_setup(station)
     dwells, verifications = replay(folder, setup)
-    write_dwells(folder.dwells, [dwell.row for dwell in dwells])
-    calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
+    rows = [dwell.row for dwell in dwells]
+    write_dwells(folder.dwells, rows)
+    calibration = read_dwells(folder.calibration) if folder.calibration.exists() else rows
     planned = planned_dwells(station.plan(document, procedure))
-    results = evaluate(
-        dwells, verifications, calibration, setup, procedure.bin_width_c, procedure.acceptance, planned
-    )
+    check = calibration_check_rows(verifications, calibration, setup)
+    results = evaluate(dwells, setup, procedure.bin_width_c, procedure.acceptance, planned, check)
     write_results(folder, results)
     return folder
 

@@ -12,10 +12,9 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
-from gyrobench.bench.dwells.replay import replay
-from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.dwells.verification_dwell import VerificationDwell
+from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.outcome import RunOutcome
 from gyrobench.bench.engine.people import Progress
@@ -26,6 +25,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
 from gyrobench.drivers.ins.command_map import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
@@ -36,7 +36,7 @@ class _Measured:
     """Dwells of the run with one compensation."""
 
     dwells: Sequence[DwellRow]
-    verifications: Sequence[VerificationDwell]
+    verifications: Sequence[CheckDwell]
 
 
 class Verification:

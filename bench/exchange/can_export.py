@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.replay import finished_marks
-from gyrobench.bench.exchange.export_folder import Destination, field_of
+from gyrobench.bench.dwells.run_dwells import finished_marks
+from gyrobench.bench.exchange.export_folder import ExportFolder, field_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.attitude import euler_rpy321
@@ -31,7 +31,7 @@ from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
-#: The column that has them.
+#: Column of calendar times.
 UTC_FIELD = pa.field("utc", pa.timestamp("us", tz="UTC"))
 _MICROSECONDS = 1e6
 
@@ -43,38 +43,30 @@ def calendar_times(began: datetime, time_s: FloatArray) -> pa.Array:
     return pa.array(times_us, pa.int64()).cast(UTC_FIELD.type)
 
 
-#: 1990-01-01 UTC: no time before it is one of the calendar, for the BLF format neither.
+#: 1990-01-01 UTC: earlier time stamps are not calendar times.
 _FIRST_CALENDAR_S = 631_152_000.0
 
 
 @dataclass(frozen=True)
-class PlacedPart:
-    """One part of the log.
-
-    Attributes
-    ----------
-    number : int
-        Of the part.
-    messages : list of can.Message
-        In the order received, time stamps in seconds since 1970 UTC.
-    """
+class TimedPart:
+    """One part of the log: its number, and its frames with time stamps in seconds since 1970 UTC."""
 
     number: int
     messages: list[can.Message]
 
 
-class PlacedLog:
-    """The parts of a run's log that hold frames, one after the other; one is in memory at a time.
+class TimedLog:
+    """The parts of a run's log that hold frames, with calendar times; one is in memory at a time.
 
-    A part that was never closed, and any part where the CAN adapter has a clock of its own, tells times
-    from its first frame on only. Where a finished dwell is in it, that tells the time.
+    A part that was never closed, or was stamped by the CAN adapter's own clock, has times relative to its
+    first frame. They are placed by the finished dwell in the part, if there is one.
 
     Attributes
     ----------
     finished : dict of int to DwellMarks
         Marks of the finished dwells by their part.
     estimated : list of int
-        Parts met so far whose time is not known exactly: they are put behind the part before.
+        Parts read so far without an exact time: they are placed at the end of the part before.
 
     Raises
     ------
@@ -88,7 +80,7 @@ class PlacedLog:
         self.began_s = started_utc(folder).timestamp()
         self._folder = folder.can
 
-    def __iter__(self) -> Iterator[PlacedPart]:
+    def __iter__(self) -> Iterator[TimedPart]:
         end_s = self.began_s
         for number, messages in read_can_log(self._folder):
             if not messages:
@@ -98,10 +90,10 @@ class PlacedLog:
                 for message in messages:
                     message.timestamp += shift_s
             end_s = messages[-1].timestamp
-            yield PlacedPart(number, messages)
+            yield TimedPart(number, messages)
 
     def _shift_s(self, number: int, messages: list[can.Message], end_s: float) -> float:
-        """What to add to the times of a part."""
+        """Offset from the times of a part to calendar times."""
         marks = self.finished.get(number)
         if marks is not None and marks.windows[0].first_frame < len(messages):
             begin_s = self.began_s + marks.start_s
@@ -110,7 +102,7 @@ class PlacedLog:
         return end_s - messages[0].timestamp
 
 
-def write_blf(path: Path, parts: Iterable[PlacedPart]) -> int:
+def write_blf(path: Path, parts: Iterable[TimedPart]) -> int:
     """Write all frames, with calendar times; returns how many."""
     with path.open("wb") as stream, can.BLFWriter(stream) as writer:
         for part in parts:
@@ -138,7 +130,7 @@ SCHEMA = pa.schema(
 
 
 def export_navigation(
-    folder: RunFolder, setup: MeasurementSetup, name: str, destination: Destination, dwell: int | None = None
+    folder: RunFolder, setup: MeasurementSetup, name: str, destination: ExportFolder, dwell: int | None = None
 ) -> None:
     """Write decoded navigation of a run, or of one finished dwell; one part of the log is read at a time.
 
@@ -152,7 +144,7 @@ def export_navigation(
 
 
 def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
-    log = PlacedLog(folder)
+    log = TimedLog(folder)
     finished = log.finished
     wanted = {number for number, marks in finished.items() if marks.dwell == dwell}
     if dwell is not None and not wanted:
@@ -164,7 +156,7 @@ def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> I
             yield _table(part, setup, finished.get(part.number), log.began_s)
 
 
-def _table(part: PlacedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
+def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
     """Table of one part; frames beyond those of its dwell belong to none."""
     data = setup.decode(FrameBlock.from_messages(part.messages))
     values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.exchange.export_folder import Destination, field_of, unit_of
+from gyrobench.bench.exchange.export_folder import ExportFolder, field_of, unit_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.compensation_file import write_compensation
@@ -42,7 +42,7 @@ def compensation_files(suffixes: Sequence[str]) -> list[str]:
     return [*(name + suffix for name in (_TABLE, _TERMS) for suffix in suffixes), _FILE]
 
 
-def export_compensation(closure: Closure, suffixes: Sequence[str], destination: Destination) -> None:
+def export_compensation(closure: Closure, suffixes: Sequence[str], destination: ExportFolder) -> None:
     """Write table, terms and the file that `gyrobench run --compensation` takes.
 
     Parameters

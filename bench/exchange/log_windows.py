@@ -13,9 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.bias.raw_rate import RateRecording
 from gyrobench.bench.exchange.import_map import Column, LogMap, TextFormat
 from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DPH_TO_RADPS,
+    RADPS_TO_DPH,
+    STANDARD_GRAVITY,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -27,22 +34,22 @@ Samples = dict[str, FloatArray]
 RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
 
-#: Beyond these nothing is measured, and no log is as long; what lies there counts as NaN does.
-_LARGEST, _LONGEST_S = 1e15, 1e12
+#: Larger values and times count as NaN: no sensor measures them, no log is as long.
+_MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 class SampleReader:
-    """Reads one log as its mapping says.
+    """Reads one log by its import map.
 
     Attributes
     ----------
     first_s : float
         Reading of the log's clock at its first sample, from the first batch on; 0 without a time column.
     bad_status, no_time : int
-        Samples left out so far since their status is not good, or since they have no time.
+        Samples left out so far because of their status, or without a time.
 
     Raises
     ------
@@ -68,12 +75,12 @@ class SampleReader:
     def batches(self) -> Iterator[Samples]:
         """Read the log in the order of time.
 
-        A sample whose status is not good keeps its time and loses its rates.
+        A sample with an invalid status keeps its time; its rates become NaN.
 
         Raises
         ------
         DocumentError
-            The mapping names a column that the log lacks, or a cell can't be read.
+            The import map names a column that the log lacks, or a cell can't be read.
         MeasurementError
             Time goes back.
         """
@@ -97,7 +104,7 @@ class SampleReader:
                     self.first_s = origin * _TO_SECONDS[self._map.time.unit]
                 with np.errstate(over="ignore"):
                     time_s = (raw - (origin or 0.0)) * _TO_SECONDS[self._map.time.unit]
-            known = np.abs(time_s) <= _LONGEST_S
+            known = np.abs(time_s) <= _MAX_TIME_S
             self.no_time += int(count - known.sum())
             self._read += count
             samples = {name: values[known] for name, values in samples.items()}
@@ -114,10 +121,10 @@ class SampleReader:
         }
         status, position = self._map.status, self._map.position
         if status is not None:
-            good = np.isin(_words(batch[status.column]), [_word(str(each)) for each in status.good])
-            self.bad_status += int((~good).sum())
+            valid = np.isin(_words(batch[status.column]), [_word(str(each)) for each in status.good])
+            self.bad_status += int((~valid).sum())
             for name in RATES:
-                samples[name] = np.where(good, samples[name], np.nan)
+                samples[name] = np.where(valid, samples[name], np.nan)
         if position.column is not None:
             samples["position"] = self._positions(batch[position.column])
         return samples
@@ -129,7 +136,7 @@ class SampleReader:
         if unknown:
             raise DocumentError(
                 f"{self._path}: column {self._map.position.column} holds '{unknown[0]}', which is none of "
-                f"{', '.join(values)}. Add it to 'position.values' of the mapping"
+                f"{', '.join(values)}. Add it to 'position.values' in the import map"
             )
         order = list(POSITIONS)
         return np.array([float(order.index(values[name])) if name else np.nan for name in names])[which]
@@ -141,8 +148,31 @@ class SampleReader:
             raise MeasurementError(
                 f"{self._path}: time goes back by {-steps[back[0]]:g} s at {time_s[back[0]]:.3f} s after the "
                 "first sample. Cut the log there, or, where only its clock is wrong, give "
-                "'time: {sample_rate_hz: ...}' in the mapping"
+                "'time: {sample_rate_hz: ...}' in the import map"
             )
+
+
+def read_recording(path: Path, log_map: LogMap) -> RateRecording:
+    """Read a whole log at rest as one recording; the specific force is scaled to standard gravity.
+
+    Raises
+    ------
+    DocumentError
+        The log can't be read, or does not fit the map.
+    MeasurementError
+        The unit was not at rest, or samples are missing or wrong.
+    """
+    batches = list(SampleReader(path, log_map).batches())
+    samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    force = None
+    if FORCES[0] in samples:
+        force = np.column_stack([samples[name] for name in FORCES])
+        force *= STANDARD_GRAVITY / np.linalg.norm(force.mean(axis=0))
+    rates = np.column_stack([samples[name] for name in RATES]) * DPH_TO_RADPS
+    try:
+        return RateRecording(samples["time_s"], rates, force)
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error
 
 
 def _open(path: Path, log_map: LogMap) -> TextLog | RecordLog:
@@ -169,26 +199,26 @@ def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
 
 
 def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatArray:
-    """Values of a quantity; NaN where it can't have what the log says."""
+    """Values of a quantity; NaN for impossible values."""
     with np.errstate(over="ignore", invalid="ignore"):
         values = raw * scale + offset
-    low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_LARGEST, _LARGEST)
+    low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_MAX_VALUE, _MAX_VALUE)
     return np.where((values >= low) & (values <= high), values, np.nan)
 
 
 def full_scale_dph(log_map: LogMap) -> float:
-    """Largest rate that the gyros can tell; infinite where not known."""
+    """Measuring range of the gyros; infinite if unknown."""
     return np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * _TO_DPH[log_map.gyro.unit]
 
 
 def _words(texts: NDArray[Any]) -> NDArray[np.str_]:
-    """Texts that compare equal where they mean the same."""
+    """Normalised texts, which compare equal if they mean the same."""
     unique, which = np.unique(texts.astype(str), return_inverse=True)
     return np.array([_word(text) for text in unique], dtype=str)[which]
 
 
 def _word(text: str) -> str:
-    """Text without blanks around it; a number as short as it goes: ``0.0`` becomes ``0``."""
+    """Text without blanks around it; a number in its shortest form: ``0.0`` becomes ``0``."""
     try:
         return f"{float(text):g}"
     except ValueError:
@@ -213,7 +243,7 @@ class Window:
         Since the first sample of the log.
     samples, dropped : int
         Samples with all three rates, and those without.
-    widest_step_s : float
+    max_step_s : float
         Longest time between two samples, also to the last one before the window.
     covered_s : float
         From the first to the last sample.
@@ -225,30 +255,30 @@ class Window:
         Mean rates of as many equal parts as :data:`BLOCKS` allows, in the order of time.
     rate_step_dph : ndarray, shape (3,)
         Smallest change from one sample to the next; infinite where there is none.
-    extreme_dph, longest_at_extreme : ndarray, shape (3,)
-        Largest rate without its sign, and how many samples in a row it stayed.
-    longest_unchanged : ndarray, shape (3,)
-        How many samples in a row a rate was the same.
+    extreme_dph, max_samples_at_extreme : ndarray, shape (3,)
+        Largest absolute rate, and longest series of samples with it.
+    max_samples_unchanged : ndarray, shape (3,)
+        Longest series of samples with a constant rate.
     means, slopes_per_h, steps, spans : dict of str to float
         Of temperatures, and of position and cycle: mean, slope, smallest change, and largest less
         smallest value. NaN where not measured.
     force : ndarray, shape (3,)
-        Mean of the accelerometers; NaN where the mapping names none.
+        Mean of the accelerometers; NaN if the import map names none.
     """
 
     start_s: float
     end_s: float
     samples: int
     dropped: int
-    widest_step_s: float
+    max_step_s: float
     covered_s: float
     rate_dph: FloatArray
     scatter_dph: FloatArray
     blocks_dph: FloatArray
     rate_step_dph: FloatArray
     extreme_dph: FloatArray
-    longest_at_extreme: NDArray[np.intp]
-    longest_unchanged: NDArray[np.intp]
+    max_samples_at_extreme: NDArray[np.intp]
+    max_samples_unchanged: NDArray[np.intp]
     means: dict[str, float]
     slopes_per_h: dict[str, float]
     steps: dict[str, float]
@@ -257,7 +287,7 @@ class Window:
 
 
 def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> Iterator[Window]:
-    """Cut a log into windows; those with fewer than :data:`MIN_SAMPLES` good samples have NaN for all means.
+    """Cut a log into windows; those with fewer than :data:`MIN_SAMPLES` valid samples have NaN for all means.
 
     No more than a batch and a window are held at a time.
     """
@@ -279,8 +309,8 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
         yield _window(rest, window_s, skip_s, before_s)
 
 
-def longest_run(same: BoolArray) -> int:
-    """How many true values stand in a row at most."""
+def max_consecutive(same: BoolArray) -> int:
+    """Longest series of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
@@ -299,8 +329,8 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
     time_s = samples["time_s"]
     number = int(_window_index(time_s[:1], window_s, skip_s)[0])
     rates = np.column_stack([samples[name] for name in RATES])
-    good = np.isfinite(rates).all(axis=1)
-    rates = rates[good]
+    valid = np.isfinite(rates).all(axis=1)
+    rates = rates[valid]
     steps = np.diff(time_s, prepend=time_s[0] if np.isnan(before_s) else before_s)
     means, slopes, smallest, spans = {}, {}, {}, {}
     for name, values in samples.items():
@@ -312,16 +342,16 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         start_s=skip_s + number * window_s,
         end_s=skip_s + (number + 1) * window_s,
         samples=len(rates),
-        dropped=int(good.size - len(rates)),
-        widest_step_s=float(steps.max()),
+        dropped=int(valid.size - len(rates)),
+        max_step_s=float(steps.max()),
         covered_s=float(time_s[-1] - time_s[0]),
         rate_dph=rates.mean(axis=0) if enough else nothing,
         scatter_dph=rates.std(axis=0, ddof=1) if enough else nothing,
         blocks_dph=_blocks(rates) if enough else np.empty((0, 3)),
         rate_step_dph=np.array([_smallest_step(rate) for rate in rates.T]),
         extreme_dph=np.abs(rates).max(axis=0, initial=0.0),
-        longest_at_extreme=np.array([_longest_at_extreme(rate) for rate in rates.T]),
-        longest_unchanged=np.array([1 + longest_run(np.diff(rate) == 0.0) for rate in rates.T]),
+        max_samples_at_extreme=np.array([_longest_at_extreme(rate) for rate in rates.T]),
+        max_samples_unchanged=np.array([1 + max_consecutive(np.diff(rate) == 0.0) for rate in rates.T]),
         means=means,
         slopes_per_h=slopes,
         steps=smallest,
@@ -355,7 +385,7 @@ def _smallest_step(values: FloatArray) -> float:
 
 def _longest_at_extreme(rate: FloatArray) -> int:
     sizes = np.abs(rate)
-    return longest_run(sizes == sizes.max(initial=0.0))
+    return max_consecutive(sizes == sizes.max(initial=0.0))
 
 
 def _mean(values: FloatArray) -> float:

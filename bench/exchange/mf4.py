@@ -25,7 +25,7 @@ from asammdf.blocks.v4_constants import BUS_TYPE_CAN, SOURCE_BUS
 from can.util import channel2int, len2dlc
 from numpy.typing import NDArray
 
-from gyrobench.bench.exchange.can_export import PlacedPart
+from gyrobench.bench.exchange.can_export import TimedPart
 
 _BUS = Source(name="CAN", path="CAN", comment="", source_type=SOURCE_BUS, bus_type=BUS_TYPE_CAN)
 #: Transposed and deflated: what changes little from frame to frame takes little space.
@@ -37,7 +37,7 @@ class _Kind:
     """A kind of frames: the structure that the standard gives it, and the longest payload."""
 
     structure: str
-    most_bytes: int
+    max_bytes: int
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -46,7 +46,7 @@ class _Kind:
             [
                 (f"{self.structure}.ID", "<u4"),
                 *((f"{self.structure}.{name}", "u1") for name in fields),
-                (f"{self.structure}.DataBytes", "u1", (self.most_bytes,)),
+                (f"{self.structure}.DataBytes", "u1", (self.max_bytes,)),
             ]
         )
 
@@ -57,7 +57,7 @@ _REMOTE = _Kind("CAN_RemoteFrame", 8)
 _ERROR = _Kind("CAN_ErrorFrame", 8)
 
 
-def write_mf4(path: Path, parts: Iterable[PlacedPart], dbc: Path, origin: Mapping[str, Any]) -> int:
+def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping[str, Any]) -> int:
     """Write all frames; returns how many.
 
     Parameters
@@ -155,6 +155,6 @@ def _samples(kind: _Kind, messages: Sequence[can.Message]) -> NDArray[np.void]:
     }
     for name, column in values.items():
         samples[f"{kind.structure}.{name}"] = column
-    payloads = b"".join(bytes(m.data[: kind.most_bytes]).ljust(kind.most_bytes, b"\0") for m in messages)
-    samples[f"{kind.structure}.DataBytes"] = np.frombuffer(payloads, np.uint8).reshape(-1, kind.most_bytes)
+    payloads = b"".join(bytes(m.data[: kind.max_bytes]).ljust(kind.max_bytes, b"\0") for m in messages)
+    samples[f"{kind.structure}.DataBytes"] = np.frombuffer(payloads, np.uint8).reshape(-1, kind.max_bytes)
     return samples

@@ -18,19 +18,20 @@ import pyarrow.csv
 
 from gyrobench.bench.closure.files import read_held_out_cycles
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.dwells.campaign import read_campaign
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.exchange.can_export import (
     UTC_FIELD,
-    PlacedLog,
+    TimedLog,
     calendar_times,
     export_navigation,
     write_blf,
 )
 from gyrobench.bench.exchange.compensation_tables import compensation_files, export_compensation
-from gyrobench.bench.exchange.export_folder import Destination, field_of, origin_of, type_of, unit_of
+from gyrobench.bench.exchange.export_folder import ExportFolder, data_origin, field_of, type_of, unit_of
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
+from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.runs.folder import RunFolder
@@ -39,8 +40,8 @@ from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
 from gyrobench.bench.station.station import Station
 
 
-class What(StrEnum):
-    """What can be exported."""
+class DataKind(StrEnum):
+    """Kinds of data."""
 
     DWELLS = "dwells"
     BINS = "bins"
@@ -61,33 +62,33 @@ class Format(StrEnum):
     MF4 = "mf4"
 
 
-_OF_CAN = (Format.BLF, Format.MF4)
-_OF_TABLES = (Format.PARQUET, Format.CSV)
-#: What is written where nobody says so; navigation of a whole run is large, and seldom wanted.
-_USUAL = tuple(what for what in What if what is not What.NAVIGATION)
-_USUAL_FORMATS = (Format.PARQUET, Format.BLF)
+_CAN_FORMATS = (Format.BLF, Format.MF4)
+_TABLE_FORMATS = (Format.PARQUET, Format.CSV)
+#: Navigation of a whole run is large and rarely needed.
+_DEFAULT_KINDS = tuple(what for what in DataKind if what is not DataKind.NAVIGATION)
+_DEFAULT_FORMATS = (Format.PARQUET, Format.BLF)
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What somebody wants of a run.
+class ExportSelection:
+    """Selected data of a run.
 
     Attributes
     ----------
-    what : sequence of What
-        Empty for all that is usual.
+    what : sequence of DataKind
+        Empty for all but navigation.
     formats : sequence of Format
-        Empty for Parquet and BLF. What has none of them is left out.
+        Empty for Parquet and BLF. Kinds without any of them are left out.
     dwell : int or None
         Navigation of this dwell alone.
 
     Raises
     ------
     DocumentError
-        Something that is asked for by name has none of the formats, or a dwell is chosen of nothing.
+        A named kind has none of the formats, or a dwell is given without navigation.
     """
 
-    what: Sequence[What] = ()
+    what: Sequence[DataKind] = ()
     formats: Sequence[Format] = ()
     dwell: int | None = None
 
@@ -95,23 +96,23 @@ class Wanted:
         unfit = [str(what) for what in self.what if not self.suffixes(what)]
         if unfit:
             raise DocumentError(
-                f"--format {','.join(self.formats)} does not fit {listed(unfit)}: CAN frames are blf "
-                "or mf4, all else as parquet or csv"
+                f"--format {','.join(self.formats)} does not fit {listed(unfit)}: CAN frames are written "
+                "as blf or mf4, other data as parquet or csv"
             )
-        if self.dwell is not None and What.NAVIGATION not in self.what:
-            raise DocumentError("--dwell chooses a dwell of the navigation; give --what navigation as well")
+        if self.dwell is not None and DataKind.NAVIGATION not in self.what:
+            raise DocumentError("--dwell selects a dwell of the navigation data; add --what navigation")
 
-    def suffixes(self, what: What) -> list[str]:
-        """Endings of the files that something is written to."""
-        can_be = _OF_CAN if what is What.CAN else _OF_TABLES
-        return [f".{each}" for each in self.formats or _USUAL_FORMATS if each in can_be]
+    def suffixes(self, what: DataKind) -> list[str]:
+        """Suffixes of the files of a kind."""
+        can_be = _CAN_FORMATS if what is DataKind.CAN else _TABLE_FORMATS
+        return [f".{each}" for each in self.formats or _DEFAULT_FORMATS if each in can_be]
 
-    def kinds(self) -> list[What]:
-        """What is to be written."""
-        return [what for what in self.what or _USUAL if self.suffixes(what)]
+    def kinds(self) -> list[DataKind]:
+        """Kinds to be written."""
+        return [what for what in self.what or _DEFAULT_KINDS if self.suffixes(what)]
 
 
-def export_csv(path: Path, name: str, destination: Destination) -> None:
+def export_csv(path: Path, name: str, destination: ExportFolder) -> None:
     """Write a CSV table of the run as Parquet, or as it is.
 
     Raises
@@ -132,12 +133,12 @@ def export_csv(path: Path, name: str, destination: Destination) -> None:
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a CSV table; an empty cell is null, but for text.
+    """Read a CSV table; an empty cell is null, except in text columns.
 
     Raises
     ------
     DocumentError
-        It is no table, or a cell is not what its column says.
+        It is not a table, or a cell does not match its column's type.
     """
     text = read_text(path)
     header = next(csv.reader(io.StringIO(text)), [])
@@ -157,8 +158,8 @@ def read_table(path: Path) -> pa.Table:
 _SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in COLUMNS)])
 
 
-def export_telemetry(folder: RunFolder, began: datetime, name: str, destination: Destination) -> None:
-    """Write all readings; where readings are missing a row without values stands between them.
+def export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:
+    """Write all readings; gaps are marked by a row without values.
 
     Raises
     ------
@@ -172,115 +173,111 @@ def export_telemetry(folder: RunFolder, began: datetime, name: str, destination:
 
 
 def _values(column: str, values: np.ndarray) -> pa.Array:
-    """Values with null for what is not known."""
+    """Values with null for unknown."""
     known = pa.array(values, pa.float64(), from_pandas=True)
     return known.cast(type_of(column))
 
 
 _TABLES = MappingProxyType(
     {
-        What.DWELLS: ("dwells",),
-        What.BINS: ("bias_bins",),
-        What.JOINT: ("joint", "joint_biases"),
-        What.VERIFICATION: ("verification",),
+        DataKind.DWELLS: ("dwells",),
+        DataKind.BINS: ("bias_bins",),
+        DataKind.JOINT: ("joint", "joint_biases"),
+        DataKind.VERIFICATION: ("verification",),
     }
 )
-_MADE_ANEW = "{} is not there, as where a run was cut off; `gyrobench bins {}` makes it"
+_TABLE_MISSING = "{} is missing, as in an interrupted run; create it with `gyrobench bins {}`"
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written, and what was not.
+    """Files written, and data missing in the run.
 
     Attributes
     ----------
     files : list of Path
         In order.
-    lacks : dict of What to str
-        What the run does not hold, and why.
+    missing : dict of DataKind to str
+        Selected data that the run lacks, and why.
     """
 
     files: list[Path]
-    lacks: dict[What, str]
+    missing: dict[DataKind, str]
 
 
-def export_run(folder: RunFolder, wanted: Wanted, out: Path, force: bool = False) -> Exported:
-    """Write what is wanted of a run, as far as the run holds it; one that was cut off holds less.
+def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: bool = False) -> Exported:
+    """Write the selected data to the folder ``out``; an interrupted run may lack some of it.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write to; made if it isn't there.
-    force : bool
-        Whether files that are there are replaced.
+    With ``force`` existing files are replaced.
 
     Raises
     ------
     DocumentError
         A table, station or DBC file is wrong.
     RunFolderError
-        Files are there already, something can't be read or written, or the run holds nothing of what is
-        wanted.
+        Files exist, can't be read or written, or the run holds none of the selected data.
     """
-    lacks = {what: why for what in wanted.kinds() if (why := _why_missing(folder, what))}
-    kinds = [what for what in wanted.kinds() if what not in lacks]
+    missing = {what: why for what in selection.kinds() if (why := _why_missing(folder, what))}
+    kinds = [what for what in selection.kinds() if what not in missing]
     if not kinds:
-        raise RunFolderError(f"{folder.path}: " + "; ".join(f"{what}: {why}" for what, why in lacks.items()))
-    destination = Destination(out, origin_of(folder), force)
-    destination.refuse_existing([name for what in kinds for name in _files(what, wanted)])
+        raise RunFolderError(
+            f"{folder.path}: " + "; ".join(f"{what}: {why}" for what, why in missing.items())
+        )
+    destination = ExportFolder(out, data_origin(folder), force)
+    destination.refuse_existing([name for what in kinds for name in _files(what, selection)])
     for what in kinds:
-        _write(folder, what, wanted, destination)
+        _write(folder, what, selection, destination)
     destination.finish()
-    return Exported(destination.written, lacks)
+    return Exported(destination.written, missing)
 
 
-def _why_missing(folder: RunFolder, what: What) -> str:
-    """Why the run does not hold something; empty where it does."""
+def _why_missing(folder: RunFolder, what: DataKind) -> str:
+    """Why the run lacks a kind of data; empty if it does not."""
     match what:
-        case What.VERIFICATION:
-            return "" if folder.verification.exists() else "the run verified nothing"
-        case What.TELEMETRY:
+        case DataKind.VERIFICATION:
+            return "" if folder.verification.exists() else "the run made no calibration check"
+        case DataKind.TELEMETRY:
             return "" if any(folder.telemetry.glob("part-*")) else "there are no readings"
-        case What.NAVIGATION | What.CAN:
+        case DataKind.NAVIGATION | DataKind.CAN:
             return "" if any(folder.can.glob("part-*")) else "there are no CAN frames"
-        case What.COMPENSATION:
+        case DataKind.COMPENSATION:
             is_closed = (folder.closure / "closure.json").exists()
-            return "" if is_closed else f"the run was not searched; `gyrobench close {folder.path}` does that"
+            return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.path}`"
     names = [f"{table}.csv" for table in _TABLES[what]]
     missing = [name for name in names if not (folder.path / name).exists()]
-    return _MADE_ANEW.format(missing[0], folder.path) if missing else ""
+    return _TABLE_MISSING.format(missing[0], folder.path) if missing else ""
 
 
-def _files(what: What, wanted: Wanted) -> list[str]:
-    """Names of the files that something is written to."""
-    suffixes = wanted.suffixes(what)
-    if what is What.COMPENSATION:
+def _files(what: DataKind, selection: ExportSelection) -> list[str]:
+    """Names of the files of a kind."""
+    suffixes = selection.suffixes(what)
+    if what is DataKind.COMPENSATION:
         return compensation_files(suffixes)
     names = _TABLES.get(what, (str(what),))
-    if what is What.NAVIGATION and wanted.dwell is not None:
-        names = (f"{what}_dwell_{wanted.dwell}",)
+    if what is DataKind.NAVIGATION and selection.dwell is not None:
+        names = (f"{what}_dwell_{selection.dwell}",)
     return [name + suffix for name in names for suffix in suffixes]
 
 
-def _write(folder: RunFolder, what: What, wanted: Wanted, destination: Destination) -> None:
-    if what is What.COMPENSATION:
-        _write_compensation(folder, wanted.suffixes(what), destination)
+def _write(folder: RunFolder, what: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
+    if what is DataKind.COMPENSATION:
+        _write_compensation(folder, selection.suffixes(what), destination)
         return
-    for name in _files(what, wanted):
+    for name in _files(what, selection):
         match what:
-            case What.TELEMETRY:
+            case DataKind.TELEMETRY:
                 export_telemetry(folder, started_utc(folder), name, destination)
-            case What.NAVIGATION:
+            case DataKind.NAVIGATION:
                 setup = measurement_setup(Station(folder.station))
-                export_navigation(folder, setup, name, destination, wanted.dwell)
-            case What.CAN:
+                export_navigation(folder, setup, name, destination, selection.dwell)
+            case DataKind.CAN:
                 _write_can(folder, name, destination)
             case _:
                 export_csv((folder.path / name).with_suffix(".csv"), name, destination)
 
 
-def _write_can(folder: RunFolder, name: str, destination: Destination) -> None:
-    log, dbc = PlacedLog(folder), Station(folder.station).dbc_path
+def _write_can(folder: RunFolder, name: str, destination: ExportFolder) -> None:
+    log, dbc = TimedLog(folder), Station(folder.station).dbc_path
     about = {"source": folder.can.name, "dbc": dbc.name, "parts_with_estimated_time": log.estimated}
     with destination.file(name, **about) as path:
         if name.endswith(".blf"):
@@ -289,18 +286,15 @@ def _write_can(folder: RunFolder, name: str, destination: Destination) -> None:
             _write_mf4(path, log, dbc, destination.origin)
 
 
-def _write_mf4(path: Path, log: PlacedLog, dbc: Path, origin: Mapping[str, Any]) -> None:
-    """Write MDF4; its library is optional, since python-can loads it with every use of CAN where it is."""
-    try:
-        from gyrobench.bench.exchange.mf4 import write_mf4
-    except ImportError as error:
-        raise RunFolderError(
-            f"{path}: MDF4 needs asammdf, which is not installed. Install it: pip install 'gyrobench[mf4]'"
-        ) from error
+def _write_mf4(path: Path, log: TimedLog, dbc: Path, origin: Mapping[str, Any]) -> None:
+    """Write MDF4; its package is optional, since python-can loads it at every use of CAN."""
+    require("asammdf")
+    from gyrobench.bench.exchange.mf4 import write_mf4
+
     write_mf4(path, log, dbc, origin)
 
 
-def _write_compensation(folder: RunFolder, suffixes: list[str], destination: Destination) -> None:
+def _write_compensation(folder: RunFolder, suffixes: list[str], destination: ExportFolder) -> None:
     try:
         closure = close_loop(read_campaign(folder.path), read_held_out_cycles(folder.closure))
     except MeasurementError as error:

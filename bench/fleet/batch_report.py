@@ -1,4 +1,4 @@
-"""What a batch's model says, as ``batch.json``, as a page with figures, and in a terminal of 80 columns."""
+"""A batch of units in words, tables and figures: ``batch.json``, its page, and the terminal."""
 
 from __future__ import annotations
 
@@ -9,60 +9,244 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from gyrobench.bench.fleet.batch_figure import batch_figure
-from gyrobench.bench.fleet.batch_model import TraitInBatch, standing_out
-from gyrobench.bench.fleet.batch_wording import (
-    OUT_HEADER,
-    SPREAD_HEADER,
-    batch_scale,
-    batch_sentence,
-    levels,
-    out_rows,
-    spread_rows,
-    unit_rows,
-)
+from gyrobench.bench.fleet.batch import FALSE_ALARM, EffectSize, QuantityStatistics, UnitStatistics, outliers
 from gyrobench.bench.foundations.files import make_folder, write_whole
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import bin_label, counted, listed
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
+from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.terminal.tables import plain_table
+from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity
+
+OUTLIER_HEADER = ("unit", "runs", "quantity", "measured", "predicted", "p corrected")
+SPREAD_HEADER = ("quantity", "units", "mean", "between units", "95 % interval", "between runs")
+
+
+def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
+    """Name the outlying units."""
+    comparisons = sum(len(stats.units) for stats in batch)
+    corrected = f"p < {FALSE_ALARM:g}, corrected for {counted(comparisons, 'comparison')}"
+    out = outliers(batch)
+    if not out:
+        return f"No outlying unit ({corrected})."
+    texts = []
+    for name in dict.fromkeys(unit.unit for _, unit in out):
+        mine = [(stats, unit) for stats, unit in out if unit.unit == name]
+        stats, unit = mine[0]
+        difference = unit.bias_dph - unit.expected_dph
+        others = len(mine) - 1
+        more = f", and in {others} other {'quantity' if others == 1 else 'quantities'}" if others else ""
+        beyond = dph_with_sigma(difference, unit.expected_sigma_dph)
+        texts.append(
+            f"unit {name} in {stats.quantity.label} ({beyond} from the prediction by the other units){more}"
+        )
+    sentence = listed(texts)
+    return f"{counted(len(texts), 'outlying unit').capitalize()}: {sentence} ({corrected})."
+
+
+def outlier_rows(batch: Sequence[QuantityStatistics]) -> list[list[str]]:
+    """One row for each outlier; see :data:`OUTLIER_HEADER`."""
+    scale = batch_scale(batch)
+    return [
+        [
+            unit.unit,
+            str(unit.runs),
+            stats.quantity.label,
+            scale.with_sigma(unit.bias_dph, unit.sigma_dph, "±"),
+            scale.with_sigma(unit.expected_dph, unit.expected_sigma_dph, "±"),
+            p_text(unit.p_adjusted),
+        ]
+        for stats, unit in outliers(batch)
+    ]
+
+
+def spread_rows(batch: Sequence[QuantityStatistics]) -> list[list[str]]:
+    """One row for each quantity; see :data:`SPREAD_HEADER`."""
+    scale = batch_scale(batch)
+    rows = []
+    for stats in batch:
+        spread = stats.between_units
+        between_runs = "" if stats.between_runs_dph is None else scale.text(stats.between_runs_dph)
+        rows.append(
+            [
+                stats.quantity.label,
+                str(len(stats.units)),
+                scale.with_sigma(stats.mean_dph, stats.mean_sigma_dph, "±"),
+                scale.text(spread.value),
+                f"{scale.text(spread.low)}..{scale.text(spread.high)}",
+                between_runs,
+            ]
+        )
+    return rows
+
+
+def unit_rows(stats: QuantityStatistics) -> list[list[str]]:
+    """One row for each unit in one quantity: measured, shrunken, p."""
+    scale = batch_scale([stats])
+    return [
+        [
+            unit.unit,
+            str(unit.runs),
+            scale.with_sigma(unit.bias_dph, unit.sigma_dph),
+            scale.with_sigma(unit.shrunken_dph, unit.shrunken_sigma_dph),
+            p_text(unit.p_value),
+            p_text(unit.p_adjusted),
+        ]
+        for unit in stats.units
+    ]
+
+
+def batch_scale(batch: Sequence[QuantityStatistics]) -> BiasScale:
+    """Choose the unit and the number of decimals for a batch."""
+    units: list[UnitStatistics] = [unit for stats in batch for unit in stats.units]
+    return BiasScale.of(
+        [unit.bias_dph for unit in units], [stats.mean_sigma_dph for stats in batch if stats.mean_sigma_dph]
+    )
+
+
+def levels(batch: Sequence[QuantityStatistics]) -> list[QuantityStatistics]:
+    """Quantities that are levels of gyros or sizes of effects."""
+    return [
+        stats for stats in batch if isinstance(stats.quantity, EffectSize) or stats.quantity.name == LEVEL
+    ]
+
+
+_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_WIDTH = 0.62
+
+
+@house_style
+def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> Figure:
+    """Draw the units: a panel for each gyro, a band for each temperature bin or position in a bin.
+
+    Parameters
+    ----------
+    batch : sequence of QuantityStatistics
+        The batch.
+    of_positions : bool
+        Whether to draw the differences of positions in place of the levels.
+    """
+    figure = new_figure(9.2 if of_positions else 7.6)
+    panels = figure.subplots(len(AXES), 1, sharex=False)
+    out = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]
+    colours = dict(zip(out, _COLOURS, strict=False))
+    scale = batch_scale(batch)
+    for gyro, panel in zip(AXES, panels, strict=True):
+        mine = [
+            stats
+            for stats in batch
+            if not isinstance(stats.quantity, EffectSize)
+            and stats.quantity.gyro == gyro
+            and (stats.quantity.name != LEVEL) == of_positions
+        ]
+        for place, stats in enumerate(mine):
+            _draw(panel, place, stats, scale, colours)
+        panel.set_title(gyro_label(gyro))
+        panel.set_ylabel(f"{'difference' if of_positions else 'bias'} / ({scale.unit})")
+        panel.grid(visible=False, axis="x")
+        if mine:
+            labels = [_short_label(stats.quantity) for stats in mine if isinstance(stats.quantity, Quantity)]
+            panel.set_xticks(range(len(mine)), labels, rotation=90 if of_positions else 0, fontsize=8)
+        else:
+            say_empty(panel, "measured on too few units")
+    handles, labels = panels[0].get_legend_handles_labels()
+    for panel in panels[1:]:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            if label not in labels:
+                handles.append(handle)
+                labels.append(label)
+    figure.legend(handles, labels, loc="outside upper center", ncols=5)
+    return figure
+
+
+def _draw(
+    panel: Axes, place: int, stats: QuantityStatistics, scale: BiasScale, colours: dict[str, str]
+) -> None:
+    centre, spread = scale.factor * stats.mean_dph, scale.factor * stats.between_units.value
+    ends = [place - 0.5 * _WIDTH - 0.08, place + 0.5 * _WIDTH + 0.08]
+    first = place == 0
+    for times, alpha in ((2.0, 0.16), (1.0, 0.3)):
+        label = f"mean ± {times:g} SD" if first else None
+        panel.fill_between(
+            ends,
+            centre - times * spread,
+            centre + times * spread,
+            color="#5a656d",
+            alpha=alpha,
+            lw=0,
+            label=label,
+        )
+    panel.plot(ends, [centre, centre], color="#1d2429", lw=1.2, label="mean of the batch" if first else None)
+    places = place + np.linspace(-0.5, 0.5, len(stats.units)) * _WIDTH
+    for x, unit in zip(places, stats.units, strict=True):
+        colour = colours.get(unit.unit, "#444444")
+        panel.errorbar(
+            x,
+            scale.factor * unit.bias_dph,
+            scale.factor * unit.sigma_dph,
+            fmt="D" if unit.is_outlier else "o",
+            markersize=5.5 if unit.is_outlier else 2.8,
+            color=colour,
+            elinewidth=0.8,
+            label=_unit_label(unit.unit, unit.is_outlier, unit.unit in colours, first=first),
+        )
+
+
+def _unit_label(unit: str, is_outlier: bool, is_coloured: bool, *, first: bool) -> str | None:
+    if is_outlier:
+        return f"unit {unit}, outlier"
+    if is_coloured:
+        return f"unit {unit}" if first else None
+    return None
+
+
+def _short_label(quantity: Quantity) -> str:
+    if quantity.name == LEVEL:
+        return f"{bin_label(quantity.bin_low_c, quantity.bin_high_c)} °C"
+    return f"{position_label(quantity.name)}, {bin_label(quantity.bin_low_c, quantity.bin_high_c, '..')} °C"
+
 
 _BAND = (
-    "The line is the batch's mean, the bands are one and two standard deviations of the units about it, with "
-    "the noise taken off. Points are the units with their standard uncertainties; diamonds stand out."
+    "Line: mean of the batch; bands: one and two standard deviations between units, without noise. Points: "
+    "units with standard uncertainties; diamonds: outliers."
 )
 
 
-def batch_document(name: str, batch: Sequence[TraitInBatch]) -> dict[str, Any]:
+def batch_document(name: str, batch: Sequence[QuantityStatistics]) -> dict[str, Any]:
     """Content of ``batch.json``."""
     return {
         "batch": name,
         "standing_out": [
-            {"unit": unit.unit, "in": trait.trait.label, "p_adjusted": unit.p_adjusted}
-            for trait, unit in standing_out(batch)
+            {"unit": unit.unit, "in": stats.quantity.label, "p_adjusted": unit.p_adjusted}
+            for stats, unit in outliers(batch)
         ],
         "quantities": [
             {
-                "quantity": trait.trait.label,
-                **asdict(trait.trait),
-                "mean_dph": trait.mean_dph,
-                "mean_sigma_dph": trait.mean_sigma_dph,
-                "between_units_dph": trait.between_units.value,
+                "quantity": stats.quantity.label,
+                **asdict(stats.quantity),
+                "mean_dph": stats.mean_dph,
+                "mean_sigma_dph": stats.mean_sigma_dph,
+                "between_units_dph": stats.between_units.value,
                 "between_units_95_dph": [
                     end if math.isfinite(end) else None
-                    for end in (trait.between_units.low, trait.between_units.high)
+                    for end in (stats.between_units.low, stats.between_units.high)
                 ],
-                "between_runs_dph": trait.between_runs_dph,
-                "units": [{**asdict(unit), "stands_out": unit.stands_out} for unit in trait.units],
+                "between_runs_dph": stats.between_runs_dph,
+                "units": [{**asdict(unit), "stands_out": unit.is_outlier} for unit in stats.units],
             }
-            for trait in batch
+            for stats in batch
         ],
     }
 
 
-def write_batch(folder: Path, name: str, batch: Sequence[TraitInBatch], source: str) -> Path:
+def write_batch(folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str) -> Path:
     """Write ``batch.json``, ``batch.html`` and figures into a folder, made if it isn't there.
 
     Parameters
@@ -71,7 +255,7 @@ def write_batch(folder: Path, name: str, batch: Sequence[TraitInBatch], source: 
         Where to write.
     name : str
         Of the batch; may be empty.
-    batch : sequence of TraitInBatch
+    batch : sequence of QuantityStatistics
         The model.
     source : str
         Which runs it is of, for people.
@@ -89,14 +273,14 @@ def write_batch(folder: Path, name: str, batch: Sequence[TraitInBatch], source: 
     make_folder(folder)
     text = json.dumps(batch_document(name, batch), indent=1, allow_nan=False) + "\n"
     write_whole(folder / "batch.json", text.encode())
-    units = {unit.unit for trait in batch for unit in trait.units}
-    out = {unit.unit for _, unit in standing_out(batch)}
+    units = {unit.unit for stats in batch for unit in stats.units}
+    out = {unit.unit for _, unit in outliers(batch)}
     findings = Findings(
         title=f"Batch {name}" if name else "Batch of units",
         source=source,
-        judgement=f"{counted(len(out), 'unit')} of {len(units)} {'stands' if len(out) == 1 else 'stand'} out"
+        judgement=f"{counted(len(out), 'outlier')} in {counted(len(units), 'unit')}"
         if out
-        else f"{counted(len(units), 'unit')} alike",
+        else f"no outlier in {counted(len(units), 'unit')}",
         colour="stopped" if out else "finished",
         sentence=batch_sentence(batch),
         facts={"units": ", ".join(sorted(units)), "quantities": str(len(batch))},
@@ -105,55 +289,52 @@ def write_batch(folder: Path, name: str, batch: Sequence[TraitInBatch], source: 
     return write_findings(folder / "batch.html", findings)
 
 
-def batch_summary(name: str, batch: Sequence[TraitInBatch]) -> RenderableType:
-    """Who stands out and in what, and how far the units spread."""
+def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> RenderableType:
+    """Outliers, and the spread of the units."""
     scale = batch_scale(batch)
     title = f"Batch {name}. " if name else ""
     parts: list[RenderableType] = [Text(f"{title}{batch_sentence(batch)}", style="bold"), Text()]
-    if standing_out(batch):
-        parts += [_table(OUT_HEADER, out_rows(batch), 3), Text()]
+    if outliers(batch):
+        parts += [_table(OUTLIER_HEADER, outlier_rows(batch), 3), Text()]
     parts += [_table(SPREAD_HEADER, spread_rows(levels(batch)), 1), Text()]
-    parts.append(
-        Text(f"In {scale.unit}. Spread between units and between runs: standard deviations, noise off.")
-    )
+    parts.append(Text(f"In {scale.unit}. Between units and between runs: standard deviations without noise."))
     return Group(*parts)
 
 
-def _sections(batch: Sequence[TraitInBatch]) -> list[Section]:
+def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
     scale = batch_scale(batch)
     spread = SectionTable(
-        f"What the units share and how far they spread, {scale.unit}; noise is taken off both "
-        "spreads, and the interval is that of the spread between units",
+        f"Mean ± standard uncertainty, and standard deviations between units (with its interval) and "
+        f"between runs, both without noise, in {scale.unit}",
         SPREAD_HEADER,
         spread_rows(levels(batch)),
     )
-    sections = [Section("Spread of the units", tables=[spread])]
-    if standing_out(batch):
+    sections = [Section("Spread between units", tables=[spread])]
+    if outliers(batch):
         caption = (
-            f"In what units stand out, {scale.unit}; beside their values what all other units lead to "
-            "expect, with how far one may be from it. p all: probability of that distance by chance, "
-            "allowing for all units and quantities"
+            f"Measured and predicted from the other units ± standard uncertainty, {scale.unit}. p corrected: "
+            "p-value of the difference, corrected for all units and quantities"
         )
-        out = SectionTable(caption, OUT_HEADER, out_rows(batch), words=3)
-        sections.insert(0, Section("Standing out", tables=[out]))
+        out = SectionTable(caption, OUTLIER_HEADER, outlier_rows(batch), words=3)
+        sections.insert(0, Section("Outliers", tables=[out]))
     for of_positions, title, what in (
-        (False, "Levels", "Mean bias over the positions, by temperature of the gyro."),
-        (True, "Differences between positions", "Bias of a position less the mean of the positions."),
+        (False, "Levels", "Mean bias of all positions by gyro temperature."),
+        (True, "Differences between positions", "Bias of a position minus the mean of all positions."),
     ):
         figure = batch_figure(batch, of_positions=of_positions)
         name = "batch_positions" if of_positions else "batch_levels"
         sections.append(Section(title, figures=[SectionFigure(name, f"{what} {_BAND}", figure)]))
-    positions = [trait for trait in batch if trait not in levels(batch)]
+    positions = [stats for stats in batch if stats not in levels(batch)]
     sections.append(
         Section(
-            "Spread of the differences",
+            "Spread of the position differences",
             tables=[SectionTable(scale.unit, SPREAD_HEADER, spread_rows(positions))],
         )
     )
-    header = ("unit", "runs", "mean of its runs", "as all units tell it", "p", "p all")
+    header = ("unit", "runs", "mean of its runs", "shrunk to the batch", "p", "p corrected")
     tables = [
-        SectionTable(f"{trait.trait.label}, {batch_scale([trait]).unit}", header, unit_rows(trait))
-        for trait in levels(batch)
+        SectionTable(f"{stats.quantity.label}, {batch_scale([stats]).unit}", header, unit_rows(stats))
+        for stats in levels(batch)
     ]
     sections.append(Section("Units", tables=tables))
     return sections

@@ -1,27 +1,36 @@
-"""What is done with each run of a fleet; it runs in a worker, where what comes in and goes out is small."""
+"""What is done with each run of a fleet, in a worker, and the record ``fleet.json`` of what was done."""
 
 from __future__ import annotations
 
 import os
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 
-from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError, MeasurementError
-from gyrobench.bench.foundations.text import spoken
-from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.station.bench_lock import RunLock
+from pydantic import BaseModel, ValidationError
 
-#: The style of figures is the whole process's, so of several threads one draws at a time.
+from gyrobench.bench import __version__
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import (
+    BenchInUseError,
+    GyrobenchError,
+    MeasurementError,
+    RunFolderError,
+)
+from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
+from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.station.locks import RunLock
+
+#: Matplotlib's style is global, so only one thread draws at a time.
 _DRAWING = threading.Lock()
 
 
 class JobKind(StrEnum):
-    """What can be done with many runs; named as the command for one run."""
+    """Jobs for many runs; named as the command for one run."""
 
     BINS = "bins"
     CLOSE = "close"
@@ -29,28 +38,28 @@ class JobKind(StrEnum):
 
 
 class JobState(StrEnum):
-    """What became of a job."""
+    """Outcome of a job."""
 
     DONE = "done"
     FAILED = "failed"
-    #: Nothing may be written in the run folder now.
+    #: The run folder can't be written at present.
     SKIPPED = "skipped"
 
 
 @dataclass(frozen=True)
 class JobResult:
-    """What became of one run.
+    """Outcome of the job for one run.
 
     Attributes
     ----------
     path : str
         The run folder.
     state : JobState
-        Whether it was done.
+        The outcome.
     text : str
-        In a few words what was found, or why it was not done.
+        Result in a few words, or the reason why it was not done.
     took_s : float
-        How long it took.
+        Duration.
     """
 
     path: str
@@ -60,16 +69,13 @@ class JobResult:
 
 
 def do_job(kind: JobKind, path: str) -> JobResult:
-    """Do a job with one run, whose folder nobody else may write in meanwhile.
-
-    What is wrong with the run is in the result; other errors are bugs and come out.
-    """
+    """Process one run under its lock; errors of the run go into the result, bugs are raised."""
     clock = WallClock()
     run = Path(path)
     try:
         folder = open_run_folder(run)
         if not os.access(run, os.W_OK):
-            return JobResult(path, JobState.SKIPPED, "nothing may be written in its folder")
+            return JobResult(path, JobState.SKIPPED, "no write permission for its folder")
         with RunLock(run, clock, command=f"gyrobench fleet {kind}"):
             text = _DOERS[kind](folder)
     except BenchInUseError as error:
@@ -80,7 +86,7 @@ def do_job(kind: JobKind, path: str) -> JobResult:
 
 
 def inputs_of(kind: JobKind, path: Path) -> str:
-    """Sizes and times of what a job is made from: another text after that changed."""
+    """Sizes and times of the files that a job reads; the text changes with any of them."""
     from gyrobench.bench.report.page import FINDINGS_FILE
 
     folder = RunFolder(path)
@@ -108,16 +114,16 @@ def _measured(folder: RunFolder) -> str:
 
 def _closed(folder: RunFolder) -> str:
     from gyrobench.bench.closure.loop import close_loop
-    from gyrobench.bench.dwells.campaign import read_campaign
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
     from gyrobench.bench.report.closure.search_files import write_search
 
     try:
         closure = close_loop(read_campaign(folder.path))
     except MeasurementError as error:
-        return f"not searched: {error}"  # of one cycle, for instance: that is no failure of the run
+        return f"not searched: {error}"  # one cycle only, for instance: not a failure
     with _DRAWING:
         write_search(closure, folder.path)
-    effects = [spoken(each.candidate.effect.name) for each in closure.effects]
+    effects = [plain_name(each.candidate.effect.name) for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 
 
@@ -128,7 +134,7 @@ def _reported(folder: RunFolder) -> str:
         return write_report(folder).name
 
 
-#: Imports are inside, so that a command that hands runs out does not wait for what workers need.
+#: Imported in the worker: the command that distributes runs starts without them.
 _DOERS: Mapping[JobKind, Callable[[RunFolder], str]] = MappingProxyType(
     {JobKind.BINS: _measured, JobKind.CLOSE: _closed, JobKind.REPORT: _reported}
 )
@@ -140,3 +146,96 @@ def _stamp(path: Path) -> str:
     except OSError:
         return "-"
     return f"{status.st_size}/{status.st_mtime_ns}"
+
+
+RECORD = "fleet.json"
+_MAX_BYTES = 500_000_000
+
+
+class RunEntry(BaseModel):
+    """Outcome of one run; ``inputs`` as of :func:`inputs_of`."""
+
+    state: JobState
+    text: str
+    took_s: float
+    inputs: str
+
+
+class _RecordContent(BaseModel):
+    kind: JobKind
+    gyrobench: str
+    runs: dict[str, RunEntry]
+
+
+@dataclass
+class FleetRecord:
+    """Outcomes of the runs of a fleet.
+
+    Attributes
+    ----------
+    kind : JobKind
+        The job.
+    folder : Path
+        Folder of the record.
+    runs : dict of str to RunEntry
+        By run folder.
+    """
+
+    kind: JobKind
+    folder: Path
+    runs: dict[str, RunEntry] = field(default_factory=dict)
+
+    def pending(self, paths: list[Path]) -> list[Path]:
+        """Runs that are new, failed, or have changed since."""
+        return [path for path in paths if not self._is_done(path)]
+
+    def add(self, result: JobResult) -> None:
+        """Add an outcome; :meth:`write` saves it."""
+        self.runs[result.path] = RunEntry(
+            state=result.state,
+            text=result.text,
+            took_s=round(result.took_s, 3),
+            inputs=inputs_of(self.kind, Path(result.path)),
+        )
+
+    def write(self) -> None:
+        """Write the record.
+
+        Raises
+        ------
+        RunFolderError
+            It can't be written.
+        """
+        content = _RecordContent(kind=self.kind, gyrobench=__version__, runs=dict(sorted(self.runs.items())))
+        make_folder(self.folder)
+        write_whole(self.folder / RECORD, (content.model_dump_json(indent=1) + "\n").encode())
+
+    def _is_done(self, path: Path) -> bool:
+        entry = self.runs.get(str(path))
+        return (
+            entry is not None and entry.state == JobState.DONE and entry.inputs == inputs_of(self.kind, path)
+        )
+
+
+def read_record(kind: JobKind, folder: Path) -> FleetRecord:
+    """Read the record of an earlier call; an empty one if there is none.
+
+    Raises
+    ------
+    RunFolderError
+        It can't be read, is damaged, or belongs to another job.
+    """
+    path = folder / RECORD
+    if not path.exists():
+        return FleetRecord(kind, folder)
+    try:
+        content = _RecordContent.model_validate_json(read_limited(path, _MAX_BYTES, RunFolderError))
+    except ValidationError as error:
+        raise RunFolderError(
+            f"{path}: damaged: {error.errors()[0]['msg']}. Remove it, or process all runs with --again"
+        ) from error
+    if content.kind != kind:
+        raise RunFolderError(
+            f"{path}: record of `gyrobench fleet {content.kind}`. Choose another folder with --out"
+        )
+    return FleetRecord(kind, folder, content.runs)

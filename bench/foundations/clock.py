@@ -1,11 +1,10 @@
 """The one clock of a run: real, or virtual.
 
 Engine, drivers and emulators all read and wait on the same clock object. On the virtual clock a
-wait takes no time at all: it moves ``now()`` on, and an emulator works out what happened in
-between when it is next spoken to. No other module reads the time or sleeps.
+wait takes no time: it advances ``now()``, and an emulator computes what happened in between when
+it next receives a request. No other module reads the time or sleeps.
 
-The clock of a run goes on when the run is resumed: its epoch stays, and ``now()`` starts beyond
-everything that the run has recorded.
+The clock of a resumed run keeps its epoch, and ``now()`` starts after everything that the run has recorded.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from weakref import WeakValueDictionary
 
 #: Calendar time at which every virtual run starts, so that equal runs leave equal files.
 VIRTUAL_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
-#: A resumed run goes on at least this long after its last record.
+#: A resumed run starts at least this long after its last record.
 RESUME_STEP_S = 1.0
 
-#: Linux: goes on while the host is suspended. The chamber goes on then too, soaks last, and values
-#: grow old; on a clock that stops nobody would notice that hours are missing between two readings.
+#: Linux: continues while the host is suspended, as the chamber and the ages of values do. A clock that
+#: stopped would hide the hours between two readings.
 _STEADY = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 _numbers = itertools.count(1)
@@ -36,15 +35,14 @@ class Clock(ABC):
     Attributes
     ----------
     name : str
-        A name under which :func:`clock_named` finds this object, so that an address such as
-        ``emulator://table?clock=NAME`` can say which clock an emulator lives on.
+        Name for :func:`clock_named`: an address such as ``emulator://table?clock=NAME`` has it.
     is_virtual : bool
         Whether waiting takes no real time.
     speed : float
-        Seconds of this clock in one second of the host; waits that the host does for a program, such
-        as a port's time-out, are divided by it.
+        Seconds of this clock per second of the host; waits by the host, such as a port's time-out,
+        are divided by it.
     companions : dict
-        What lives on this clock and no longer than it, by keys of its own.
+        Objects that live as long as this clock, such as an emulated bench.
     """
 
     is_virtual: bool
@@ -86,17 +84,17 @@ class Clock(ABC):
 
 
 class WallClock(Clock):
-    """Real time: steady, so that a calendar set forward or back changes no wait.
+    """Real time, monotonic: setting the calendar changes no wait.
 
     Parameters
     ----------
     epoch : datetime, optional
         Calendar time (UTC) at ``now() == 0``; without it, ``utc()`` begins at the calendar's time.
     start_s : float
-        What ``now()`` is at first.
+        Initial ``now()``.
     speed : float
-        Above 1 for a bench that lives faster than the host, as only an emulated one can. ``utc()``
-        then runs ahead of the calendar.
+        Above 1 for an emulated bench that runs faster than real time; ``utc()`` then runs ahead of the
+        calendar.
     """
 
     is_virtual = False
@@ -111,19 +109,9 @@ class WallClock(Clock):
 
     @classmethod
     def resumed(cls, epoch: datetime, last_s: float, speed: float = 1.0) -> WallClock:
-        """Make the clock of a resumed run.
+        """Make the clock of a resumed run with its ``epoch`` and the time ``last_s`` of its last record.
 
-        It begins at the calendar's time, but after the last record in any case: the calendar may
-        have been set back meanwhile.
-
-        Parameters
-        ----------
-        epoch : datetime
-            The run's own.
-        last_s : float
-            Time of its last record.
-        speed : float
-            As before.
+        It begins at the calendar's time, but after the last record even if the calendar was set back.
         """
         return cls(epoch, max(last_s + RESUME_STEP_S, (_calendar() - epoch).total_seconds()), speed)
 
@@ -142,17 +130,16 @@ class WallClock(Clock):
         return self._epoch
 
     def stamp_s(self, calendar_s: float) -> float:
-        """The stamp itself, but for a clock that runs faster than the calendar."""
+        """The stamp itself, converted where this clock runs faster than the calendar."""
         if self.speed == 1.0:
             return calendar_s
         since_s = calendar_s - self._calendar_at_start.timestamp()
         return self._epoch.timestamp() + self._start_s + self.speed * since_s
 
     def calendar_offset_s(self) -> float:
-        """How far the host's calendar is ahead of :meth:`utc`, which setting it does not change.
+        """How far the host's calendar is ahead of :meth:`utc`.
 
-        Of a clock that runs faster it is what the calendar was set by since it began, and how far it
-        was ahead then.
+        With a speed above 1: how far it was ahead at the start, plus what it was set by since.
         """
         at_start_s = (self._calendar_at_start - self._epoch).total_seconds()
         since_s = self.speed * (_calendar() - self._calendar_at_start).total_seconds()
@@ -160,13 +147,7 @@ class WallClock(Clock):
 
 
 class VirtualClock(Clock):
-    """Time that passes only when somebody waits.
-
-    Parameters
-    ----------
-    start_s : float
-        What ``now()`` is at first.
-    """
+    """Time that passes only by waiting, from ``start_s``."""
 
     is_virtual = True
 
@@ -175,16 +156,16 @@ class VirtualClock(Clock):
         self._now_s = start_s
 
     def now(self) -> float:
-        """Where the run began, and the seconds waited on this clock since."""
+        """Start of the clock plus the seconds waited."""
         return self._now_s
 
     def sleep(self, duration_s: float) -> None:
-        """Move on without waiting."""
+        """Advance without waiting."""
         if duration_s > 0.0:
             self._now_s += duration_s
 
     def sleep_until(self, time_s: float) -> None:
-        """Move on to exactly ``time_s``, without the rounding of a difference."""
+        """Advance to exactly ``time_s``, without the rounding of a difference."""
         self._now_s = max(self._now_s, time_s)
 
     @property
@@ -193,7 +174,7 @@ class VirtualClock(Clock):
         return VIRTUAL_EPOCH
 
     def calendar_offset_s(self) -> float:
-        """Zero: a virtual run has a calendar of its own."""
+        """Zero: a virtual run has a separate calendar."""
         return 0.0
 
 

@@ -10,14 +10,13 @@ from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import write_whole
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited, write_whole
 
 #: Some hundred thousand dwells.
 MAX_TABLE_BYTES = 100_000_000
-#: Nothing that is measured reaches these: squares and sums of what lies between stay numbers.
+#: Beyond anything measured; squares and sums of values within stay finite.
 LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
-#: What no gyro reaches; temperatures far beyond would fill the memory with empty bins.
+#: Beyond any gyro; much larger temperatures would fill the memory with empty bins.
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
@@ -27,14 +26,14 @@ _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 class CsvTable:
     """Cells of a CSV text, turned into values by column name.
 
-    A cell that is wrong is noted and gives a stand-in; :meth:`raise_problems` reports them all.
+    A wrong cell is recorded and gives a substitute value; :meth:`raise_problems` reports them all.
 
     Parameters
     ----------
     text : str
         UTF-8 content, with a header.
     name : str
-        What to call the file in messages.
+        Name of the file in messages.
     required : sequence of str
         Columns that must be there.
 
@@ -70,12 +69,12 @@ class CsvTable:
         return len(self._rows)
 
     def text(self, index: int, column: str) -> str:
-        """Give the cell as it stands; empty where the table has no such column."""
+        """Give the cell's text; empty where the table has no such column."""
         position = self._columns.get(column)
         return "" if position is None else self._rows[index][position].strip()
 
     def name(self, index: int, column: str) -> str:
-        """Read a name; one that a spreadsheet would take for a formula is a mistake."""
+        """Read a name, refused where a spreadsheet would take it for a formula."""
         text = self.text(index, column)
         if text.startswith(("=", "+", "-", "@")):
             self.problem(
@@ -84,7 +83,7 @@ class CsvTable:
         return text
 
     def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
-        """Read one of some words."""
+        """Read one of the allowed words."""
         text = self.text(index, column)
         if text not in allowed:
             self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
@@ -99,12 +98,12 @@ class CsvTable:
         return 0
 
     def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
-        """Read a number that may be measured; NaN for an empty cell or ``nan``, which may be a mistake."""
+        """Read a number of plausible size; NaN for an empty cell or ``nan``, refused unless allowed."""
         text = self.text(index, column)
         if _NUMBER.fullmatch(text):
             if abs(float(text)) <= LARGEST_NUMBER:
                 return float(text)
-            self.problem(index, column, f"{float(text):g} is beyond {LARGEST_NUMBER:g}, so nothing measured")
+            self.problem(index, column, f"{float(text):g} is beyond {LARGEST_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
             self.problem(index, column, f"expected a number; found '{text}'")
         return math.nan
@@ -123,22 +122,16 @@ class CsvTable:
             self.problem(
                 index,
                 column,
-                f"{value_c:g} degC is no temperature of a gyro; allowed: {COLDEST_C:g} to {HOTTEST_C:g}",
+                f"{value_c:g} degC is not a gyro temperature; allowed: {COLDEST_C:g} to {HOTTEST_C:g}",
             )
         return value_c
 
     def problem(self, index: int, column: str, message: str) -> None:
-        """Note that a cell is wrong."""
+        """Record that a cell is wrong."""
         self._problems.append(f"{self._name}:{self.lines[index]}: column {column}: {message}")
 
     def raise_problems(self) -> None:
-        """Report what was noted.
-
-        Raises
-        ------
-        DocumentError
-            Something was.
-        """
+        """Raise a DocumentError that lists the recorded problems, if there are any."""
         if not self._problems:
             return
         more = len(self._problems) - _SHOWN_PROBLEMS

@@ -1,31 +1,37 @@
-"""YAML documents checked against models, with the place of every mistake.
+"""YAML documents checked against models, with the place of every mistake, and the models' JSON Schemas.
 
-A procedure, station or world file is read safely (no code, a limited number of values), validated
-against a :class:`StrictModel`, and all that is wrong with it is reported at once as
+A procedure, station or world file is read safely (no code, a limited number of values) and validated
+against a :class:`StrictModel`. All problems are reported at once as
 ``file:line:column: what was found; what is allowed``.
 """
 
 from __future__ import annotations
 
-import difflib
 import json
+import logging
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.reading import read_limited
-from gyrobench.bench.foundations.shipped import shipped_folders, shipped_names
+from gyrobench.bench.foundations.files import read_limited
+from gyrobench.bench.foundations.text import did_you_mean
+
+Schema = dict[str, Any]
 
 #: Keys and indices that lead from the top of a document to one of its values.
 Location = tuple[str | int, ...]
 
+_SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 MAX_DOCUMENT_BYTES = 1_000_000
 _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
@@ -38,24 +44,34 @@ ModelT = TypeVar("ModelT", bound="StrictModel")
 
 
 class StrictModel(BaseModel):
-    """Base of all file models: unknown keys, numbers given as text and NaN are mistakes."""
+    """Base of all file models: unknown keys, numbers given as text and NaN are mistakes.
+
+    Files written with an old name of a key or a value are accepted, with a note that gives the new name.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    #: New names of keys by their old ones.
+    renamed_keys: ClassVar[Mapping[str, str]] = {}
+    #: New values by their old ones, by the (new) key that they belong to.
+    renamed_values: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     @model_validator(mode="wrap")
     @classmethod
-    def _name_the_allowed_keys(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
+    def _accept_old_names_and_name_the_allowed_keys(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
+        old_keys: dict[str, str] = {}
+        if isinstance(data, dict):
+            data, old_keys = _with_new_names(cls, data)
         try:
             return handler(data)
         except ValidationError as error:
             raise ValidationError.from_exception_data(
-                cls.__name__, [_rewritten(detail, cls) for detail in error.errors()]
+                cls.__name__, [_rewritten(detail, cls, old_keys) for detail in error.errors()]
             ) from error
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Something wrong at one place of a document."""
+    """A mistake at one place of a document."""
 
     location: Location
     message: str
@@ -81,7 +97,7 @@ class Document:
         return f"{self.path}:{line}:{column}"
 
     def error(self, problems: Iterable[Problem]) -> DocumentError:
-        """One error that lists all problems, in the order of the file."""
+        """Make one error of all problems, in the order of the file."""
         lines = {f"{self.place(problem.location)}: {problem.message}" for problem in problems}
         return DocumentError("\n".join(sorted(lines, key=_line_and_column)))
 
@@ -135,10 +151,18 @@ def validate(document: Document, model: type[ModelT]) -> ModelT:
     """
     if not isinstance(document.data, dict):
         raise document.error([Problem((), f"expected keys and values; found {_shown(document.data)}")])
+    notes: set[tuple[str, str, str]] = set()
+    token = _renaming_notes.set(notes)
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
         raise document.error(problems_of(error)) from error
+    finally:
+        _renaming_notes.reset(token)
+        for key, old, new in sorted(notes):
+            for location in document.places:
+                if location and location[-1] == key:
+                    _log_once(f"{document.place(location)}: '{old}' is an old name. Write '{new}'.")
 
 
 def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
@@ -155,47 +179,10 @@ def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
     return problems
 
 
-def find_document(kind: str, name: str) -> Path:
-    """Find a file by path, or a shipped one by its bare name.
-
-    Parameters
-    ----------
-    kind : {"procedures", "stations", "worlds", "faults", "imports"}
-        Which folder of shipped files to look in.
-    name : str
-        A path, or the name of a shipped file without its ending.
-
-    Raises
-    ------
-    DocumentError
-        There is no such file; the message lists the shipped names.
-    """
-    path = Path(name)
-    if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:
-        if path.is_file():
-            return path
-        raise DocumentError(f"{name}: there is no such file. {_listed(kind)}")
-    for folder in shipped_folders(kind):
-        candidate = folder / f"{name}.yaml"
-        if candidate.is_file():
-            return candidate
-    raise DocumentError(f"{name}: no shipped file of that name. {_listed(kind)}")
-
-
-def hint(name: str, allowed: Iterable[str]) -> str:
-    """Say " (did you mean 'x'?)" if one of the allowed names is near, else nothing."""
-    close = difflib.get_close_matches(name, list(allowed), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
-
-
-def _listed(kind: str) -> str:
-    return f"Shipped {kind}: {', '.join(shipped_names(kind))}"
-
-
 class _Loader(yaml.SafeLoader):
     """Safe loader with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text.
 
-    It gives up at once where a text holds too many values: parsing on would take minutes.
+    A text with too many values ends parsing at once; the rest would take minutes.
     """
 
     def __init__(self, text: str) -> None:
@@ -236,7 +223,7 @@ _COLLECTION_TAGS = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 
 class _TooMuchError(Exception):
-    """A document holds more than any good one; aliases make few bytes many values."""
+    """A document holds too many values; aliases make many out of few bytes."""
 
 
 class _NodeReader:
@@ -296,8 +283,48 @@ class _NodeReader:
         return None
 
 
-def _rewritten(detail: Any, model: type[BaseModel]) -> InitErrorDetails:
-    kind, message = detail["type"], detail["msg"]
+#: Old names met while a document is validated: the key as written, the old name and the new one.
+_renaming_notes: ContextVar[set[tuple[str, str, str]] | None] = ContextVar("renaming_notes", default=None)
+
+
+@cache
+def _log_once(note: str) -> None:
+    """Log a note; without a logging set-up it goes to standard error."""
+    logging.getLogger("gyrobench").warning(note)
+
+
+def _with_new_names(model: type[StrictModel], data: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Data with the present names of keys and values, and the old names by the new ones."""
+    notes, renamed, old_keys = _renaming_notes.get(), {}, {}
+    for key, value in data.items():
+        new_key = model.renamed_keys.get(key, key)
+        if new_key != key:
+            if new_key in data:  # given twice: the old one is reported as unknown
+                new_key = key
+            else:
+                old_keys[new_key] = key
+                if notes is not None:
+                    notes.add((key, key, new_key))
+        new_values = model.renamed_values.get(new_key, {})
+        renamed[new_key] = (
+            [_renamed(each, new_values) for each in value]
+            if isinstance(value, list)
+            else (_renamed(value, new_values))
+        )
+        for old in value if isinstance(value, list) else [value]:
+            if notes is not None and _renamed(old, new_values) != old:
+                notes.add((key, f"{key}: {old}", f"{new_key}: {_renamed(old, new_values)}"))
+    return renamed, old_keys
+
+
+def _renamed(value: Any, new_values: Mapping[str, Any]) -> Any:
+    return new_values.get(value, value) if isinstance(value, str) else value
+
+
+def _rewritten(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str]) -> InitErrorDetails:
+    kind, message, location = detail["type"], detail["msg"], detail["loc"]
+    if location and location[0] in old_keys:
+        location = (old_keys[location[0]], *location[1:])
     if len(detail["loc"]) == 1:  # else a model below has said it
         key = str(detail["loc"][0])
         if kind == "extra_forbidden":
@@ -306,13 +333,11 @@ def _rewritten(detail: Any, model: type[BaseModel]) -> InitErrorDetails:
             message = _missing_key(key, model)
         elif message.startswith(_INPUT):
             message = _quoted(key) + message.removeprefix(_INPUT)
-    return InitErrorDetails(
-        type=PydanticCustomError(kind, message), loc=detail["loc"], input=detail.get("input")
-    )
+    return InitErrorDetails(type=PydanticCustomError(kind, message), loc=location, input=detail.get("input"))
 
 
 def _unknown_key(key: str, allowed: list[str]) -> str:
-    return f"unknown key {_quoted(key)}{hint(key, allowed)}; allowed here: {', '.join(allowed)}"
+    return f"unknown key {_quoted(key)}{did_you_mean(key, allowed)}; allowed here: {', '.join(allowed)}"
 
 
 def _missing_key(key: str, model: type[BaseModel]) -> str:
@@ -335,3 +360,66 @@ def _shown(value: Any) -> str:
 def _line_and_column(line: str) -> tuple[int, int, str]:
     match = re.match(r".*?:(\d+):(\d+): ", line)
     return (int(match[1]), int(match[2]), line) if match else (0, 0, line)
+
+
+class _SchemaGenerator(GenerateJsonSchema):
+    """Without titles made of key names: an editor shows the key itself beside the description."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002 - pydantic's signature
+        return False
+
+
+def json_schema(model: type[BaseModel], title: str) -> Schema:
+    """Write the JSON Schema (draft 2020-12) of a file model, for editors that complete, explain and check.
+
+    Parameters
+    ----------
+    model : type
+        Descriptions, defaults and bounds are those of its fields; models below it are in ``$defs``.
+    title : str
+        What such a file is.
+    """
+    made = model.model_json_schema(schema_generator=_SchemaGenerator)
+    return {"$schema": _SCHEMA_DIALECT, "title": title} | {
+        key: value for key, value in _tidied(made).items() if key != "title"
+    }
+
+
+def _tidied(schema: Any) -> Any:
+    """Remove from a schema, at every depth, what does not help to write a file."""
+    if isinstance(schema, list):
+        return [_tidied(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    kept = {key: value for key, value in schema.items() if not _is_noise(key, value)}
+    return {key: _BELOW.get(key, _tidied)(value) for key, value in kept.items()}
+
+
+def _is_noise(key: str, value: Any) -> bool:
+    """Whether it is the name of a class, a whole section as a default, or a keyword of OpenAPI alone."""
+    return (
+        (key == "title" and isinstance(value, str))
+        or (key == "default" and isinstance(value, Mapping))
+        or (key == "discriminator" and isinstance(value, Mapping) and "propertyName" in value)
+    )
+
+
+def _by_name(schemas: dict[str, Any]) -> dict[str, Any]:
+    """Schemas by names that are no keywords: keys of a file, or models."""
+    return {name: _tidied(each) for name, each in schemas.items()}
+
+
+def _plain(text: str) -> str:
+    """A docstring as an editor shows it."""
+    return re.sub(r":\w+:(?=`)", "", " ".join(text.split()).replace("``", "`"))
+
+
+_BELOW: dict[str, Callable[[Any], Any]] = {
+    "properties": _by_name,
+    "$defs": _by_name,
+    "patternProperties": _by_name,
+    "description": _plain,
+    "default": lambda value: value,
+    "enum": lambda value: value,
+    "const": lambda value: value,
+}

@@ -8,19 +8,19 @@
     │   ├── ConnectionFailedError (OSError)   its port can't be opened or went away
     │   ├── NoReplyError (TimeoutError)   it did not answer in time
     │   ├── ReplyError                    it answered something that can't be understood
-    │   ├── RefusedError                  it answered that it won't
+    │   ├── RefusedError                  it refused
     │   └── FaultError                    it reports a fault: trip, interlock, broken sensor
-    ├── InterlockError                    a limit of the station is broken, or a value too old to tell
+    ├── InterlockError                    a limit of the station is exceeded, or a value too old
     ├── BenchInUseError                   another process holds the bench or the run folder
     ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
-    ├── SpoiltDwellError                  a dwell under way can't give a result any more
-    ├── RunStoppedError                   somebody asked the run to stop
+    ├── InvalidDwellError                 a dwell in progress can't give a result any more
+    ├── RunStoppedError                   a command or an answer stops the run
     ├── MeasurementError (ValueError)     measured data that can't give a result
     ├── RunFolderError (OSError)          a run folder that can't be written or read
     └── MissingPackageError (ImportError) an optional package is not installed
 
-A message says what happened, where, and what to do about it. Kinds of these that only the engine
-tells apart are in ``bench/engine/interruptions.py``.
+A message says what happened, where, and what to do about it. Kinds that only the engine
+distinguishes are in ``bench/engine/interruptions.py``.
 """
 
 
@@ -69,11 +69,11 @@ class RefusedError(InstrumentError):
 
 
 class FaultError(InstrumentError):
-    """The instrument reports a fault of its own: rate trip, open interlock, broken sensor."""
+    """The instrument reports a fault: rate trip, open interlock, broken sensor."""
 
 
 class InterlockError(GyrobenchError):
-    """A limit of the station is broken, or the value that would tell is missing or too old."""
+    """A limit of the station is exceeded, or the value to compare with it is missing or too old."""
 
 
 class BenchInUseError(GyrobenchError):
@@ -84,12 +84,12 @@ class StepTimeoutError(GyrobenchError, TimeoutError):
     """A step of the procedure did not reach its end in its time."""
 
 
-class SpoiltDwellError(GyrobenchError):
-    """A dwell under way can't give a result any more, as when the INS did not align; it is repeated."""
+class InvalidDwellError(GyrobenchError):
+    """A dwell in progress can't give a result any more, as when the INS did not align; it is repeated."""
 
 
 class RunStoppedError(GyrobenchError):
-    """The run is to end: by an order or an answer, or because it was held for too long."""
+    """The run stops: by a command or an answer, or because it was held for too long."""
 
 
 class MeasurementError(GyrobenchError, ValueError):

@@ -15,6 +15,7 @@ _EXTRAS = {
     "fsspec": "index",
     "weasyprint": "pdf",
     "asammdf": "mf4",
+    "pandas": "pandas",
 }
 
 

@@ -1,4 +1,4 @@
-"""Files: written so that they are there whole or not at all, also after a power cut; and their hashes.
+"""Files: read up to a limit of size, written whole or not at all even through a power cut, hashed.
 
 A file's content is on the disk once the file is synced; its name, once its folder is.
 """
@@ -7,21 +7,67 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
+import re
+import stat
 from pathlib import Path
+from typing import Any
 
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+
+_HALF_CHARACTER = re.compile(r"\\u[dD]")
+
+
+def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]) -> bytes:
+    """Content of a plain file of at most ``max_bytes``; pipes and devices, which may never end, are refused.
+
+    Raises
+    ------
+    error_type
+        The file can't be read, is no plain file, or is too large.
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            what = "a folder" if stat.S_ISDIR(status.st_mode) else "not a plain file"
+            raise error_type(f"{path}: can't be read: it is {what}")
+        if status.st_size > max_bytes:
+            raise error_type(f"{path}: {status.st_size} bytes; at most {max_bytes} are allowed")
+        return path.read_bytes()
+    except OSError as error:
+        if isinstance(error, RunFolderError):
+            raise
+        raise error_type(f"{path}: can't be read: {error.strerror or error}") from error
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Parse JSON.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, nested too deeply, or has halves of characters, which can't be written again.
+    """
+    try:
+        text = text if isinstance(text, str) else text.decode()
+        data = json.loads(text)
+        if _HALF_CHARACTER.search(text):
+            json.dumps(data, ensure_ascii=False).encode()
+        return data
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
     """Write a file whole or not at all; when this returns, it is on the disk.
 
-    A file of that name is there as it was until the new one takes its place at one stroke.
+    An existing file of that name is replaced atomically.
 
     Parameters
     ----------
     is_synced : bool
-        False for what need not outlive a power cut: that is quicker, and spares the disk.
+        False for a file that need not survive a power cut; faster.
 
     Raises
     ------
@@ -45,7 +91,7 @@ def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
 
 
 def temporary_path(path: Path) -> Path:
-    """Where a file is written before it takes its place."""
+    """Where a file is written before it gets its name."""
     return path.with_name(f".{path.name}.part")
 
 
@@ -93,7 +139,7 @@ def make_folder(path: Path) -> None:
 
 
 def make_new_folder(path: Path) -> bool:
-    """Make a folder and tell whether it was made: False if something of that name is there.
+    """Make a folder and return whether it was made: False if something of that name exists.
 
     Raises
     ------
@@ -131,5 +177,5 @@ def sync_folder(folder: Path) -> None:
 
 
 def cant_be_written(path: Path, error: OSError) -> RunFolderError:
-    """Say that a file can't be written, and why."""
+    """Make the error of a file that can't be written."""
     return RunFolderError(f"{path}: can't be written: {error.strerror or error}. Is the disk full?")

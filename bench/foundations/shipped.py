@@ -8,6 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 from types import MappingProxyType
 
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import did_you_mean
+
 #: Shipped procedures that new ones are started from, by what they are for.
 TEMPLATES = MappingProxyType(
     {"check": "ten_minute_check", "six_position": "six_position_fig7", "verification": "verification"}
@@ -16,12 +19,43 @@ TEMPLATES = MappingProxyType(
 
 def shipped_folders(kind: str) -> list[Path]:
     """Folders with shipped files of a kind, such as ``procedures``; those that exist."""
-    folder = (
-        Path(__file__).parents[2] / kind
-    ).resolve()  # in the repository, parents[2] holds links to the top
+    # In the repository, parents[2] holds links to the folders at the top.
+    folder = (Path(__file__).parents[2] / kind).resolve()
     return [folder] if folder.is_dir() else []
 
 
 def shipped_names(kind: str) -> list[str]:
     """Names of the shipped YAML files of a kind, without their ending."""
     return sorted({path.stem for folder in shipped_folders(kind) for path in folder.glob("*.yaml")})
+
+
+def find_document(kind: str, name: str) -> Path:
+    """Find a file by path, or a shipped one by its bare name.
+
+    Parameters
+    ----------
+    kind : {"procedures", "stations", "worlds", "faults", "imports"}
+        Which folder of shipped files to look in.
+    name : str
+        A path, or the name of a shipped file without its ending.
+
+    Raises
+    ------
+    DocumentError
+        There is no such file; the message suggests the nearest shipped name and lists all.
+    """
+    path = Path(name)
+    if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:
+        if path.is_file():
+            return path
+        raise DocumentError(f"{name}: there is no such file{_suggestion(kind, path.stem)}")
+    for folder in shipped_folders(kind):
+        candidate = folder / f"{name}.yaml"
+        if candidate.is_file():
+            return candidate
+    raise DocumentError(f"{name}: neither a file nor shipped{_suggestion(kind, name)}")
+
+
+def _suggestion(kind: str, name: str) -> str:
+    names = shipped_names(kind)
+    return f"{did_you_mean(name, names)}. Shipped {kind}: {', '.join(names)}"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -10,8 +11,8 @@ def listed(texts: Sequence[str]) -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
-def spoken(name: str) -> str:
-    """Name of a file's key as people write it: "thermal lag" for "thermal_lag"."""
+def plain_name(name: str) -> str:
+    """A key of a file in words: "thermal lag" for "thermal_lag"."""
     return name.replace("_", " ")
 
 
@@ -23,3 +24,9 @@ def counted(number: int, noun: str) -> str:
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
     """Write the range of a bin, without its unit."""
     return f"{low_c:g}{between}{high_c:g}"
+
+
+def did_you_mean(name: str, allowed: Iterable[str]) -> str:
+    """Write " (did you mean 'x'?)" if one of the allowed names is near, else nothing."""
+    close = difflib.get_close_matches(name, list(allowed), n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""

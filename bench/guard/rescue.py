@@ -16,8 +16,8 @@ from gyrobench.bench.guard.orders import Orders
 from gyrobench.bench.guard.watch import Ending
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.station.bench_lock import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
 

@@ -14,8 +14,8 @@ import can
 
 from gyrobench.bench.engine.interruptions import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import guard_for
 from gyrobench.bench.jog.manual_control import ManualControl
 from gyrobench.bench.jog.manual_limits import manual_limits
@@ -27,8 +27,8 @@ from gyrobench.bench.jog.terminal import (
     StoppedByOperatorError,
     TypedLines,
 )
-from gyrobench.bench.station.bench_lock import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
 
 _PROMPT = "jog> "

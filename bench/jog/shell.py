@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.foundations.documents import hint
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.jog.manual_control import ManualControl
 from gyrobench.bench.jog.manual_limits import AXES
 from gyrobench.bench.jog.readings import limit_lines, readings
@@ -90,7 +90,7 @@ class Shell:
         if command is None:
             known = [*self._commands, *_END_USAGES]
             raise CommandError(
-                f"unknown command '{words[0]}'{hint(words[0], known)}; `help` lists the commands"
+                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists the commands"
             )
         try:
             command.execute(words[1:])
@@ -125,7 +125,9 @@ class Shell:
     def _to_position(self, words: list[str]) -> None:
         name = _next(words)
         if name not in POSITIONS:
-            raise _UsageError(f"no position '{name}'{hint(name, POSITIONS)}; known: {', '.join(POSITIONS)}")
+            raise _UsageError(
+                f"no position '{name}'{did_you_mean(name, POSITIONS)}; known: {', '.join(POSITIONS)}"
+            )
         azimuth_deg = 0.0
         if words and words[0] != "at":
             azimuth_deg = _number(words.pop(0), "an azimuth in deg")

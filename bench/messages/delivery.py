@@ -1,20 +1,274 @@
-"""Bringing a message to one receiver, now."""
+"""Delivering a message to one receiver: by HTTP (webhook, ntfy) or e-mail, with its secret.
+
+References
+----------
+ntfy documentation, "Publishing": the message is the body, title, priority and tags are headers.
+"""
 
 from __future__ import annotations
 
+import base64
+import html
+import http.client
+import json
+import math
+import os
+import re
+import smtplib
+import ssl
 import threading
-from collections.abc import Callable, Mapping
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
+from email.header import Header
+from email.message import EmailMessage
+from email.utils import format_datetime, make_msgid
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from urllib.parse import quote, quote_plus
 
-from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.messages.mail import send_mail
+from gyrobench.bench import __version__
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.messages.message import Message
-from gyrobench.bench.messages.post import post_ntfy, post_webhook
-from gyrobench.bench.messages.secret import read_secret, without_secret
-from gyrobench.bench.messages.undelivered import UndeliveredError
-from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.receivers import SECRET, Email, Ntfy, Receiver, Webhook
+
+
+class UndeliveredError(GyrobenchError):
+    """A message could not be delivered.
+
+    Parameters
+    ----------
+    message : str
+        Why; without the secret.
+    is_final : bool
+        Whether trying again is no use: the receiver refused.
+    """
+
+    def __init__(self, message: str, is_final: bool) -> None:
+        super().__init__(message)
+        self.is_final = is_final
+
+
+_MAX_BYTES = 10_000
+#: Fewer letters of Base64 may be a part of any word.
+_LEAST_BASE64 = 4
+_SHOWN = 200
+
+
+def read_secret(receiver: Receiver) -> str:
+    """Read it; empty where the receiver has none.
+
+    Raises
+    ------
+    DocumentError
+        It is not where the station file says.
+    """
+    if receiver.secret_env is not None:
+        source = f"the environment variable {receiver.secret_env}"
+        secret = os.environ.get(receiver.secret_env, "")
+    elif receiver.secret_file is not None:
+        source = receiver.secret_file
+        content = read_limited(Path(source), _MAX_BYTES, DocumentError)
+        secret = (content.decode("utf-8", errors="replace").splitlines() or [""])[0]
+    else:
+        return ""
+    if not secret.strip() or not secret.isprintable():
+        raise DocumentError(
+            f"{source}: holds no secret; the {receiver.kind} receiver {receiver.address} needs it"
+        )
+    return secret.strip()
+
+
+def without_secret(secret: str, text: str) -> str:
+    """Text with ``{secret}`` in place of the secret, however an address, a header or a page writes it."""
+    forms = sorted(set(_written(secret)), key=len, reverse=True) if secret else []
+    if not forms:
+        return text
+    return re.sub("|".join(map(re.escape, forms)), SECRET, text, flags=re.IGNORECASE)
+
+
+def server_words(secret: str, text: str) -> str:
+    """What a server said, on one short line and without the secret.
+
+    Parameters
+    ----------
+    text : str
+        All of it: a secret of which a part is left can't be found.
+    """
+    shown = without_secret(secret, text)[:_SHOWN]
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in shown).split())
+
+
+def _written(secret: str) -> Iterator[str]:
+    for plain in (secret, quote(secret, safe="/"), quote(secret, safe=""), quote_plus(secret)):
+        yield plain
+        yield html.escape(plain)
+        yield json.dumps(plain)[1:-1]
+        yield json.dumps(plain)[1:-1].replace("/", r"\/")
+        yield repr(plain)[1:-1]
+    yield from _base64(secret.encode())
+
+
+def _base64(data: bytes) -> Iterator[str]:
+    """Letters of Base64 that the data make, wherever in something longer they stand."""
+    for before in range(3):
+        first, end = math.ceil(8 * before / 6), 8 * (before + len(data)) // 6
+        letters = base64.b64encode(bytes(before) + data).decode()[first:end]
+        if len(letters) >= _LEAST_BASE64:
+            yield letters
+            yield letters.replace("+", "-").replace("/", "_")
+
+
+#: A server that says nothing for so long is given up for now.
+MAIL_TIMEOUT_S = 10.0
+#: Codes from here on say that trying again is no use.
+_PERMANENT = 500
+
+
+def send_mail(receiver: Email, password: str, message: Message) -> str:
+    """Send a mail by way of the receiver's mail server; returns the server's answer."""
+    mail = EmailMessage()
+    mail["From"], mail["To"] = receiver.sender, receiver.address
+    mail["Subject"] = f"gyrobench {message.title}"
+    mail["Date"] = format_datetime(message.time)
+    mail["Message-ID"] = make_msgid("gyrobench", receiver.sender.rpartition("@")[2])
+    if message.is_urgent:
+        mail["Importance"] = "high"
+    mail.set_content(message.text + "\n")
+    try:
+        with _mail_server(receiver) as server:
+            if receiver.security == "starttls":
+                server.starttls(context=ssl.create_default_context())
+            if receiver.user is not None:
+                server.login(receiver.user, password)
+            server.send_message(mail)
+            return f"taken by {receiver.server}"
+    except smtplib.SMTPRecipientsRefused as error:
+        code, said = next(iter(error.recipients.values()))
+        raise _mail_refused(code, said, password) from None
+    except smtplib.SMTPResponseException as error:
+        raise _mail_refused(error.smtp_code, error.smtp_error, password) from None
+    except smtplib.SMTPNotSupportedError as error:
+        raise UndeliveredError(str(error), is_final=True) from None
+    except TimeoutError:
+        raise UndeliveredError(f"no answer within {MAIL_TIMEOUT_S:g} s", is_final=False) from None
+    except (OSError, smtplib.SMTPException) as error:
+        told = server_words(password, str(getattr(error, "strerror", None) or error))
+        raise UndeliveredError(told, is_final=False) from None
+
+
+def _mail_server(receiver: Email) -> smtplib.SMTP:
+    if receiver.security == "tls":
+        context = ssl.create_default_context()
+        return smtplib.SMTP_SSL(receiver.server, receiver.port, timeout=MAIL_TIMEOUT_S, context=context)
+    return smtplib.SMTP(receiver.server, receiver.port, timeout=MAIL_TIMEOUT_S)
+
+
+def _mail_refused(code: int, said: bytes | str, password: str) -> UndeliveredError:
+    text = said.decode(errors="replace") if isinstance(said, bytes) else said
+    answer = f"{code} {server_words(password, text)}".strip()
+    return UndeliveredError(f"the mail server answered {answer}", is_final=code >= _PERMANENT)
+
+
+#: A server that says nothing for so long is given up for now.
+TIMEOUT_S = 10.0
+#: ntfy makes an attachment of what is longer.
+_NTFY_BYTES = 4000
+_TOO_MANY, _TIMED_OUT = 429, 408
+#: So much of an answer is read, far more than is shown: a secret must not be cut in two.
+_READ_BYTES = 65_536
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """A redirected POST would become a GET that tells nobody anything, or take the secret elsewhere."""
+
+    def redirect_request(self, *_: Any) -> None:
+        """Follow nowhere."""
+        return
+
+
+def post_webhook(receiver: Webhook, secret: str, message: Message) -> str:
+    """Post a message as JSON; returns the server's answer."""
+    body = json.dumps(message.to_json()).encode()
+    return _post(receiver.address, secret, body, {"Content-Type": "application/json"})
+
+
+def post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
+    """Post a message to a topic; returns the server's answer."""
+    headers = {
+        "Title": _header(message.title),
+        "Priority": "urgent" if message.is_urgent else "default",
+        "Tags": _tag(message),
+        "Content-Type": "text/plain; charset=utf-8",
+    }
+    body = message.text.encode()[:_NTFY_BYTES].decode(errors="ignore").encode()
+    return _post(receiver.address, secret, body, headers)
+
+
+def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> str:
+    headers["User-Agent"] = f"gyrobench/{__version__}"
+    if secret and SECRET in address:
+        address = address.replace(SECRET, quote(secret, safe="/"))
+    elif secret:
+        headers["Authorization"] = f"Bearer {secret}"
+    request = urllib.request.Request(address, body, headers)  # noqa: S310 - the model allows HTTP alone
+    opener = urllib.request.build_opener(_NoRedirect)
+    try:
+        with opener.open(request, timeout=TIMEOUT_S) as answer:
+            return _status(answer.status)
+    except urllib.error.HTTPError as error:
+        with error:
+            said = _first_line(error, secret)
+        is_final = error.code < http.HTTPStatus.INTERNAL_SERVER_ERROR
+        is_final = is_final and error.code not in (_TOO_MANY, _TIMED_OUT)
+        raise UndeliveredError(f"the server answered {_status(error.code)}{said}", is_final) from None
+    except urllib.error.URLError as error:
+        raise UndeliveredError(_reason(error.reason, secret), is_final=False) from None
+    except (OSError, http.client.HTTPException) as error:
+        raise UndeliveredError(_reason(error, secret), is_final=False) from None
+
+
+def _status(code: int) -> str:
+    """Code and its meaning by the standard: the server's own words may hold anything."""
+    try:
+        return f"{code} {http.HTTPStatus(code).phrase}"
+    except ValueError:
+        return str(code)
+
+
+def _reason(error: object, secret: str) -> str:
+    if isinstance(error, TimeoutError):
+        return f"no answer within {TIMEOUT_S:g} s"
+    strerror = getattr(error, "strerror", None)
+    return server_words(secret, str(strerror or error)) or type(error).__name__
+
+
+def _first_line(answer: urllib.error.HTTPError, secret: str) -> str:
+    """What the server says beyond its code, in a few words."""
+    try:
+        text = answer.read(_READ_BYTES).decode(errors="replace")
+    except (OSError, http.client.HTTPException):
+        return ""
+    text = server_words(secret, text)
+    return f": {text}" if text else ""
+
+
+def _header(text: str) -> str:
+    """Text as a header can carry it."""
+    return text if text.isascii() else Header(text, "utf-8", maxlinelen=10_000).encode()
+
+
+def _tag(message: Message) -> str:
+    """The sign before the title in the ntfy application."""
+    if message.is_urgent:
+        return "rotating_light"
+    return {"ends": "white_check_mark", "holds": "pause_button", "goes_on": "arrow_forward"}.get(
+        message.event, "bell"
+    )
+
 
 #: The whole exchange, from the name of the host to the end of the answer.
 LONGEST_S = 30.0

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.station.messages import EventName
+from gyrobench.bench.station.receivers import EventName
 
 #: What happened. Receivers choose among those that their key ``on`` allows; the others are for all.
 Event = Literal[EventName, "guard_acted", "test"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gyrobench.bench.monitor.snapshot import Attitude, directions
+from gyrobench.bench.monitor.snapshot import Attitude
 from gyrobench.bench.navigation.positions import AXES
 
 #: Width and height of the drawing.
@@ -13,7 +13,7 @@ SIZE = 240.0
 
 Vector = tuple[float, float, float]
 
-#: The eye stands south-east of the unit and above it, so many times an axis's length away.
+#: The viewpoint is south-east of the unit and above it; its distance is in lengths of an axis.
 _EYE_AZIMUTH, _EYE_HEIGHT, _EYE_DISTANCE = math.radians(-55.0), math.radians(26.0), 6.0
 _ZOOM = 425.0
 _CENTRE = (0.0, 0.0, 0.05)
@@ -23,7 +23,7 @@ _WORLD: tuple[tuple[str, Vector], ...] = (
     ("U", (0.0, 0.0, 1.0)),
 )
 _WORLD_LENGTH, _BODY_LENGTH = 1.3, 1.0
-#: Labels of the world stand behind the tip, those of the body beside it, where no other arrow ends.
+#: Labels of the world are behind the tip, those of the body beside it, where no other arrow ends.
 _BEHIND_TIP, _BESIDE_TIP = 12.0, 15.0
 _FLOOR = -0.95
 _BOX = (0.34, 0.34, 0.22)
@@ -51,7 +51,7 @@ class AxesDrawing:
     floor, box : tuple of str
         Lines on the ground and faces of the unit, the farthest first, as points of polygons.
     behind, before : tuple of Arrow
-        Arrows that point away from the eye, and towards it.
+        Arrows that point away from the viewer, and towards the viewer.
     words : str
         The same in words: "x East, y South, z Down".
     """
@@ -64,7 +64,7 @@ class AxesDrawing:
 
 
 def axes_drawing(attitude: Attitude) -> AxesDrawing:
-    """Draw how the unit stands."""
+    """Draw the unit's attitude."""
     body = [_column(attitude, index) for index in range(len(AXES))]
     arrows = [(f"world {name}", name, axis, _WORLD_LENGTH) for name, axis in _WORLD]
     arrows += [(f"body gyro-{name}", name, axis, _BODY_LENGTH) for name, axis in zip(AXES, body, strict=True)]
@@ -74,7 +74,7 @@ def axes_drawing(attitude: Attitude) -> AxesDrawing:
         box=_box(body),
         behind=tuple(_arrow(*each) for each in arrows if _towards_eye(each[2]) < 0.0),
         before=tuple(_arrow(*each) for each in arrows if _towards_eye(each[2]) >= 0.0),
-        words=directions(attitude),
+        words=attitude.directions(),
     )
 
 

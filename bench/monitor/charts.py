@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.monitor.snapshot import (
-    DwellNow,
+    CurrentDwell,
     LiveBias,
     MeasuredProfile,
-    Picture,
     PlannedProfile,
+    RunSnapshot,
     WindowTrace,
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label
@@ -31,21 +31,13 @@ _USUAL_STEPS = (1.0, 2.0, 5.0, 10.0)
 _TIME_STEPS_S = tuple(
     [MINUTE_S * step for step in (1, 2, 5, 10, 20, 30)] + [HOUR_S * step for step in (1, 2, 3, 6, 12)]
 )
-_MOST_TICKS = 8
+_MAX_TICKS = 8
 _MARGIN = 0.06
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A mark on an axis.
-
-    Attributes
-    ----------
-    percent : float
-        Where, from the left or from the top.
-    text : str
-        What stands there.
-    """
+    """A mark on an axis: its position in percent from the left or from the top, and its label."""
 
     percent: float
     text: str
@@ -53,18 +45,9 @@ class Tick:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis.
+    """One axis: quantity and unit, ends in the unit of the values, marks.
 
-    Attributes
-    ----------
-    title : str
-        Quantity and unit.
-    low, high : float
-        Ends, in the unit of the values.
-    ticks : tuple of Tick
-        Marks.
-    is_upright : bool
-        Whether it grows upwards, against the percentages.
+    An upright axis grows upwards, against the percentages.
     """
 
     title: str
@@ -74,7 +57,7 @@ class Axis:
     is_upright: bool = False
 
     def percent(self, value: float) -> float:
-        """Place of a value, in percent from the left or from the top, to a thousandth."""
+        """Position of a value, in percent from the left or from the top, to a thousandth."""
         share = (value - self.low) / (self.high - self.low)
         return round(100.0 * (1.0 - share if self.is_upright else share), 3)
 
@@ -88,7 +71,7 @@ class CurvePath:
     look : str
         CSS classes.
     path : str
-        Data of an SVG path in the square; empty where nothing is known.
+        Data of an SVG path in the square; empty for a curve without values.
     label : str
         For the legend; empty for a curve that is not in it.
     """
@@ -105,13 +88,13 @@ class Chart:
     Attributes
     ----------
     title : str
-        What it shows, also for those who can't see it.
+        Also read by screen readers.
     x, y : Axis
         Its axes.
     curves : tuple of CurvePath
         In the order of drawing.
     now_percent : float or None
-        Where to mark the present; None for nowhere.
+        Position of a mark at the present; None for no mark.
     """
 
     title: str
@@ -121,40 +104,31 @@ class Chart:
     now_percent: float | None = None
 
 
-def value_axis(title: str, values: Iterable[float], least_span: float) -> Axis:
-    """Make an upright axis for some values; NaN among them is passed over.
+def value_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
+    """Make an upright axis that covers the finite values.
 
-    Parameters
-    ----------
-    title : str
-        Quantity and unit.
-    values : iterable of float
-        What it has to reach.
-    least_span : float
-        Lowest difference of its ends: without it, noise alone would fill the plot.
+    It spans at least ``min_span``, so that noise alone does not fill the plot.
     """
     known = [value for value in values if math.isfinite(value)] or [0.0]
-    middle, span = (min(known) + max(known)) / 2.0, max(max(known) - min(known), least_span)
+    middle, span = (min(known) + max(known)) / 2.0, max(max(known) - min(known), min_span)
     low, high = middle - (0.5 + _MARGIN) * span, middle + (0.5 + _MARGIN) * span
-    exponent = 10.0 ** math.floor(math.log10((high - low) / _MOST_TICKS))
-    step = next(
-        exponent * usual for usual in _USUAL_STEPS if (high - low) / (exponent * usual) <= _MOST_TICKS
-    )
+    exponent = 10.0 ** math.floor(math.log10((high - low) / _MAX_TICKS))
+    step = next(exponent * usual for usual in _USUAL_STEPS if (high - low) / (exponent * usual) <= _MAX_TICKS)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     axis = Axis(title, low, high, (), is_upright=True)
     return _with_ticks(axis, step, lambda value: true_minus(f"{value:z.{decimals}f}"))
 
 
 def time_axis(title: str, low_s: float, high_s: float, unit_s: float) -> Axis:
-    """Make an axis of time whose ticks are at usual minutes or hours, told in ``unit_s``."""
+    """Make an axis of time with ticks at round minutes or hours, labelled in ``unit_s``."""
     high_s = max(high_s, low_s + MINUTE_S)
-    fitting = (step for step in _TIME_STEPS_S if (high_s - low_s) / step <= _MOST_TICKS)
-    step_s = next(fitting, 24.0 * HOUR_S * math.ceil((high_s - low_s) / (24.0 * HOUR_S * _MOST_TICKS)))
+    fitting = (step for step in _TIME_STEPS_S if (high_s - low_s) / step <= _MAX_TICKS)
+    step_s = next(fitting, 24.0 * HOUR_S * math.ceil((high_s - low_s) / (24.0 * HOUR_S * _MAX_TICKS)))
     return _with_ticks(Axis(title, low_s, high_s, ()), step_s, lambda time_s: f"{time_s / unit_s:.3g}")
 
 
 def line(x: Axis, y: Axis, x_values: Sequence[float], y_values: Sequence[float]) -> str:
-    """Path of a line through some points; it is broken where a value is not known."""
+    """Path of a line through points, broken at unknown values."""
     pieces = []
     is_down = False
     for x_value, y_value in zip(x_values, y_values, strict=True):
@@ -162,14 +136,14 @@ def line(x: Axis, y: Axis, x_values: Sequence[float], y_values: Sequence[float])
             is_down = False
             continue
         place = _place(x, y, x_value, y_value)
-        # A point of no length shows as a dot, for it may have no neighbour.
+        # A line of no length draws an isolated point as a dot.
         pieces.append(f"L{place}" if is_down else f"M{place}h0")
         is_down = True
     return "".join(pieces)
 
 
 def band(x: Axis, y: Axis, x_values: Sequence[float], low: Sequence[float], high: Sequence[float]) -> str:
-    """Path around the area between two lines; all values have to be known."""
+    """Path around the area between two lines of finite values."""
     if not x_values:
         return ""
     there = [_place(x, y, *point) for point in zip(x_values, high, strict=True)]
@@ -189,10 +163,10 @@ def _with_ticks(axis: Axis, step: float, text: Callable[[float], str]) -> Axis:
 
 _MM_PER_M = 1e3
 _ARCSEC_PER_DEG = 3600.0
-_LEAST_SPAN_MMPS = 2.0
-_LEAST_SPAN_ARCSEC = 2.0
-_LEAST_SPAN_BIAS = 1e-4
-#: Later estimates set the scale: the first ones are so unsure that the rest would be a flat line.
+_MIN_SPAN_MMPS = 2.0
+_MIN_SPAN_ARCSEC = 2.0
+_MIN_SPAN_BIAS = 1e-4
+#: The later part of the estimates sets the scale: the first ones are very uncertain.
 _SETTLED = 0.5
 
 
@@ -207,17 +181,7 @@ class WindowCharts:
 
 @dataclass(frozen=True)
 class BiasChart:
-    """Live bias of one gyro.
-
-    Attributes
-    ----------
-    gyro : str
-        "x", "y" or "z".
-    label, text, unit : str
-        "X gyro", its newest bias with its standard uncertainty, and their unit.
-    chart : Chart
-        How both came about.
-    """
+    """Live bias of one gyro: "x", "X gyro", newest bias with its standard uncertainty, unit, history."""
 
     gyro: str
     label: str
@@ -226,18 +190,18 @@ class BiasChart:
     chart: Chart
 
 
-def window_charts(dwell: DwellNow) -> list[WindowCharts]:
-    """Draw each window of a dwell; all share their scales, so that they can be compared."""
+def window_charts(dwell: CurrentDwell) -> list[WindowCharts]:
+    """Draw the windows of a dwell on common scales."""
     velocities = [
         _MM_PER_M * value
         for window in dwell.windows
         for value in (*window.velocity_east_mps, *window.velocity_north_mps)
     ]
     headings = [_ARCSEC_PER_DEG * value for window in dwell.windows for value in window.heading_change_deg]
-    velocity_y = value_axis("Velocity, mm/s", velocities, _LEAST_SPAN_MMPS)
-    heading_y = value_axis("Heading change, arcsec", headings, _LEAST_SPAN_ARCSEC)
-    longest_s = max((max((window.planned_s, *window.time_s)) for window in dwell.windows), default=0.0)
-    x = time_axis("Time in the window, min", 0.0, longest_s, MINUTE_S)
+    velocity_y = value_axis("Velocity, mm/s", velocities, _MIN_SPAN_MMPS)
+    heading_y = value_axis("Heading change, arcsec", headings, _MIN_SPAN_ARCSEC)
+    max_s = max((max((window.planned_s, *window.time_s)) for window in dwell.windows), default=0.0)
+    x = time_axis("Time in the window, min", 0.0, max_s, MINUTE_S)
     return [
         WindowCharts(number, _velocity_chart(number, window, x, velocity_y),
                      _heading_chart(number, window, x, heading_y))
@@ -245,8 +209,8 @@ def window_charts(dwell: DwellNow) -> list[WindowCharts]:
     ]  # fmt: skip
 
 
-def bias_charts(dwell: DwellNow) -> list[BiasChart]:
-    """Draw the live bias of each gyro; empty as long as nothing can be told."""
+def bias_charts(dwell: CurrentDwell) -> list[BiasChart]:
+    """Draw the live bias of each gyro; empty until the bias is observable."""
     if not dwell.estimates:
         return []
     newest = dwell.estimates[-1]
@@ -280,7 +244,7 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
     high = [value + width for value, width in zip(bias, sigma, strict=True)]
     settled = int(_SETTLED * len(known))
     x = time_axis("Since the first estimate, min", 0.0, max([0.0, *times_s]), MINUTE_S)
-    y = value_axis(f"Bias, {scale.unit}", (*low[settled:], *high[settled:]), _LEAST_SPAN_BIAS)
+    y = value_axis(f"Bias, {scale.unit}", (*low[settled:], *high[settled:]), _MIN_SPAN_BIAS)
     curves = (
         CurvePath(f"sigma gyro-{gyro}", band(x, y, times_s, low, high), "± 1 sigma"),
         CurvePath(f"gyro-{gyro}", line(x, y, times_s, bias), "bias"),
@@ -291,7 +255,7 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
     return BiasChart(gyro, gyro_label(gyro), text, scale.unit, chart)
 
 
-_LEAST_SPAN_C = 10.0
+_MIN_SPAN_C = 10.0
 _SHORT_S = 2.0 * HOUR_S
 _MEASURED = (
     ("chamber_set_c", "set-point", "chamber set"),
@@ -304,8 +268,8 @@ _PLANNED = (("chamber_c", "chamber planned", "chamber, plan"), ("gyro_c", "gyro 
 
 
 @dataclass(frozen=True)
-class Stay:
-    """A stay in a position: places in percent of the time axis, and whether it is over by the plan."""
+class PositionBar:
+    """Planned time in a position, in percent of the time axis, and whether it is completed."""
 
     start_percent: float
     width_percent: float
@@ -314,35 +278,32 @@ class Stay:
 
 @dataclass(frozen=True)
 class ProfileChart:
-    """The chart and, by position, the stays there."""
+    """The chart, and the bars of each position."""
 
     chart: Chart
-    lanes: dict[str, list[Stay]]
+    lanes: dict[str, list[PositionBar]]
 
 
-def profile_chart(picture: Picture) -> ProfileChart | None:
-    """Draw the profile; None where neither a plan nor a measurement is known.
-
-    What is still to come is drawn as late as the run is behind its plan.
-    """
-    planned, measured = picture.planned, picture.measured
+def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
+    """Draw the profile, the future plan shifted by the run's delay; None without plan and measurement."""
+    planned, measured = snapshot.planned, snapshot.measured
     if not planned.time_s and not measured.time_s:
         return None
-    planned_ends_s = [time_s + picture.behind_s for time_s in planned.time_s[-1:]]
-    ends_s = [picture.now_s, *measured.time_s[-1:], *planned_ends_s]
+    planned_ends_s = [time_s + snapshot.behind_s for time_s in planned.time_s[-1:]]
+    ends_s = [snapshot.now_s, *measured.time_s[-1:], *planned_ends_s]
     unit_s, unit = (HOUR_S, "h") if max(ends_s) > _SHORT_S else (MINUTE_S, "min")
     x = time_axis(f"Time since the start, {unit}", 0.0, max(ends_s), unit_s)
-    y = value_axis("Temperature, °C", _temperatures(planned, measured), _LEAST_SPAN_C)
+    y = value_axis("Temperature, °C", _temperatures(planned, measured), _MIN_SPAN_C)
     curves = [
-        CurvePath(look, _planned_path(x, y, planned.time_s, getattr(planned, name), picture), label)
+        CurvePath(look, _planned_path(x, y, planned.time_s, getattr(planned, name), snapshot), label)
         for name, look, label in _PLANNED
     ]
     curves += [
         CurvePath(look, line(x, y, measured.time_s, getattr(measured, name)), label)
         for name, look, label in _MEASURED
     ]
-    chart = Chart("Temperatures, planned and measured", x, y, tuple(curves), x.percent(picture.now_s))
-    return ProfileChart(chart, _lanes(x, picture))
+    chart = Chart("Temperatures, planned and measured", x, y, tuple(curves), x.percent(snapshot.now_s))
+    return ProfileChart(chart, _lanes(x, snapshot))
 
 
 def _temperatures(planned: PlannedProfile, measured: MeasuredProfile) -> list[float]:
@@ -352,26 +313,26 @@ def _temperatures(planned: PlannedProfile, measured: MeasuredProfile) -> list[fl
 
 
 def _planned_path(
-    x: Axis, y: Axis, time_s: Sequence[float], values: Sequence[float], picture: Picture
+    x: Axis, y: Axis, time_s: Sequence[float], values: Sequence[float], snapshot: RunSnapshot
 ) -> str:
-    """Past of a plan as it was planned, and its future from now on."""
+    """Past of a plan as planned, and its future from now on."""
     if not time_s:
         return ""
-    plan_now_s = picture.plan_now_s
+    plan_now_s = snapshot.plan_now_s
     pairs = list(zip(time_s, values, strict=True))
     present = (plan_now_s, float(np.interp(plan_now_s, time_s, values)))
     past = [*(pair for pair in pairs if pair[0] < plan_now_s), present]
-    future = [(at_s + picture.behind_s, value) for at_s, value in (present, *pairs) if at_s >= plan_now_s]
+    future = [(at_s + snapshot.behind_s, value) for at_s, value in (present, *pairs) if at_s >= plan_now_s]
     return "".join(line(x, y, *zip(*part, strict=True)) for part in (past, future))
 
 
-def _lanes(x: Axis, picture: Picture) -> dict[str, list[Stay]]:
-    used = {span.position for span in picture.planned.positions}
-    lanes: dict[str, list[Stay]] = {position: [] for position in POSITIONS if position in used}
-    for span in picture.planned.positions:
-        is_over = span.end_s <= picture.plan_now_s
-        start_s = span.start_s if span.start_s <= picture.plan_now_s else span.start_s + picture.behind_s
-        end_s = span.end_s if is_over else span.end_s + picture.behind_s
+def _lanes(x: Axis, snapshot: RunSnapshot) -> dict[str, list[PositionBar]]:
+    used = {span.position for span in snapshot.planned.positions}
+    lanes: dict[str, list[PositionBar]] = {position: [] for position in POSITIONS if position in used}
+    for span in snapshot.planned.positions:
+        is_over = span.end_s <= snapshot.plan_now_s
+        start_s = span.start_s if span.start_s <= snapshot.plan_now_s else span.start_s + snapshot.behind_s
+        end_s = span.end_s if is_over else span.end_s + snapshot.behind_s
         left, right = x.percent(start_s), x.percent(end_s)
-        lanes.setdefault(span.position, []).append(Stay(left, round(right - left, 3), is_over))
+        lanes.setdefault(span.position, []).append(PositionBar(left, round(right - left, 3), is_over))
     return lanes

@@ -1,4 +1,4 @@
-"""What the page of a run shows, as text: headline, tables, and how fresh the snapshot is."""
+"""Content of the pages as text: headline, tables, rows of the list of runs, age of the snapshot."""
 
 from __future__ import annotations
 
@@ -11,49 +11,38 @@ from urllib.parse import quote
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.text import bin_label, counted
 from gyrobench.bench.monitor.run_list import RunSummary
-from gyrobench.bench.monitor.snapshot import BenchNow, DwellDone, FillingBin, Picture, RunState, mean_known
+from gyrobench.bench.monitor.snapshot import (
+    BenchReadings,
+    LiveBin,
+    MeasuredDwell,
+    RunSnapshot,
+    RunState,
+    mean_known,
+)
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
 
-#: A run writes every other second; one that is busy may take some longer.
+#: A run writes every two seconds; a busy run takes longer.
 SILENT_AFTER_S = 20.0
 
 
 @dataclass(frozen=True)
-class News:
-    """How fresh a picture is.
-
-    Attributes
-    ----------
-    age_s : float
-        Since it was made; 0 where that is not known.
-    is_over : bool
-        Whether nothing more is to be expected.
-    warning : str
-        What is wrong; empty if nothing is.
-    """
+class Freshness:
+    """Age of a snapshot, 0 if unknown; whether the run has ended; a warning if it is silent."""
 
     age_s: float
     is_over: bool
     warning: str
 
 
-def news_of(state: RunState, updated_utc: str, now: datetime) -> News:
-    """Judge how fresh a picture is.
-
-    Parameters
-    ----------
-    state, updated_utc
-        Of the picture; the time is empty where it is not known.
-    now : datetime
-        The host's calendar.
-    """
+def freshness_of(state: RunState, updated_utc: str, now: datetime) -> Freshness:
+    """Age of a snapshot from its state and time, empty if unknown, and the host's calendar."""
     age_s = _age_s(updated_utc, now)
     if state.is_over or age_s < SILENT_AFTER_S:
-        return News(age_s, state.is_over, "")
-    why = "The run's process is there, but it writes nothing: is it busy or stuck, or the disk full?"
-    return News(age_s, False, f"No news for {age_text(age_s)}. {why}")
+        return Freshness(age_s, state.is_over, "")
+    why = "The run's process exists but writes no snapshot. Check whether it is stuck or the disk is full."
+    return Freshness(age_s, False, f"No update for {age_text(age_s)}. {why}")
 
 
 def age_text(age_s: float) -> str:
@@ -70,8 +59,8 @@ def _age_s(updated_utc: str, now: datetime) -> float:
     return max(0.0, (now - updated).total_seconds()) if updated else 0.0
 
 
-#: Sign beside each state, so that it is known from afar and without colours.
-SIGNS = {
+#: Sign beside each state, recognisable from a distance and without colours.
+STATE_SYMBOLS = {
     RunState.STARTING: "▷",
     RunState.RUNNING: "▶",
     RunState.HOLDING: "▲",
@@ -81,15 +70,15 @@ SIGNS = {
     RunState.STOPPED: "■",
     RunState.FAILED: "✕",
 }
-_GOING_ON = {RunState.STARTING, RunState.RUNNING}
-#: States of which somebody should take notice.
-_NOTABLE = {RunState.HOLDING, RunState.PAUSED, RunState.WAITING, RunState.STOPPED}
-_NOTABLE_DELAY_S = 300.0
+_PROGRESSING = {RunState.STARTING, RunState.RUNNING}
+#: States that need attention.
+_ATTENTION_STATES = {RunState.HOLDING, RunState.PAUSED, RunState.WAITING, RunState.STOPPED}
+_MIN_SHOWN_DELAY_S = 300.0
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A large value with its name above and a line below."""
+    """A large value with its name and a line below."""
 
     name: str
     value: str
@@ -103,13 +92,13 @@ class Headline:
     Attributes
     ----------
     sign, state, reason : str
-        What the run is doing, and why if it is not simply going on.
+        State, and the reason of a hold, stop or failure.
     look : str
         CSS class: "good", "notable" or "bad".
     tiles : tuple of Tile
         Time left, temperature, dwell.
     end : datetime or None
-        When it is expected to end; None where that can't be told, as while it waits.
+        Expected end; None if unknown, as while it waits.
     share_done : float
         Of the planned duration.
     """
@@ -123,73 +112,75 @@ class Headline:
     share_done: float
 
 
-def headline(picture: Picture) -> Headline:
-    """Choose what stands on top."""
-    state = picture.state
-    look = "bad" if picture.alarms and not state.is_over else state_look(state)
-    share = 1.0 - picture.left_s / picture.planned_s if picture.planned_s > 0.0 else 0.0
+def headline(snapshot: RunSnapshot) -> Headline:
+    """Headline of a run."""
+    state = snapshot.state
+    look = "bad" if snapshot.alarms and not state.is_over else state_class(state)
+    share = 1.0 - snapshot.left_s / snapshot.planned_s if snapshot.planned_s > 0.0 else 0.0
     return Headline(
-        sign=SIGNS[state],
+        sign=STATE_SYMBOLS[state],
         state=state.value,
-        reason=picture.reason,
+        reason=snapshot.reason,
         look=look,
-        tiles=(_time_tile(picture), _temperature_tile(picture.bench), _dwell_tile(picture)),
-        end=_expected_end(picture) if state in _GOING_ON else None,
+        tiles=(_time_tile(snapshot), _temperature_tile(snapshot.bench), _dwell_tile(snapshot)),
+        end=_expected_end(snapshot) if state in _PROGRESSING else None,
         share_done=min(max(share, 0.0), 1.0),
     )
 
 
-def state_look(state: RunState) -> str:
+def state_class(state: RunState) -> str:
     """CSS class of a state."""
-    return "bad" if state is RunState.FAILED else "notable" if state in _NOTABLE else "good"
+    return "bad" if state is RunState.FAILED else "notable" if state in _ATTENTION_STATES else "good"
 
 
 def celsius(temperature_c: float, decimals: int = 1) -> str:
-    """Write a temperature with its unit; "not known" for NaN."""
+    """Format a temperature with its unit; "unknown" for NaN."""
     if math.isnan(temperature_c):
-        return "not known"
+        return "unknown"
     return true_minus(f"{temperature_c:z.{decimals}f} °C")
 
 
-def _expected_end(picture: Picture) -> datetime | None:
-    """End on the calendar of the run; a run faster than the calendar is over before that means anything."""
-    started, updated = parsed_utc(picture.started_utc), parsed_utc(picture.updated_utc)
+def _expected_end(snapshot: RunSnapshot) -> datetime | None:
+    """Expected end on the host's calendar; None for a run faster than real time."""
+    started, updated = parsed_utc(snapshot.started_utc), parsed_utc(snapshot.updated_utc)
     if started is None or updated is None:
         return None
-    is_real_time = abs((started + timedelta(seconds=picture.now_s) - updated).total_seconds()) < 3600.0
-    return updated + timedelta(seconds=picture.left_s) if is_real_time else None
+    is_real_time = abs((started + timedelta(seconds=snapshot.now_s) - updated).total_seconds()) < 3600.0
+    return updated + timedelta(seconds=snapshot.left_s) if is_real_time else None
 
 
-def _time_tile(picture: Picture) -> Tile:
-    planned = f"{hours_minutes(picture.planned_s)} h planned"
-    if picture.state.is_over:
-        return Tile("Took", f"{hours_minutes(picture.now_s)} h", planned)
-    behind = f", {hours_minutes(picture.behind_s)} h behind" if picture.behind_s >= _NOTABLE_DELAY_S else ""
-    return Tile("Time left", f"{hours_minutes(picture.left_s)} h", f"of {planned}{behind}")
+def _time_tile(snapshot: RunSnapshot) -> Tile:
+    planned = f"{hours_minutes(snapshot.planned_s)} h planned"
+    if snapshot.state.is_over:
+        return Tile("Took", f"{hours_minutes(snapshot.now_s)} h", planned)
+    behind = (
+        f", {hours_minutes(snapshot.behind_s)} h behind" if snapshot.behind_s >= _MIN_SHOWN_DELAY_S else ""
+    )
+    return Tile("Time left", f"{hours_minutes(snapshot.left_s)} h", f"of {planned}{behind}")
 
 
-def _temperature_tile(bench: BenchNow | None) -> Tile:
+def _temperature_tile(bench: BenchReadings | None) -> Tile:
     if bench is None:
-        return Tile("Chamber", "not known", "")
+        return Tile("Chamber", "unknown", "")
     gyro_c = mean_known(bench.gyro_c)
     gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {celsius(gyro_c)}"
     target = "no set point" if math.isnan(bench.chamber_set_c) else f"set {celsius(bench.chamber_set_c)}"
     return Tile("Chamber", celsius(bench.chamber_c), f"{target}, {gyros}")
 
 
-def _dwell_tile(picture: Picture) -> Tile:
-    flagged = sum(bool(dwell.flags) for dwell in picture.dwells)
-    measured = f"{len(picture.dwells)} measured" + (f", {flagged} flagged" if flagged else "")
-    if picture.dwell is None or picture.state.is_over:
-        return Tile("Dwells", f"{len(picture.dwells)} of {picture.dwell_count}", measured)
-    dwell = picture.dwell
+def _dwell_tile(snapshot: RunSnapshot) -> Tile:
+    flagged = sum(bool(dwell.flags) for dwell in snapshot.dwells)
+    measured = f"{len(snapshot.dwells)} measured" + (f", {flagged} flagged" if flagged else "")
+    if snapshot.dwell is None or snapshot.state.is_over:
+        return Tile("Dwells", f"{len(snapshot.dwells)} of {snapshot.dwell_count}", measured)
+    dwell = snapshot.dwell
     where = f"{position_label(dwell.position)}, cycle {dwell.cycle}"
     return Tile("Dwell", f"{dwell.number} of {dwell.count}", f"{where}; {measured}")
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A bias and its standard uncertainty; ``count`` dwells stand behind it. Empty text for nothing."""
+    """A bias and its standard uncertainty, from ``count`` dwells; empty text for an empty bin."""
 
     bias: str = ""
     sigma: str = ""
@@ -198,7 +189,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class BinTable:
-    """Bins of one gyro: their ranges with a cell for each position. No cells: a range that is empty."""
+    """Bins of one gyro: their ranges with a cell for each position; no cells for an empty range."""
 
     gyro: str
     unit: str
@@ -226,8 +217,8 @@ class ShownDwells:
     rows: tuple[ShownDwell, ...]
 
 
-def bin_tables(bins: Iterable[FillingBin]) -> list[BinTable]:
-    """Bins by gyro, the warmest first; none as long as all are empty."""
+def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
+    """Bins by gyro, the warmest first; none while all are empty."""
     known = list(bins)
     filled = [each for each in known if each.count]
     if not filled:
@@ -236,15 +227,15 @@ def bin_tables(bins: Iterable[FillingBin]) -> list[BinTable]:
     return [_bin_table(gyro, [each for each in known if each.gyro == gyro], scale) for gyro in AXES]
 
 
-def shown_dwells(dwells: Sequence[DwellDone]) -> ShownDwells:
+def shown_dwells(dwells: Sequence[MeasuredDwell]) -> ShownDwells:
     """Dwells, the newest first."""
     biases = [value for dwell in dwells for value in dwell.bias_dph]
     scale = BiasScale.of(biases, [value for dwell in dwells for value in dwell.sigma_dph])
     return ShownDwells(scale.unit, tuple(_shown_dwell(dwell, scale) for dwell in reversed(dwells)))
 
 
-def reading_rows(bench: BenchNow) -> list[tuple[str, str, str]]:
-    """Present readings: what, value, and how old the instrument's last answer is."""
+def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:
+    """Present readings: quantity, value, and age of the instrument's last reply."""
     chamber, table, ins = (_age(age_s) for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s))
     return [
         ("chamber air", celsius(bench.chamber_c, 2), chamber),
@@ -258,7 +249,7 @@ def reading_rows(bench: BenchNow) -> list[tuple[str, str, str]]:
     ]
 
 
-def _bin_table(gyro: str, bins: list[FillingBin], scale: BiasScale) -> BinTable:
+def _bin_table(gyro: str, bins: list[LiveBin], scale: BiasScale) -> BinTable:
     used = {each.position for each in bins}
     positions = [position for position in POSITIONS if position in used]
     ranges = by_temperature(bins, lambda each: (each.low_c, each.high_c), lambda each: each.count > 0)
@@ -275,13 +266,13 @@ def _bin_table(gyro: str, bins: list[FillingBin], scale: BiasScale) -> BinTable:
     )
 
 
-def _bin_cells(members: list[FillingBin], positions: list[str], scale: BiasScale) -> tuple[Cell, ...]:
-    """A cell for each position; none for a range that is empty in all of them."""
+def _bin_cells(members: list[LiveBin], positions: list[str], scale: BiasScale) -> tuple[Cell, ...]:
+    """A cell for each position; none for an empty range."""
     by_position = {each.position: each for each in members}
     return tuple(_bin_cell(by_position.get(position), scale) for position in positions) if members else ()
 
 
-def _bin_cell(each: FillingBin | None, scale: BiasScale) -> Cell:
+def _bin_cell(each: LiveBin | None, scale: BiasScale) -> Cell:
     if each is None or not each.count:
         return Cell()
     return _cell(each.bias_dph, each.sigma_dph, scale, each.count)
@@ -293,7 +284,7 @@ def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -
     return Cell(true_minus(scale.text(bias_dph)), scale.text(sigma_dph), count)
 
 
-def _shown_dwell(dwell: DwellDone, scale: BiasScale) -> ShownDwell:
+def _shown_dwell(dwell: MeasuredDwell, scale: BiasScale) -> ShownDwell:
     pairs = zip(dwell.bias_dph, dwell.sigma_dph, strict=True)
     gyro_c = mean_known(dwell.gyro_c)
     return ShownDwell(
@@ -313,13 +304,13 @@ def _set_point(temperature_c: float) -> str:
 def _triple(values_c: Iterable[float]) -> str:
     values = list(values_c)
     if all(math.isnan(value) for value in values):
-        return "not known"
+        return "unknown"
     return true_minus(", ".join("–" if math.isnan(value) else f"{value:z.2f}" for value in values)) + " °C"
 
 
 def _axis(angle_deg: float, rate_dps: float) -> str:
     if math.isnan(angle_deg):
-        return "not known"
+        return "unknown"
     rate = "" if math.isnan(rate_dps) else f", {rate_dps:z.2f} deg/s"
     return true_minus(f"{angle_deg:z.3f}°{rate}")
 
@@ -330,7 +321,7 @@ def _age(age_s: float) -> str:
 
 @dataclass(frozen=True)
 class ListRow:
-    """One run in the list: name and address, state with sign and CSS class, and the rest in a line."""
+    """One run in the list: name and address, state with sign and CSS class, further facts in a line."""
 
     name: str
     address: str
@@ -341,22 +332,22 @@ class ListRow:
     facts: str
 
 
-def list_row(run: RunSummary, news: News) -> ListRow:
-    """Write a run as text."""
-    is_silent = bool(news.warning)
+def list_row(run: RunSummary, freshness: Freshness) -> ListRow:
+    """Row of a run."""
+    is_silent = bool(freshness.warning)
     return ListRow(
         name=run.name,
         address=address_of(run.name),
-        look="bad" if is_silent or run.alarms else state_look(run.state),
-        sign="▲" if is_silent else SIGNS[run.state],
+        look="bad" if is_silent or run.alarms else state_class(run.state),
+        sign="▲" if is_silent else STATE_SYMBOLS[run.state],
         state="silent" if is_silent else run.state.value,
-        reason=news.warning or run.reason,
+        reason=freshness.warning or run.reason,
         facts=", ".join(_facts(run)),
     )
 
 
 def unreadable_row(name: str, problem: str) -> ListRow:
-    """Write a run that can't be read."""
+    """Row of a run that can't be read."""
     return ListRow(name, address_of(name), "bad", "▲", "can't be read", problem, "")
 
 

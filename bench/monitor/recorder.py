@@ -6,13 +6,14 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.bins import bin_biases
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.orders import Order
 from gyrobench.bench.engine.outcome import RunOutcome
@@ -22,26 +23,26 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.monitor.snapshot import (
-    MOST_ESTIMATES,
-    MOST_IN_WINDOW,
-    MOST_MEASURED,
-    MOST_MESSAGES,
-    MOST_PLANNED,
+    MAX_ESTIMATES,
+    MAX_MEASURED,
+    MAX_MESSAGES,
+    MAX_PLANNED,
+    MAX_WINDOW_SAMPLES,
     Alarm,
     Attitude,
-    BenchNow,
-    DwellDone,
-    DwellNow,
-    FillingBin,
+    BenchReadings,
+    CurrentDwell,
+    CurrentStep,
     LiveBias,
+    LiveBin,
+    MeasuredDwell,
     MeasuredProfile,
     Note,
-    Picture,
     PlannedProfile,
     PositionSpan,
     Question,
+    RunSnapshot,
     RunState,
-    StepNow,
     WindowTrace,
 )
 from gyrobench.bench.procedure.plan import Phase, Plan, PlannedStep
@@ -54,16 +55,10 @@ T = TypeVar("T")
 
 
 class Thinned(Generic[T]):
-    """Keeps every n-th row, evenly over all that came; n doubles whenever there are too many.
+    """Keeps at most ``max_rows`` rows: every n-th and the newest; n doubles when they are too many."""
 
-    Parameters
-    ----------
-    most : int
-        So many rows are given at most, the newest always among them.
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, max_rows: int) -> None:
+        self._max_rows = max_rows
         self._kept: list[T] = []
         self._newest: T | None = None
         self._count = 0
@@ -75,7 +70,7 @@ class Thinned(Generic[T]):
             self._kept.append(row)
         self._count += 1
         self._newest = row
-        if len(self._kept) >= self._most:
+        if len(self._kept) >= self._max_rows:
             self._kept = self._kept[::2]
             self._every *= 2
 
@@ -86,13 +81,9 @@ class Thinned(Generic[T]):
         return [*self._kept, self._newest]
 
 
-#: Columns of the telemetry that make a measured profile, in its order.
-COLUMNS = ("time_s", "chamber_set_c", "chamber_c", "gyro_x_c", "gyro_y_c", "gyro_z_c")
-
-
 def planned_profile(plan: Plan) -> PlannedProfile:
-    """Temperatures and positions that a plan expects."""
-    time_s, chamber_c, gyro_c = (_evenly_thinned(each, MOST_PLANNED) for each in temperature_profile(plan))
+    """Planned temperatures and positions."""
+    time_s, chamber_c, gyro_c = (_evenly_thinned(each, MAX_PLANNED) for each in temperature_profile(plan))
     spans = tuple(PositionSpan(float(start), float(end), name) for start, end, name in position_spans(plan))
     return PlannedProfile(time_s, chamber_c, gyro_c, spans)
 
@@ -105,29 +96,31 @@ def measured_profile(rows: Sequence[tuple[float, ...]]) -> MeasuredProfile:
 
 
 def profile_of_telemetry(telemetry: Mapping[str, FloatArray]) -> MeasuredProfile:
-    """Profile of a run that has been recorded."""
-    return MeasuredProfile(*(_evenly_thinned(telemetry[name], MOST_MEASURED) for name in COLUMNS))
+    """Profile of a run from its telemetry, whose columns have the names of its series."""
+    return MeasuredProfile(
+        *(_evenly_thinned(telemetry[each.name], MAX_MEASURED) for each in fields(MeasuredProfile))
+    )
 
 
-def _evenly_thinned(values: FloatArray, most: int) -> tuple[float, ...]:
-    """So many values at most, evenly chosen, with the first and the last."""
-    if len(values) > most:
-        values = values[np.linspace(0, len(values) - 1, most).round().astype(int)]
+def _evenly_thinned(values: FloatArray, max_count: int) -> tuple[float, ...]:
+    """At most ``max_count`` values, evenly chosen, with the first and the last."""
+    if len(values) > max_count:
+        values = values[np.linspace(0, len(values) - 1, max_count).round().astype(int)]
     return tuple(map(float, values))
 
 
-def dwells_done(rows: Sequence[DwellRow]) -> tuple[DwellDone, ...]:
-    """Each dwell in short."""
+def measured_dwells(rows: Sequence[DwellRow]) -> tuple[MeasuredDwell, ...]:
+    """Summary of each dwell."""
     return tuple(
-        DwellDone(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
+        MeasuredDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
         for row in rows
     )
 
 
-def filling_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[FillingBin, ...]:
-    """Bins of the dwells without flags, empty ones between them included."""
+def live_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[LiveBin, ...]:
+    """Bins of the dwells without flags, including empty bins between them."""
     return tuple(
-        FillingBin(
+        LiveBin(
             each.gyro,
             each.position,
             each.bin_low_c,
@@ -140,14 +133,14 @@ def filling_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[FillingBin, 
     )
 
 
-def bench_now(bench: LiveBench) -> BenchNow:
-    """What the instruments said last, and how old that is."""
+def bench_readings(bench: LiveBench) -> BenchReadings:
+    """Last readings and their age."""
     readings, now_s = bench.readings, bench.clock.now()
     outer_deg, inner_deg = bench.table_angles()
     outer_dps, inner_dps = bench.station.table_axes_of(readings.table.rate_dps)
     set_c = bench.commanded_c
     ins_age_s = readings.ins.age_s + now_s - readings.asked_s
-    return BenchNow(
+    return BenchReadings(
         chamber_set_c=math.nan if set_c is None else set_c,
         chamber_c=readings.chamber.temperature_c,
         gyro_c=tuple(readings.ins.optics_c.tolist()),
@@ -164,27 +157,27 @@ def bench_now(bench: LiveBench) -> BenchNow:
     )
 
 
-def attitude_now(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
-    """How the unit stands by the table's angles, and where it was sent."""
+def attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
+    """Attitude of the unit from the table's angles, and its commanded position."""
     east, north, up = bench.station.table.attitude(*bench.table_angles()).tolist()
     return Attitude(position, azimuth_deg % 360.0, (tuple(east), tuple(north), tuple(up)))
 
 
-def alarms_now(bench: LiveBench) -> tuple[Alarm, ...]:
-    """Interlocks that are tripped, and instruments that do not answer."""
+def alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
+    """Tripped interlocks, and instruments that do not reply."""
     tripped = (Alarm(trip.name, trip.text) for trip in bench.trips())
-    silent = (Alarm(name, f"the {name} does not answer; it is asked again") for name in bench.silent)
+    silent = (Alarm(name, f"the {name} does not reply; retrying") for name in bench.silent)
     return (*tripped, *silent)
 
 
 class _Window:
-    """One window; its heading counts from the first attitude that is known."""
+    """One window; its heading is relative to the first known attitude."""
 
     def __init__(self, planned_s: float, begun_s: float) -> None:
         self._planned_s = planned_s
         self._begun_s = begun_s
         self._first: FloatArray | None = None
-        self._rows: Thinned[tuple[float, float, float, float]] = Thinned(MOST_IN_WINDOW)
+        self._rows: Thinned[tuple[float, float, float, float]] = Thinned(MAX_WINDOW_SAMPLES)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
         if self._first is None and not np.isnan(ins.attitude).any():
@@ -203,46 +196,38 @@ class _Window:
 
 
 class DwellTrace:
-    """Collects the dwell under way.
-
-    Parameters
-    ----------
-    planned : PlannedStep
-        Its alignment.
-    count : int
-        Number of dwells of the plan.
-    """
+    """Collects the current dwell: ``planned`` is its alignment, ``count`` the number of planned dwells."""
 
     def __init__(self, planned: PlannedStep, count: int) -> None:
         self._planned = planned
         self._count = count
         self._windows: list[_Window] = []
         self._is_open = False
-        self._estimates: Thinned[LiveBias] = Thinned(MOST_ESTIMATES)
+        self._estimates: Thinned[LiveBias] = Thinned(MAX_ESTIMATES)
 
     def begin_window(self, planned_s: float, now_s: float) -> None:
-        """A stretch of navigation begins."""
+        """A window of navigation begins."""
         self._windows.append(_Window(planned_s, now_s))
         self._is_open = True
 
     def end_window(self) -> None:
-        """It is over: what the INS says in a turn belongs to no window."""
+        """It ends: data of the INS during a turn belong to no window."""
         self._is_open = False
 
     def add(self, time_s: float, ins: InsStatus) -> None:
-        """Take what the INS says; kept while a window goes on."""
+        """Add data of the INS; kept inside a window."""
         if self._is_open:
             self._windows[-1].add(time_s, ins)
 
     def estimated(self, time_s: float, estimate: StateSpaceEstimate) -> None:
-        """Take the newest estimate."""
+        """Add the newest estimate."""
         bias, sigma = estimate.bias_dph.tolist(), estimate.sigma_dph.tolist()
         self._estimates.add(LiveBias(time_s, tuple(bias), tuple(sigma)))
 
-    def now(self) -> DwellNow:
-        """What there is by now."""
+    def now(self) -> CurrentDwell:
+        """The dwell so far."""
         planned = self._planned
-        return DwellNow(
+        return CurrentDwell(
             number=planned.dwell or 0,
             count=self._count,
             cycle=planned.cycle,
@@ -253,24 +238,18 @@ class DwellTrace:
 
 
 def _heading_deg(turned: FloatArray) -> float:
-    """Angle about Up of a small rotation (3, 3), NaN if that is not known."""
+    """Angle about Up of a small rotation (3, 3); NaN if unknown."""
     return float(np.rad2deg(np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])))
 
 
-#: Of real time, whatever the run's clock does.
+#: In real time, independent of the run's clock.
 _WRITE_EVERY_S = 2.0
 
 
-class PictureRecorder(Progress):
-    """Watches a run and has its picture at every moment.
+class SnapshotRecorder(Progress):
+    """Observes a run and keeps its snapshot, which it writes to the run folder every two seconds.
 
-    The picture is written now and then. A disk that is full, or a file that can't be written, costs
-    pictures and nothing else.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is being run.
+    If the file can't be written, as on a full disk, the run continues without it.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -281,26 +260,26 @@ class PictureRecorder(Progress):
         self._bench: LiveBench | None = None
         self._outcome = RunOutcome()
         self._planned = planned_profile(plan)
-        self._readings: Thinned[tuple[float, ...]] = Thinned(MOST_MEASURED)
+        self._readings: Thinned[tuple[float, ...]] = Thinned(MAX_MEASURED)
         self._last_reading_s = -math.inf
         self._state, self._reason = RunState.STARTING, ""
         self._question: Question | None = None
         self._unit = ""
         self._left_s = plan.duration_s
-        self._step: StepNow | None = None
+        self._step: CurrentStep | None = None
         self._dwell: DwellTrace | None = None
         self._position, self._azimuth_deg = "", math.nan
-        self._dwells: tuple[DwellDone, ...] = ()
-        self._bins: tuple[FillingBin, ...] = ()
-        self._messages: deque[Note] = deque(maxlen=MOST_MESSAGES)
+        self._dwells: tuple[MeasuredDwell, ...] = ()
+        self._bins: tuple[LiveBin, ...] = ()
+        self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
 
-    def picture(self) -> Picture | None:
-        """The run now; None before it has begun."""
+    def snapshot(self) -> RunSnapshot | None:
+        """The run now; None before it starts."""
         folder, bench = self._folder, self._bench
         if folder is None or bench is None:
             return None
         is_read = self._last_reading_s > -math.inf
-        return Picture(
+        return RunSnapshot(
             name=folder.path.resolve().name,
             folder=str(folder.path),
             procedure=self._plan.procedure.procedure,
@@ -317,20 +296,18 @@ class PictureRecorder(Progress):
             question=self._question,
             planned=self._planned,
             measured=measured_profile(self._readings.rows()),
-            bench=bench_now(bench) if is_read else None,
-            attitude=attitude_now(bench, self._position, self._azimuth_deg) if is_read else None,
+            bench=bench_readings(bench) if is_read else None,
+            attitude=attitude_of(bench, self._position, self._azimuth_deg) if is_read else None,
             step=self._step,
             dwell=self._dwell.now() if self._dwell else None,
             dwells=self._dwells,
             bins=self._bins,
-            alarms=alarms_now(bench) if is_read else (),
+            alarms=alarms_of(bench) if is_read else (),
             messages=tuple(self._messages),
         )
 
-    # what the run tells
-
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
-        """Take what was measured before the run was resumed."""
+        """Start with the dwells measured before a resume."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
         self._take_dwells()
         self._write()
@@ -344,10 +321,10 @@ class PictureRecorder(Progress):
         self._unit = unit
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
-        """Follow the run to its next step."""
+        """Show the next step."""
         now_s, step = bench.clock.now(), planned.step
         self._state, self._reason = RunState.RUNNING, ""
-        self._step = StepNow(
+        self._step = CurrentStep(
             planned.number,
             len(self._plan.steps),
             planned.label,
@@ -372,7 +349,7 @@ class PictureRecorder(Progress):
                 self._dwell.begin_window(planned.duration_s, now_s)
 
     def beat(self, bench: LiveBench) -> None:
-        """Take a reading that is new, and write the picture if it is time."""
+        """Add a new reading, and write the snapshot if it is due."""
         readings = bench.readings
         if readings.asked_s > self._last_reading_s:
             self._last_reading_s = readings.asked_s
@@ -386,7 +363,7 @@ class PictureRecorder(Progress):
             self._write()
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: ARG002
-        """Keep how much is left by the plan."""
+        """Keep the planned time remaining."""
         self._left_s = left_s
 
     def estimated(self, estimate: StateSpaceEstimate) -> None:
@@ -395,11 +372,11 @@ class PictureRecorder(Progress):
             self._dwell.estimated(self._bench.clock.now(), estimate)
 
     def dwell_measured(self, row: DwellRow) -> None:  # noqa: ARG002
-        """Take all dwells anew: the last one may have flagged earlier ones."""
+        """Replace all dwells: the last one may have flagged earlier ones."""
         self._take_dwells()
 
     def held(self, why: str, needs_person: bool, ordered: Order | None) -> None:
-        """The run holds; a dwell that was under way is done again."""
+        """The run holds; an interrupted dwell will be repeated."""
         if ordered is Order.PAUSE:
             self._state = RunState.PAUSED
         elif needs_person and ordered is None:
@@ -414,7 +391,7 @@ class PictureRecorder(Progress):
         self._state, self._reason = RunState.RUNNING, ""
 
     def asked(self, question: str, answers: Sequence[str]) -> None:
-        """A person is asked."""
+        """The operator is asked."""
         self._question = Question(question, tuple(answers))
         if self._state is RunState.RUNNING:
             self._state, self._reason = RunState.WAITING, question
@@ -426,20 +403,20 @@ class PictureRecorder(Progress):
         self._question = None
 
     def ended(self, outcome: RunOutcome) -> None:
-        """Write the last picture."""
+        """Write the last snapshot."""
         self._state, self._reason = RunState(outcome.ended), outcome.reason
         self._step = self._dwell = None
         self._write()
 
     def _take_dwells(self) -> None:
         rows = [dwell.row for dwell in self._outcome.dwells]
-        self._dwells = dwells_done(rows)
-        self._bins = filling_bins(rows, self._plan.procedure.bin_width_c)
+        self._dwells = measured_dwells(rows)
+        self._bins = live_bins(rows, self._plan.procedure.bin_width_c)
         self._unit = rows[-1].unit if rows else self._unit
 
     def _write(self) -> None:
-        picture = self.picture()
-        if picture is not None and self._folder is not None:
+        snapshot = self.snapshot()
+        if snapshot is not None and self._folder is not None:
             with contextlib.suppress(RunFolderError):
-                write_whole(self._folder.live, picture.to_json(), is_synced=False)
+                write_whole(self._folder.live, snapshot.to_json(), is_synced=False)
         self._next_write_s = self._real.now() + _WRITE_EVERY_S

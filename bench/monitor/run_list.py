@@ -14,30 +14,30 @@ from typing import Any, Generic, TypeVar
 from gyrobench.bench.engine.progress import WITHOUT_A_WORD, progress_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.monitor.recorder import dwells_done, filling_bins, planned_profile, profile_of_telemetry
+from gyrobench.bench.monitor.recorder import live_bins, measured_dwells, planned_profile, profile_of_telemetry
 from gyrobench.bench.monitor.snapshot import (
-    MOST_MESSAGES,
+    MAX_MESSAGES,
     Attitude,
-    BenchNow,
+    BenchReadings,
     MeasuredProfile,
     Note,
-    Picture,
     PlannedProfile,
+    RunSnapshot,
     RunState,
-    read_picture,
+    read_snapshot,
 )
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import LONGEST_RUN_S, RunFacts, facts_of, read_journal
-from gyrobench.bench.station.bench_lock import holder_of
+from gyrobench.bench.runs.journal import MAX_RUN_S, RunFacts, facts_of, read_journal
+from gyrobench.bench.station.locks import holder_of
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.readout import InsMode
 
 
-def picture_of(path: Path) -> Picture:
-    """The picture of a run, whether it goes on, is over, or was made by an older gyrobench.
+def snapshot_of(path: Path) -> RunSnapshot:
+    """The snapshot of a run in progress or ended, also of one recorded by an older gyrobench.
 
     Raises
     ------
@@ -46,13 +46,13 @@ def picture_of(path: Path) -> Picture:
     """
     folder = open_run_folder(path)
     try:
-        picture = read_picture(folder.live)
+        snapshot = read_snapshot(folder.live)
     except RunFolderError:
-        return picture_from_records(folder)
-    if picture.state.is_over or holder_of(folder.path) is not None:
-        return picture
+        return snapshot_from_records(folder)
+    if snapshot.state.is_over or holder_of(folder.path) is not None:
+        return snapshot
     return replace(
-        picture,
+        snapshot,
         state=RunState.STOPPED,
         reason=WITHOUT_A_WORD,
         question=None,
@@ -63,7 +63,7 @@ def picture_of(path: Path) -> Picture:
 
 
 def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
-    """Whether a run without a picture goes on, and how and why it ended."""
+    """State of a run without a snapshot, and the reason of its end."""
     if holder_of(folder.path) is not None:
         return RunState.RUNNING, ""
     if facts.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
@@ -71,17 +71,17 @@ def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
     return RunState.STOPPED, WITHOUT_A_WORD
 
 
-def picture_from_records(folder: RunFolder) -> Picture:
-    """Make a picture from journal, telemetry and tables; what is missing or damaged is left out of it.
+def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
+    """Make a snapshot from journal, telemetry and tables; missing or damaged files are left out.
 
-    It has no traces of a dwell under way, and of the alarms only what the reason says.
+    It has no traces of the current dwell, and alarms only as part of the reason.
     """
     content = read_run(folder)
     station, plan = _station_and_plan(folder)
     state, reason = end_of(folder, content.facts)
     rows, now_s = content.dwells, content.facts.last_s
     bench = _bench_at_end(content.telemetry, now_s)
-    return Picture(
+    return RunSnapshot(
         name=content.name,
         folder=str(folder.path),
         procedure=str(content.procedure.get("procedure", "")),
@@ -99,9 +99,9 @@ def picture_from_records(folder: RunFolder) -> Picture:
         measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
         bench=bench,
         attitude=_attitude(station, bench, content),
-        dwells=dwells_done(rows),
-        bins=filling_bins(rows, plan.procedure.bin_width_c) if plan else (),
-        messages=tuple(_messages(content.journal))[-MOST_MESSAGES:],
+        dwells=measured_dwells(rows),
+        bins=live_bins(rows, plan.procedure.bin_width_c) if plan else (),
+        messages=tuple(_messages(content.journal))[-MAX_MESSAGES:],
     )
 
 
@@ -114,7 +114,7 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
 
 
 def _left_s(plan: Plan, content: RunContent) -> float:
-    """What is left by the plan: all of it where the journal does not fit the plan."""
+    """Planned time remaining; the whole duration if the journal does not match the plan."""
     try:
         done = progress_of(content.journal, plan)
     except RunFolderError:
@@ -127,13 +127,13 @@ def _updated_utc(folder: RunFolder) -> str:
     return datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="seconds")
 
 
-def _bench_at_end(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchNow | None:
-    """The last reading, as old as it is."""
+def _bench_at_end(telemetry: Mapping[str, FloatArray], now_s: float) -> BenchReadings | None:
+    """The last reading, with its age."""
     if not telemetry or not len(telemetry["time_s"]):
         return None
     last = {name: float(values[-1]) for name, values in telemetry.items()}
     age_s = max(0.0, now_s - last["time_s"])
-    return BenchNow(
+    return BenchReadings(
         chamber_set_c=last["chamber_set_c"],
         chamber_c=last["chamber_c"],
         gyro_c=(last["gyro_x_c"], last["gyro_y_c"], last["gyro_z_c"]),
@@ -155,7 +155,7 @@ def _mode(code: float) -> str:
     return known.get(code, "unknown")
 
 
-def _attitude(station: Station | None, bench: BenchNow | None, content: RunContent) -> Attitude | None:
+def _attitude(station: Station | None, bench: BenchReadings | None, content: RunContent) -> Attitude | None:
     if station is None or bench is None or math.isnan(bench.outer_deg + bench.inner_deg):
         return None
     east, north, up = station.table.attitude(bench.outer_deg, bench.inner_deg).tolist()
@@ -165,29 +165,29 @@ def _attitude(station: Station | None, bench: BenchNow | None, content: RunConte
 
 
 def _messages(journal: Sequence[Entry]) -> Iterator[Note]:
-    """What the journal says that a person was told."""
+    """Messages of the run, from its journal."""
     for entry in journal:
-        text, time_s = _told(entry), entry.get("time_s")
-        if text and isinstance(time_s, int | float) and 0.0 <= time_s <= LONGEST_RUN_S:
+        text, time_s = _message_of(entry), entry.get("time_s")
+        if text and isinstance(time_s, int | float) and 0.0 <= time_s <= MAX_RUN_S:
             yield Note(float(time_s), text)
 
 
-def _told(entry: Mapping[str, Any]) -> str:
+def _message_of(entry: Mapping[str, Any]) -> str:
     match entry.get("event"):
         case "note":
             return str(entry.get("text", ""))
         case "held":
             return f"Holding, waiting for {entry.get('waits_for')}: {entry.get('why')}"
         case "continued":
-            return f"Going on, by {entry.get('by')}"
+            return f"Continuing, by {entry.get('by')}"
         case "dwell_given_up":
             return f"dwell {entry.get('dwell')} is repeated: {entry.get('why')}"
         case "dwell_skipped":
-            return f"dwell {entry.get('dwell')} is left out"
+            return f"dwell {entry.get('dwell')} is skipped"
     return ""
 
 
-#: Pages that a run may leave, each whole in itself, and what they are called.
+#: Self-contained pages in a run folder, and their titles.
 RECORDS = {
     "report.html": "Report",
     "closure/closure.html": "Search for effects",
@@ -197,22 +197,22 @@ RECORDS = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a list of runs tells of one.
+    """A run in the list of runs; unknown texts are empty.
 
     Attributes
     ----------
     name, procedure, unit : str
-        Run folder, procedure and INS; empty where not known.
+        Run folder, procedure and serial number of the INS.
     state, reason
-        What it is doing, and why it holds, stopped or failed.
+        State, and why it holds, stopped or failed.
     started_utc, updated_utc : str
-        ISO 8601; ``updated_utc`` is empty where not known.
+        ISO 8601.
     dwells, dwell_count : int
-        Measured so far, and by the plan; 0 for a plan that is not known.
+        Completed and planned dwells; 0 for an unknown plan.
     left_s : float
-        What is left by the plan.
+        Planned time remaining.
     alarms : int
-        How many are up; 0 for a run that is over.
+        Active alarms; 0 after the end.
     """
 
     name: str
@@ -229,15 +229,13 @@ class RunSummary:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a run has begun in this folder."""
+    """Whether this is a run folder."""
     found = RunFolder(folder)
     return found.live.is_file() or found.journal.is_file()
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """Run folders directly inside a folder: those under way, then the others; of each the newest first.
-
-    Links are passed over.
+    """Run folders directly inside a folder, without links: those in progress first, then the newest.
 
     Raises
     ------
@@ -252,7 +250,7 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def summarise(folder: Path) -> RunSummary:
-    """Tell of a run in short, without reading more than its picture or its journal.
+    """Summarise a run from its snapshot or its journal alone.
 
     Raises
     ------
@@ -260,35 +258,30 @@ def summarise(folder: Path) -> RunSummary:
         It can't be read.
     """
     found = RunFolder(folder)
-    return _of_picture(folder.name, picture_of(folder)) if found.live.is_file() else _of_journal(found)
+    return _of_snapshot(folder.name, snapshot_of(folder)) if found.live.is_file() else _of_journal(found)
 
 
 def signature_of(folder: Path) -> Hashable:
-    """Something of a run folder that is another whenever there is news of the run."""
-    return holder_of(folder), *map(_changed_ns, _news(folder))
+    """A value that changes with every change of the run."""
+    found = RunFolder(folder)
+    return holder_of(folder), *map(_changed_ns, (found.live, found.journal, found.dwells))
 
 
 def records_of(folder: Path) -> dict[str, str]:
-    """Pages that a run has left, and their titles."""
+    """Pages in a run folder, and their titles."""
     return {name: title for name, title in RECORDS.items() if _is_inside(folder / name, folder)}
 
 
 def _is_inside(path: Path, folder: Path) -> bool:
-    """Whether a file is there, and not through a link that leads out of the run folder."""
+    """Whether a file exists and is not a link out of the run folder."""
     return path.is_file() and path.resolve().is_relative_to(folder.resolve())
 
 
 def _order(folder: Path) -> tuple[bool, int, str]:
-    """Under way or not, and when it began: its copy of the procedure is written then and never again."""
+    """In progress or not, and the start, at which the copy of the procedure is written."""
     found = RunFolder(folder)
     began_ns = _changed_ns(found.procedure) or _changed_ns(found.journal)
     return holder_of(folder) is not None, began_ns, folder.name
-
-
-def _news(folder: Path) -> tuple[Path, ...]:
-    """Files whose change is news of a run."""
-    found = RunFolder(folder)
-    return found.live, found.journal, found.dwells
 
 
 def _changed_ns(path: Path) -> int:
@@ -298,19 +291,19 @@ def _changed_ns(path: Path) -> int:
         return 0
 
 
-def _of_picture(name: str, picture: Picture) -> RunSummary:
+def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
     return RunSummary(
         name=name,
-        procedure=picture.procedure,
-        unit=picture.unit,
-        state=picture.state,
-        reason=picture.reason,
-        started_utc=picture.started_utc,
-        updated_utc=picture.updated_utc,
-        dwells=len(picture.dwells),
-        dwell_count=picture.dwell_count,
-        left_s=picture.left_s,
-        alarms=0 if picture.state.is_over else len(picture.alarms),
+        procedure=snapshot.procedure,
+        unit=snapshot.unit,
+        state=snapshot.state,
+        reason=snapshot.reason,
+        started_utc=snapshot.started_utc,
+        updated_utc=snapshot.updated_utc,
+        dwells=len(snapshot.dwells),
+        dwell_count=snapshot.dwell_count,
+        left_s=snapshot.left_s,
+        alarms=0 if snapshot.state.is_over else len(snapshot.alarms),
     )
 
 
@@ -331,36 +324,27 @@ def _of_journal(folder: RunFolder) -> RunSummary:
 Value = TypeVar("Value")
 
 
-class FolderMemory(Generic[Value]):
-    """Values made of folders, each made again only when its folder has changed.
+class FolderCache(Generic[Value]):
+    """Values computed from folders, recomputed when the signature of a folder changes; thread-safe.
 
-    Safe for several threads; they wait for each other, so that nothing is made twice.
-
-    Parameters
-    ----------
-    make : callable
-        Makes the value of a folder.
-    signature : callable
-        Gives something of a folder that is another whenever its value may be.
-    most : int
-        How many values are kept; the one that was asked for longest ago goes first.
+    At most ``max_values`` are kept; the least recently used is dropped first.
     """
 
     def __init__(
-        self, make: Callable[[Path], Value], signature: Callable[[Path], Hashable], most: int
+        self, make: Callable[[Path], Value], signature: Callable[[Path], Hashable], max_values: int
     ) -> None:
-        self._make, self._signature, self._most = make, signature, most
+        self._make, self._signature, self._max_values = make, signature, max_values
         self._values: OrderedDict[Path, tuple[Hashable, Value]] = OrderedDict()
         self._lock = threading.Lock()
 
     def of(self, folder: Path) -> Value:
-        """Value of a folder; errors of making it are passed on."""
+        """Value of a folder; errors of ``make`` are raised."""
         with self._lock:
             signature = self._signature(folder)
             known = self._values.pop(folder, None)
             if known is None or known[0] != signature:
                 known = (signature, self._make(folder))
             self._values[folder] = known
-            if len(self._values) > self._most:
+            if len(self._values) > self._max_values:
                 self._values.popitem(last=False)
             return known[1]

@@ -15,9 +15,9 @@ from typing import Any
 
 from gyrobench.bench.foundations.errors import GyrobenchError
 
-#: For what needs neither script nor style.
+#: For plain answers.
 BARE_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-#: For pages that a run leaves: pictures and style inside, and never a script, whatever is in them.
+#: For pages of a run folder: images and style inside, no scripts.
 RECORD_POLICY = f"{BARE_POLICY}; img-src data:; style-src 'unsafe-inline'; sandbox allow-popups"
 
 HTML = "text/html; charset=utf-8"
@@ -25,22 +25,8 @@ PLAIN = "text/plain; charset=utf-8"
 
 
 @dataclass(frozen=True)
-class Answer:
-    """An answer without the headers that all have.
-
-    Attributes
-    ----------
-    status : HTTPStatus
-        Status.
-    body : bytes
-        Content.
-    content_type : str
-        What the content is.
-    policy : str
-        Content security policy.
-    headers : dict
-        Headers that only this answer has.
-    """
+class Response:
+    """A response without the common headers; ``policy`` is its content security policy."""
 
     status: HTTPStatus
     body: bytes
@@ -50,23 +36,23 @@ class Answer:
 
 
 def page_policy(nonce: str) -> str:
-    """Policy of the monitor's own pages: a style and a script with the nonce, which asks this server."""
+    """Policy of the monitor's pages: a style and a script with the nonce, which connects to this server."""
     return f"{BARE_POLICY}; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; connect-src 'self'"
 
 
-def refusal(status: HTTPStatus, text: str, **headers: str) -> Answer:
-    """Say in plain text why there is nothing else."""
-    return Answer(status, f"{text}\n".encode(), PLAIN, headers=headers)
+def refusal(status: HTTPStatus, text: str, **headers: str) -> Response:
+    """Reject a request with a reason in plain text."""
+    return Response(status, f"{text}\n".encode(), PLAIN, headers=headers)
 
 
 LOOPBACK = "127.0.0.1"
-#: Names by which a browser may call the server: another one comes from a page that rebound its own name.
-_OWN_NAMES = {LOOPBACK, "localhost"}
-_MOST_THREADS = 16
-_PATIENCE_S = 10.0
-_LONGEST_REQUEST_S = 20.0
-_LONGEST_TARGET = 2000
-_WORTH_PACKING = 1000
+#: Allowed Host headers: another name comes from a page that rebound its own name to this address.
+_HOST_NAMES = {LOOPBACK, "localhost"}
+_MAX_THREADS = 16
+_SOCKET_TIMEOUT_S = 10.0
+_MAX_REQUEST_S = 20.0
+_MAX_TARGET = 2000
+_MIN_GZIP_BYTES = 1000
 _BUSY = b"HTTP/1.0 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n\r\n"
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -83,28 +69,28 @@ class MonitorServer(ThreadingHTTPServer):
     Parameters
     ----------
     answer : callable
-        Gives the answer to a target such as ``/runs/mine/``.
+        Returns the response to a target such as ``/runs/mine/``.
     port : int
-        TCP port; 0 for any free one.
+        TCP port; 0 for any free port.
 
     Raises
     ------
     GyrobenchError
-        The port can't be had.
+        The port is not available.
     """
 
     daemon_threads = True
     request_queue_size = 64
 
-    def __init__(self, answer: Callable[[str], Answer], port: int) -> None:
+    def __init__(self, answer: Callable[[str], Response], port: int) -> None:
         self.answer = answer
-        self._free_threads = threading.BoundedSemaphore(_MOST_THREADS)
+        self._free_threads = threading.BoundedSemaphore(_MAX_THREADS)
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             raise GyrobenchError(
-                f"port {port} of {LOOPBACK}: can't be listened on: {error}. Is another monitor there? "
-                "Give another --port, or 0 for any free one"
+                f"port {port} of {LOOPBACK} is not available: {error}. "
+                "Choose another --port, or 0 for any free port."
             ) from error
 
     @property
@@ -113,15 +99,15 @@ class MonitorServer(ThreadingHTTPServer):
         return f"http://{LOOPBACK}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or say at once that there are too many."""
+        """Answer in a separate thread, or reject at once if there are too many."""
         if not self._free_threads.acquire(blocking=False):
-            self._turn_away(request)
+            self._reject(request)
             return
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer one request; one that takes too long in all is cut off, however it drips."""
-        end = threading.Timer(_LONGEST_REQUEST_S, _cut_off, [request])
+        """Answer one request within a total time limit, which also ends slowly dripping requests."""
+        end = threading.Timer(_MAX_REQUEST_S, _shut_down, [request])
         end.daemon = True
         end.start()
         try:
@@ -131,20 +117,20 @@ class MonitorServer(ThreadingHTTPServer):
             self._free_threads.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of clients that went away."""
+        """Ignore clients that disconnected."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
-    def _turn_away(self, request: socket.socket) -> None:
+    def _reject(self, request: socket.socket) -> None:
         try:
             request.sendall(_BUSY)
         except OSError:
-            pass  # it has gone already
+            pass  # disconnected already
         finally:
             self.shutdown_request(request)
 
 
-def _cut_off(request: socket.socket) -> None:
+def _shut_down(request: socket.socket) -> None:
     with contextlib.suppress(OSError):
         request.shutdown(socket.SHUT_RDWR)
 
@@ -155,7 +141,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: MonitorServer
     server_version = "gyrobench"
     sys_version = ""
-    timeout = _PATIENCE_S
+    timeout = _SOCKET_TIMEOUT_S
 
     def do_GET(self) -> None:
         """Answer a request for content."""
@@ -168,29 +154,29 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:  # noqa: ARG002
         """Refuse a request that http.server can't read, or whose method has no ``do_...`` here."""
         if code == HTTPStatus.NOT_IMPLEMENTED:
-            text = "This page is read only. Orders are given with gyrobench tell."
+            text = "This page is read only. Send commands with gyrobench control."
             self._send(refusal(HTTPStatus.METHOD_NOT_ALLOWED, text, Allow="GET, HEAD"))
         else:
             self._send(refusal(HTTPStatus(code), message or HTTPStatus(code).phrase))
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Keep the terminal free: a browser asks every other second."""
+        """Log nothing: a browser sends a request every two seconds."""
 
-    def _answer(self) -> Answer:
-        if not _is_own_name(self.headers.get_all("Host", [])):
-            text = f"Ask for {self.server.url}: no other name of this server is answered."
+    def _answer(self) -> Response:
+        if not _is_allowed_host(self.headers.get_all("Host", [])):
+            text = f"Open {self.server.url}: requests to other names are rejected."
             return refusal(HTTPStatus.MISDIRECTED_REQUEST, text)
-        if len(self.path) > _LONGEST_TARGET:
-            return refusal(HTTPStatus.REQUEST_URI_TOO_LONG, "No address here is that long.")
+        if len(self.path) > _MAX_TARGET:
+            return refusal(HTTPStatus.REQUEST_URI_TOO_LONG, "Address too long.")
         try:
             return self.server.answer(self.path)
         except Exception as error:  # noqa: BLE001 - the outermost loop: a page that fails is only that
-            text = f"This can't be shown: {type(error).__name__}. The run is not touched by that."
+            text = f"The page can't be shown: {type(error).__name__}. The run is not affected."
             return refusal(HTTPStatus.INTERNAL_SERVER_ERROR, text)
 
-    def _send(self, answer: Answer) -> None:
+    def _send(self, answer: Response) -> None:
         body = answer.body
-        is_packed = len(body) > _WORTH_PACKING and self._takes_gzip()
+        is_packed = len(body) > _MIN_GZIP_BYTES and self._takes_gzip()
         if is_packed:
             body = gzip.compress(body, compresslevel=5)
         self.send_response(answer.status)
@@ -208,9 +194,9 @@ class _Handler(BaseHTTPRequestHandler):
         return headers is not None and "gzip" in headers.get("Accept-Encoding", "")
 
 
-def _is_own_name(hosts: list[str]) -> bool:
-    """Whether a request's Host headers are one, and a name of this machine with whatever port leads here."""
+def _is_allowed_host(hosts: list[str]) -> bool:
+    """Whether a request has one Host header with a loopback name and any port."""
     if len(hosts) != 1:
         return False
     name, colon, port = hosts[0].strip().partition(":")
-    return name.lower() in _OWN_NAMES and (not colon or port.isdecimal())
+    return name.lower() in _HOST_NAMES and (not colon or port.isdecimal())

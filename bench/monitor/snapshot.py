@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.navigation.positions import AXES
 
 #: A number, or NaN where it is not known.
@@ -27,28 +27,28 @@ Triple = tuple[Number, Number, Number]
 
 
 def mean_known(values: Triple) -> float:
-    """Mean of the values that are known; NaN where none is."""
+    """Mean of the known values; NaN if there is none."""
     known = [value for value in values if not math.isnan(value)]
     return sum(known) / len(known) if known else math.nan
 
 
-class Strict:
-    """Read back as it was written, or refused."""
+class StrictRecord:
+    """Read back as written, or rejected."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True)
 
 
 @dataclass(frozen=True)
-class Question(Strict):
-    """A question that is open, and the answers to choose from."""
+class Question(StrictRecord):
+    """An open question and the possible answers."""
 
     text: str
     answers: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class PositionSpan(Strict):
-    """A stay in a position by the plan, on the plan's time."""
+class PositionSpan(StrictRecord):
+    """Planned time in one position, on the plan's time."""
 
     start_s: float
     end_s: float
@@ -56,8 +56,8 @@ class PositionSpan(Strict):
 
 
 @dataclass(frozen=True)
-class PlannedProfile(Strict):
-    """What the plan expects, on the plan's time, which begins with 0.
+class PlannedProfile(StrictRecord):
+    """Planned temperatures and positions, on the plan's time, which begins with 0.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class PlannedProfile(Strict):
 
 
 @dataclass(frozen=True)
-class MeasuredProfile(Strict):
+class MeasuredProfile(StrictRecord):
     """Temperatures so far; all series have the same length. A row of NaN breaks the lines."""
 
     time_s: Series = ()
@@ -86,21 +86,21 @@ class MeasuredProfile(Strict):
 
 
 @dataclass(frozen=True)
-class BenchNow(Strict):
-    """What the instruments said last.
+class BenchReadings(StrictRecord):
+    """Last readings of the instruments.
 
     Attributes
     ----------
     chamber_set_c, chamber_c : float
-        What the chamber was told, NaN while nobody controls it, and its air.
+        Commanded set point, NaN while the chamber is not controlled, and chamber air.
     gyro_c, electronics_c, case_c
-        Temperatures that the INS tells.
+        Temperatures reported by the INS.
     outer_deg, inner_deg, outer_rate_dps, inner_rate_dps : float
-        The table.
+        Table axes.
     ins_mode : str
         "unknown", "boot", "standby", "align", "navigate" or "fault".
     table_age_s, chamber_age_s, ins_age_s : float
-        How old the last answer of each is; NaN for an INS that has never been heard.
+        Age of each instrument's last reply; NaN for an INS that has sent nothing.
     """
 
     chamber_set_c: Number
@@ -118,16 +118,21 @@ class BenchNow(Strict):
     ins_age_s: Number
 
 
+_DIRECTIONS = (("East", "West"), ("North", "South"), ("Up", "Down"))
+#: An axis within 10 deg of a direction points there; a component below 1 minus this is not named.
+_ALONG = math.cos(math.radians(10.0))
+
+
 @dataclass(frozen=True)
-class Attitude(Strict):
-    """How the unit stands.
+class Attitude(StrictRecord):
+    """Attitude of the unit.
 
     Attributes
     ----------
     position : str
-        Where the table was sent, as in the procedure; empty before that.
+        Commanded position, as in the procedure; empty before the first.
     azimuth_deg : float
-        Turned about Up from the position's azimuth 0, by what was commanded.
+        Commanded turn about Up from the position's azimuth 0.
     body_in_enu : tuple of 3 tuples
         Direction cosines from the table's angles: row East, North, Up; column body x, y, z.
     """
@@ -136,19 +141,33 @@ class Attitude(Strict):
     azimuth_deg: Number
     body_in_enu: tuple[Triple, Triple, Triple]
 
+    def directions(self) -> str:
+        """Directions of the body axes: "x East, y South, z Down", or "x East-North" in between."""
+        columns = zip(*self.body_in_enu, strict=True)
+        return ", ".join(f"{name} {_direction(column)}" for name, column in zip(AXES, columns, strict=True))
+
+
+def _direction(cosines: Sequence[float]) -> str:
+    """Name of the direction of an axis; two or three names in between."""
+    nearest_first = sorted(range(3), key=lambda index: -abs(cosines[index]))
+    if abs(cosines[nearest_first[0]]) >= _ALONG:
+        nearest_first = nearest_first[:1]
+    named = [index for index in nearest_first if abs(cosines[index]) > 1.0 - _ALONG]
+    return "-".join(_DIRECTIONS[index][cosines[index] < 0.0] for index in named)
+
 
 @dataclass(frozen=True)
-class StepNow(Strict):
-    """The step under way.
+class CurrentStep(StrictRecord):
+    """The step in progress.
 
     Attributes
     ----------
     number, count : int
         Its number in the plan, from 1, and the number of steps.
     label, description : str
-        Where the run is ("cycle 1, 60 degC, z_up") and what is done ("navigate 10 min").
+        Place in the plan ("cycle 1, 60 degC, z_up") and action ("navigate 10 min").
     started_s, planned_s : float
-        When it began, and how long it is expected to take.
+        Start, and planned duration.
     """
 
     number: int
@@ -160,17 +179,17 @@ class StepNow(Strict):
 
 
 @dataclass(frozen=True)
-class WindowTrace(Strict):
+class WindowTrace(StrictRecord):
     """One window of navigation at rest; the series have the same length.
 
     Attributes
     ----------
     planned_s : float
-        How long it is to last.
+        Planned duration.
     time_s : tuple of float
         Since the window began.
     velocity_east_mps, velocity_north_mps : tuple of float
-        What the INS computes: errors, since it is at rest.
+        Velocity computed by the INS: an error, since it is at rest.
     heading_change_deg : tuple of float
         Since the window began, positive from North to West (about Up).
     """
@@ -183,8 +202,8 @@ class WindowTrace(Strict):
 
 
 @dataclass(frozen=True)
-class LiveBias(Strict):
-    """Estimate of the dwell under way at one moment; fields of three values are those of x, y and z."""
+class LiveBias(StrictRecord):
+    """Estimate of the current dwell at one moment; triples are x, y, z."""
 
     time_s: float
     bias_dph: Triple
@@ -192,20 +211,19 @@ class LiveBias(Strict):
 
 
 @dataclass(frozen=True)
-class DwellNow(Strict):
-    """The dwell under way.
+class CurrentDwell(StrictRecord):
+    """The dwell in progress.
 
     Attributes
     ----------
     number, count : int
-        Its number, from 1, and how many the plan has.
+        Its number, from 1, and the number of dwells in the plan.
     cycle, position
-        Where it is.
+        As in the dwell table.
     windows : tuple of WindowTrace
-        The last is under way, or over while the table turns; empty while the INS aligns.
+        The last is in progress, or complete while the table turns; empty while the INS aligns.
     estimates : tuple of LiveBias
-        How the live estimate has become better; the last is the newest. Empty as long as nothing
-        can be told.
+        Successive live estimates, the newest last; empty until the bias is observable.
     """
 
     number: int
@@ -217,8 +235,8 @@ class DwellNow(Strict):
 
 
 @dataclass(frozen=True)
-class DwellDone(Strict):
-    """A dwell that is measured; fields of three values are those of x, y and z."""
+class MeasuredDwell(StrictRecord):
+    """A completed dwell; triples are x, y, z."""
 
     number: int
     cycle: int
@@ -230,8 +248,8 @@ class DwellDone(Strict):
 
 
 @dataclass(frozen=True)
-class FillingBin(Strict):
-    """One gyro in one position and range of its temperature; bias and sigma are NaN while it is empty."""
+class LiveBin(StrictRecord):
+    """One gyro in one position and temperature bin; bias and sigma are NaN while it is empty."""
 
     gyro: str
     position: str
@@ -243,76 +261,50 @@ class FillingBin(Strict):
 
 
 @dataclass(frozen=True)
-class Alarm(Strict):
-    """Something wrong now.
-
-    Attributes
-    ----------
-    name : str
-        Interlock ("chamber_air") or instrument ("rate table") that it comes from.
-    text : str
-        What is wrong and what to do.
-    """
+class Alarm(StrictRecord):
+    """An active alarm: its interlock ("chamber_air") or instrument ("rate table"), and what to do."""
 
     name: str
     text: str
 
 
 @dataclass(frozen=True)
-class Note(Strict):
-    """Something that a person was told."""
+class Note(StrictRecord):
+    """A message of the run."""
 
     time_s: float
     text: str
 
 
-_NAMES = (("East", "West"), ("North", "South"), ("Up", "Down"))
-#: From there on an axis is said to point in a direction, and below the rest of it not to lean to it.
-_ALONG = math.cos(math.radians(10.0))
-
-
-def directions(attitude: Attitude) -> str:
-    """Say where the body axes point: "x East, y South, z Down", or "x East-North" for one in between."""
-    columns = zip(*attitude.body_in_enu, strict=True)
-    return ", ".join(f"{name} {_direction(column)}" for name, column in zip(AXES, columns, strict=True))
-
-
-def _direction(cosines: Sequence[float]) -> str:
-    """Direction of an axis in a word, or two or three where it lies between."""
-    nearest_first = sorted(range(3), key=lambda index: -abs(cosines[index]))
-    if abs(cosines[nearest_first[0]]) >= _ALONG:
-        nearest_first = nearest_first[:1]
-    named = [index for index in nearest_first if abs(cosines[index]) > 1.0 - _ALONG]
-    return "-".join(_NAMES[index][cosines[index] < 0.0] for index in named)
-
-
 #: Changes with the meaning of the fields.
 FORMAT = 1
-#: Thinned so that a picture stays small however long the run is.
-MOST_PLANNED, MOST_MEASURED, MOST_IN_WINDOW, MOST_ESTIMATES, MOST_MESSAGES = 400, 600, 200, 200, 50
-_MOST_BYTES = 20_000_000
+#: Series are thinned so that a snapshot stays small in a run of any length.
+MAX_PLANNED, MAX_MEASURED, MAX_WINDOW_SAMPLES, MAX_ESTIMATES, MAX_MESSAGES = 400, 600, 200, 200, 50
+_MAX_BYTES = 20_000_000
+#: Texts of states in snapshots written by the version before.
+_FORMER_STATES = {"waiting for a person": "waiting for the operator"}
 
 
 class RunState(StrEnum):
-    """What a run is doing."""
+    """State of a run."""
 
     STARTING = "starting"
     RUNNING = "running"
     HOLDING = "holding"
     PAUSED = "paused"
-    WAITING = "waiting for a person"
+    WAITING = "waiting for the operator"
     FINISHED = "finished"
     STOPPED = "stopped"
     FAILED = "failed"
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing comes any more, unless the run is resumed."""
+        """Whether the run has ended, unless it is resumed."""
         return self in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED)
 
 
 @dataclass(frozen=True)
-class Picture(Strict):
+class RunSnapshot(StrictRecord):
     """A run at one moment.
 
     Attributes
@@ -320,20 +312,20 @@ class Picture(Strict):
     name, folder : str
         Name and path of the run folder.
     procedure, station, unit : str
-        What runs, where, and on which INS; the unit is empty before the INS has said it.
+        Procedure, station and serial number of the INS, empty before the INS has reported it.
     started_utc, updated_utc : str
-        ISO 8601: when the run's clock was zero, and the host's calendar when the picture was made. On
-        virtual time a run starts in the year 2000.
+        ISO 8601: start of the run's clock, and the host's calendar at this snapshot. On virtual time a
+        run starts in the year 2000.
     state, reason, question
-        What it is doing; why it holds, waits, stopped or failed; the open question, if any.
+        State; why the run holds, waits, stopped or failed; the open question, if any.
     now_s, left_s, planned_s : float
-        Time on the run's clock, what is left by the plan, and the duration planned for the whole.
+        Time on the run's clock, planned time remaining, and planned duration of the run.
     planned, measured
-        Temperatures by plan and as they were.
+        Planned and measured temperatures.
     bench, attitude, step, dwell
-        Present values; None before they are known, or where nothing is under way.
+        Present values; None where unknown or none is in progress.
     dwells, bins, alarms, messages
-        Dwells measured, the bins that they fill, what is wrong now, and the last messages, the newest last.
+        Completed dwells, the bins that they fill, active alarms, and the last messages, the newest last.
     """
 
     name: str
@@ -343,7 +335,7 @@ class Picture(Strict):
     unit: str
     started_utc: str
     updated_utc: str
-    state: Annotated[RunState, BeforeValidator(lambda value: RunState(value))]
+    state: Annotated[RunState, BeforeValidator(lambda value: RunState(_FORMER_STATES.get(value, value)))]
     now_s: float
     left_s: float
     planned_s: float
@@ -352,29 +344,29 @@ class Picture(Strict):
     question: Question | None = None
     planned: PlannedProfile = field(default_factory=PlannedProfile)
     measured: MeasuredProfile = field(default_factory=MeasuredProfile)
-    bench: BenchNow | None = None
+    bench: BenchReadings | None = None
     attitude: Attitude | None = None
-    step: StepNow | None = None
-    dwell: DwellNow | None = None
-    dwells: tuple[DwellDone, ...] = ()
-    bins: tuple[FillingBin, ...] = ()
+    step: CurrentStep | None = None
+    dwell: CurrentDwell | None = None
+    dwells: tuple[MeasuredDwell, ...] = ()
+    bins: tuple[LiveBin, ...] = ()
     alarms: tuple[Alarm, ...] = ()
     messages: tuple[Note, ...] = ()
     format: Literal[1] = FORMAT  # type: ignore[assignment]
 
     @property
     def plan_now_s(self) -> float:
-        """The moment of the plan that the run has come to."""
+        """Present time on the plan."""
         return self.planned_s - self.left_s
 
     @property
     def behind_s(self) -> float:
-        """How far the run is behind its plan, as one that held; what is still to come is so much later."""
+        """Delay behind the plan, as after a hold."""
         return self.now_s - self.plan_now_s
 
     @property
     def live_bias(self) -> LiveBias | None:
-        """Newest estimate of the dwell under way; None as long as nothing can be told."""
+        """Newest estimate of the current dwell; None until the bias is observable."""
         return self.dwell.estimates[-1] if self.dwell and self.dwell.estimates else None
 
     def to_json(self) -> bytes:
@@ -382,8 +374,8 @@ class Picture(Strict):
         return _adapter().dump_json(self)
 
     @classmethod
-    def from_json(cls, data: bytes, name: str = "live.json") -> Picture:
-        """Undo :meth:`to_json`; ``name`` is what to call the data in messages.
+    def from_json(cls, data: bytes, name: str = "live.json") -> RunSnapshot:
+        """Undo :meth:`to_json`; ``name`` identifies the data in messages.
 
         Raises
         ------
@@ -392,38 +384,38 @@ class Picture(Strict):
         """
         damaged = f"{name}: damaged, or of another version of gyrobench"
         try:
-            picture = _adapter().validate_json(data)
+            snapshot = _adapter().validate_json(data)
         except ValidationError as error:
             first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "the whole"
+            where = ".".join(map(str, first["loc"])) or "the file"
             raise RunFolderError(f"{damaged}: {where}: {first['msg']}") from error
-        if any(len({len(series) for series in group}) > 1 for group in _series(picture)):
-            raise RunFolderError(f"{damaged}: series that belong together differ in length")
-        return picture
+        if any(len({len(series) for series in group}) > 1 for group in _series(snapshot)):
+            raise RunFolderError(f"{damaged}: series of one table differ in length")
+        return snapshot
 
 
-def read_picture(path: Path) -> Picture:
-    """Read the picture that a run left.
+def read_snapshot(path: Path) -> RunSnapshot:
+    """Read the snapshot in a run folder.
 
     Raises
     ------
     RunFolderError
-        It can't be read; see :meth:`Picture.from_json`.
+        It can't be read; see :meth:`RunSnapshot.from_json`.
     """
-    return Picture.from_json(read_limited(path, _MOST_BYTES, RunFolderError), str(path))
+    return RunSnapshot.from_json(read_limited(path, _MAX_BYTES, RunFolderError), str(path))
 
 
 @cache
-def _adapter() -> TypeAdapter[Picture]:
-    return TypeAdapter(Picture)
+def _adapter() -> TypeAdapter[RunSnapshot]:
+    return TypeAdapter(RunSnapshot)
 
 
-def _series(picture: Picture) -> Iterator[list[Series]]:
-    """Series that have to be of one length, together."""
-    windows = picture.dwell.windows if picture.dwell else ()
+def _series(snapshot: RunSnapshot) -> Iterator[list[Series]]:
+    """Groups of series that must have equal length."""
+    windows = snapshot.dwell.windows if snapshot.dwell else ()
     parts: list[PlannedProfile | MeasuredProfile | WindowTrace] = [
-        picture.planned,
-        picture.measured,
+        snapshot.planned,
+        snapshot.measured,
         *windows,
     ]
     for part in parts:

@@ -144,7 +144,7 @@ def plot(
     height: int,
     x_range: tuple[float, float],
     x_labels: tuple[str, str],
-    least_span: float,
+    min_span: float,
     is_ascii: bool,
     mark_x: float | None = None,
 ) -> list[Text]:
@@ -158,14 +158,14 @@ def plot(
         Ends of the horizontal axis.
     x_labels : tuple of str
         What is written at its ends.
-    least_span : float
+    min_span : float
         The vertical axis spans as much at least.
     is_ascii : bool
         Whether only ASCII may be used.
     mark_x : float, optional
         Where a vertical line stands.
     """
-    low, high = _y_range(curves, least_span)
+    low, high = _y_range(curves, min_span)
     label_width = max(len(_number(low)), len(_number(high)))
     canvas = Canvas(width - label_width - 1, height - 1, is_ascii)
 
@@ -203,11 +203,11 @@ def _with_axes(
     return [*lines, Text(below, _DIM)]
 
 
-def _y_range(curves: Iterable[Curve], least_span: float) -> tuple[float, float]:
+def _y_range(curves: Iterable[Curve], min_span: float) -> tuple[float, float]:
     """Round numbers around all values."""
     values = [value for curve in curves for value in curve.y if math.isfinite(value)]
     low, high = (min(values), max(values)) if values else (0.0, 0.0)
-    lacking = least_span - (high - low)
+    lacking = min_span - (high - low)
     if lacking > 0.0:
         low, high = low - lacking / 2.0, high + lacking / 2.0
     step = _round_step((high - low) / 8.0)
@@ -226,7 +226,7 @@ def _number(value: float) -> str:
 
 
 _STYLES = ("red", "green", "cyan")
-#: The direction that the picture is seen from: turned to the east, and raised, by these angles.
+#: The direction that the snapshot is seen from: turned to the east, and raised, by these angles.
 _TURN_RAD, _RAISE_RAD = math.radians(25.0), math.radians(25.0)
 #: A character is twice as high as it is wide.
 _ASPECT = 2.0
@@ -248,7 +248,7 @@ def axes_drawing(attitude: Attitude, width: int, height: int, is_ascii: bool) ->
 
 
 def _seen(cosines: Triple) -> Point:
-    """Where a unit vector (East, North, Up) ends on the picture."""
+    """Where a unit vector (East, North, Up) ends on the snapshot."""
     east, north, up = cosines
     right = east * math.cos(_TURN_RAD) + north * math.sin(_TURN_RAD)
     ahead = north * math.cos(_TURN_RAD) - east * math.sin(_TURN_RAD)

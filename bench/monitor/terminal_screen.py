@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from rich.text import Text
 
 from gyrobench.bench.monitor.snapshot import (
-    BenchNow,
-    FillingBin,
+    BenchReadings,
     LiveBias,
-    Picture,
+    LiveBin,
+    RunSnapshot,
     RunState,
     WindowTrace,
-    directions,
 )
 from gyrobench.bench.monitor.terminal_plot import Curve, axes_drawing, plot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -32,48 +31,48 @@ _STATE_STYLES = {
     RunState.FAILED: "bold red",
 }
 _ALARM = "bold red"
-#: A text that a person has to act on is shown in so many lines at most.
-_MOST_LINES = 3
-#: Answers older than this are said to be old.
-_OLD_S = 30.0
+#: Lines of a text that the operator has to act on.
+_MAX_LINES = 3
+#: Readings older than this are marked.
+_STALE_S = 30.0
 
 
-def headline(picture: Picture, width: int) -> Text:
-    """Name, unit, state, and time left: what matters most."""
-    unit = f", unit {picture.unit}" if picture.unit else ""
-    times = f"{hours_minutes(picture.now_s)} h"
-    if not picture.state.is_over:
-        times += f", {hours_minutes(picture.left_s)} h left"
-    right = Text.assemble((picture.state.upper(), _STATE_STYLES[picture.state]), f"  {times}")
-    left = Text(f"{picture.name}{unit}", "bold")
+def headline(snapshot: RunSnapshot, width: int) -> Text:
+    """Name, unit, state, and time remaining."""
+    unit = f", unit {snapshot.unit}" if snapshot.unit else ""
+    times = f"{hours_minutes(snapshot.now_s)} h"
+    if not snapshot.state.is_over:
+        times += f", {hours_minutes(snapshot.left_s)} h left"
+    right = Text.assemble((snapshot.state.upper(), _STATE_STYLES[snapshot.state]), f"  {times}")
+    left = Text(f"{snapshot.name}{unit}", "bold")
     left.truncate(max(0, width - len(right) - 2), overflow="ellipsis", pad=True)
     return Text.assemble(left, "  ", right)
 
 
-def attention(picture: Picture, width: int) -> list[Text]:
-    """What is wrong, why the run does not go on, and what is asked; nothing where all is well."""
+def attention(snapshot: RunSnapshot, width: int) -> list[Text]:
+    """Alarms, the reason why the run does not continue, and the open question; empty if there are none."""
     lines: list[Text] = []
-    question = picture.question.text if picture.question else ""
-    # What led to a hold is told by its alarms, as long as they last.
-    is_told = picture.reason in question or (picture.alarms and picture.state is not RunState.PAUSED)
-    if picture.reason and not (is_told and not picture.state.is_over):
-        lines += _folded(picture.reason, width, "", "bold")
-    for alarm in picture.alarms:
+    question = snapshot.question.text if snapshot.question else ""
+    # The alarms state the reason of a hold as long as they last.
+    is_repeated = snapshot.reason in question or (snapshot.alarms and snapshot.state is not RunState.PAUSED)
+    if snapshot.reason and not (is_repeated and not snapshot.state.is_over):
+        lines += _folded(snapshot.reason, width, "", "bold")
+    for alarm in snapshot.alarms:
         if alarm.text not in question:
             lines += _folded(f"{alarm.name.replace('_', ' ')}: {alarm.text}", width, "ALARM ", _ALARM)
-    if picture.question:
+    if snapshot.question:
         lines += _folded(question, width, "", _ALARM)
-        lines.append(Text(f"Type one of: {', '.join(picture.question.answers)}", _ALARM))
+        lines.append(Text(f"Type one of: {', '.join(snapshot.question.answers)}", _ALARM))
     return lines
 
 
-def step_line(picture: Picture) -> Text:
-    """The step under way, and how far it is."""
-    step = picture.step
+def step_line(snapshot: RunSnapshot) -> Text:
+    """The current step and its elapsed time."""
+    step = snapshot.step
     if step is None:
-        return Text("no step is under way", "dim")
+        return Text("no step in progress", "dim")
     of = f"step {step.number}/{step.count}"
-    elapsed_s = max(0.0, picture.now_s - step.started_s)
+    elapsed_s = max(0.0, snapshot.now_s - step.started_s)
     label = f"{step.label}: " if step.label else ""
     return Text.assemble(
         f"{of}  {label}",
@@ -82,8 +81,8 @@ def step_line(picture: Picture) -> Text:
     )
 
 
-def readings_line(bench: BenchNow) -> Text:
-    """Temperatures and what the INS does; answers that are old say so."""
+def readings_line(bench: BenchReadings) -> Text:
+    """Temperatures and mode of the INS; stale readings are marked with their age."""
     set_c = "off" if math.isnan(bench.chamber_set_c) else f"set {bench.chamber_set_c:.1f}"
     parts = [
         f"chamber {_degrees(bench.chamber_c)}, {set_c}{_old(bench.chamber_age_s)}",
@@ -94,21 +93,21 @@ def readings_line(bench: BenchNow) -> Text:
     return Text("  ".join(part for part in parts if part))
 
 
-def bias_line(picture: Picture, plus_minus: str) -> Text:
-    """The live estimate of the dwell under way."""
-    dwell, live = picture.dwell, picture.live_bias
+def bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
+    """The live estimate of the current dwell."""
+    dwell, live = snapshot.dwell, snapshot.live_bias
     if dwell is None:
-        return Text(f"dwells measured: {len(picture.dwells)} of {picture.dwell_count}", "dim")
+        return Text(f"dwells measured: {len(snapshot.dwells)} of {snapshot.dwell_count}", "dim")
     head = f"dwell {dwell.number}/{dwell.count}  "
     if live is None:
-        return Text.assemble(head, ("the bias can be told after the turn", "dim"))
+        return Text.assemble(head, ("bias observable after the turn", "dim"))
     pairs = zip(AXES, live.bias_dph, live.sigma_dph, strict=True)
     values = "  ".join(f"{axis} {1e3 * b:+z.2f}{plus_minus}{1e3 * s:.2f}" for axis, b, s in pairs)
     return Text.assemble(head, (values, "bold"), "  0.001 deg/h")
 
 
 def sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
-    """How the largest of the three uncertainties has shrunk, first to last."""
+    """History of the largest of the three uncertainties, first to last."""
     sigmas = [1e3 * max(each.sigma_dph) for each in estimates]
     head, tail = f"sigma {sigmas[0]:.1f} ", f" {sigmas[-1]:.1f}"
     room = width - len(head) - len(tail)
@@ -119,16 +118,16 @@ def sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> T
     return Text.assemble((head, "dim"), (bars, "cyan"), (tail, "dim"))
 
 
-def message_lines(picture: Picture, count: int) -> list[Text]:
-    """The newest messages, the last below."""
-    newest = picture.messages[-count:] if count else ()
+def message_lines(snapshot: RunSnapshot, count: int) -> list[Text]:
+    """The newest messages, the last at the bottom."""
+    newest = snapshot.messages[-count:] if count else ()
     return [Text.assemble((f"{hours_minutes(each.time_s):>6s} ", "dim"), each.text) for each in newest]
 
 
 def _folded(text: str, width: int, head: str, style: str) -> list[Text]:
     lines = textwrap.wrap(head + text, width, subsequent_indent=" " * len(head))
-    if len(lines) > _MOST_LINES:
-        lines = [*lines[: _MOST_LINES - 1], lines[_MOST_LINES - 1][: width - 4] + " ..."]
+    if len(lines) > _MAX_LINES:
+        lines = [*lines[: _MAX_LINES - 1], lines[_MAX_LINES - 1][: width - 4] + " ..."]
     return [Text(line, style) for line in lines]
 
 
@@ -146,7 +145,7 @@ def _degrees(value_c: float) -> str:
 def _old(age_s: float) -> str:
     if math.isnan(age_s):
         return " (not heard)"
-    return f" ({age_s:.0f} s old)" if age_s > _OLD_S else ""
+    return f" ({age_s:.0f} s old)" if age_s > _STALE_S else ""
 
 
 _CHAMBER, _GYRO, _NORTH = "cyan", "yellow", "magenta"
@@ -155,15 +154,15 @@ _AXES_WIDTH = 24
 _WITHOUT_ANGLES = 8
 _ARCSEC = 3600.0
 _BIN_LABEL_WIDTH, _BIN_WIDTH = 11, 11
-_LEAST_C, _LEAST_MMPS, _LEAST_ARCSEC = 4.0, 0.5, 0.5
+_MIN_SPAN_C, _MIN_SPAN_MMPS, _MIN_SPAN_ARCSEC = 4.0, 0.5, 0.5
 
 
-def profile_graph(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
+def profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Temperatures as they were until now, and by plan from now on."""
-    measured, planned = picture.measured, picture.planned
-    end_s = max(picture.now_s + picture.left_s, picture.now_s, 1.0)
-    to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= picture.plan_now_s]
-    future_s = [planned.time_s[index] + picture.behind_s for index in to_come]
+    measured, planned = snapshot.measured, snapshot.planned
+    end_s = max(snapshot.now_s + snapshot.left_s, snapshot.now_s, 1.0)
+    to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= snapshot.plan_now_s]
+    future_s = [planned.time_s[index] + snapshot.behind_s for index in to_come]
     curves = [
         Curve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
         Curve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
@@ -178,30 +177,30 @@ def profile_graph(picture: Picture, width: int, height: int, is_ascii: bool) -> 
         ("  from now on: plan", "dim"),
     )
     labels = ("0:00", f"{hours_minutes(end_s)} h")
-    now = None if picture.state.is_over else picture.now_s
-    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _LEAST_C, is_ascii, now)]
+    now = None if snapshot.state.is_over else snapshot.now_s
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_C, is_ascii, now)]
 
 
-def dwell_graphs(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
+def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Position, velocity and heading side by side."""
     each = (width - _AXES_WIDTH - 2) // 2
-    windows = picture.dwell.windows if picture.dwell else ()
-    position = _position(picture, height, is_ascii)
+    windows = snapshot.dwell.windows if snapshot.dwell else ()
+    position = _position(snapshot, height, is_ascii)
     if not windows:
-        why = "the INS has not navigated yet" if picture.dwell else "no dwell is under way"
+        why = "the INS is not navigating yet" if snapshot.dwell else "no dwell in progress"
         return _beside([position, [Text(why, "dim")]], (_AXES_WIDTH, 2 * each + 1), height)
     velocity = _velocity(windows, each, height, is_ascii)
     heading = _heading(windows, each, height, is_ascii)
     return _beside([position, velocity, heading], (_AXES_WIDTH, each, each), height)
 
 
-def bins_table(picture: Picture, height: int, plus_minus: str) -> list[Text]:
-    """The X gyro's bins, those nearest to its temperature; nothing while all are empty."""
-    bins = [each for each in picture.bins if each.gyro == "x"]
+def bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Text]:
+    """The X gyro's bins nearest to its temperature; no lines while all are empty."""
+    bins = [each for each in snapshot.bins if each.gyro == "x"]
     filled = {(each.low_c, each.high_c) for each in bins if each.count}
     if not filled or height < 2:
         return []
-    now_c = picture.bench.gyro_c[0] if picture.bench else math.nan
+    now_c = snapshot.bench.gyro_c[0] if snapshot.bench else math.nan
     nearest = sorted(filled, key=lambda ends: abs(ends[0] - now_c) if math.isfinite(now_c) else ends[0])
     positions = [name for name in POSITIONS if any(each.position == name for each in bins)]
     head = f"{'x gyro, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
@@ -210,7 +209,7 @@ def bins_table(picture: Picture, height: int, plus_minus: str) -> list[Text]:
 
 
 def _bin_row(
-    bins: Sequence[FillingBin], ends: tuple[float, float], positions: Sequence[str], plus_minus: str
+    bins: Sequence[LiveBin], ends: tuple[float, float], positions: Sequence[str], plus_minus: str
 ) -> Text:
     row = Text(f"{f'{ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
     for name in positions:
@@ -220,16 +219,16 @@ def _bin_row(
     return row
 
 
-def _position(picture: Picture, height: int, is_ascii: bool) -> list[Text]:
-    attitude = picture.attitude
+def _position(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
+    attitude = snapshot.attitude
     if attitude is None:
-        return [Text("the table is unknown", "dim")]
+        return [Text("table angles unknown", "dim")]
     azimuth = "" if math.isnan(attitude.azimuth_deg) else f" at {attitude.azimuth_deg:g} deg"
     title = Text(f"{attitude.position}{azimuth}" if attitude.position else "no position yet", "bold")
-    words = textwrap.wrap(directions(attitude), _AXES_WIDTH, break_on_hyphens=False)
+    words = textwrap.wrap(attitude.directions(), _AXES_WIDTH, break_on_hyphens=False)
     below = [Text(line, "dim") for line in words]
-    if picture.bench and height > _WITHOUT_ANGLES:
-        angles = f"{picture.bench.outer_deg:.2f}, {picture.bench.inner_deg:.2f}"
+    if snapshot.bench and height > _WITHOUT_ANGLES:
+        angles = f"{snapshot.bench.outer_deg:.2f}, {snapshot.bench.inner_deg:.2f}"
         below.append(Text(f"table {angles}", "dim"))
     drawing = axes_drawing(attitude, _AXES_WIDTH, height - 1 - len(below), is_ascii)
     return [title, *drawing, *below]
@@ -242,7 +241,7 @@ def _velocity(windows: Sequence[WindowTrace], width: int, height: int, is_ascii:
     curves = [Curve(time_s, east, _CHAMBER, "E"), Curve(time_s, north, _NORTH, "N")]
     title = Text.assemble(("mm/s  ", "dim"), ("E East", _CHAMBER), "  ", ("N North", _NORTH))
     labels = ("0", f"{end_s / 60.0:.2g} min")
-    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _LEAST_MMPS, is_ascii)]
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_MMPS, is_ascii)]
 
 
 def _heading(windows: Sequence[WindowTrace], width: int, height: int, is_ascii: bool) -> list[Text]:
@@ -251,7 +250,7 @@ def _heading(windows: Sequence[WindowTrace], width: int, height: int, is_ascii: 
     title = Text("change of heading, arcsec", "dim")
     labels = ("0", f"{end_s / 60.0:.2g} min")
     curves = [Curve(time_s, change, _GYRO, "H")]
-    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _LEAST_ARCSEC, is_ascii)]
+    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_ARCSEC, is_ascii)]
 
 
 def _joined_time_s(windows: Sequence[WindowTrace]) -> tuple[list[float], float]:
@@ -276,33 +275,33 @@ def _beside(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int
     return lines
 
 
-WIDEST, TALLEST = 80, 40
+MAX_WIDTH, MAX_HEIGHT = 80, 40
 #: Least and most rows of what can be drawn larger or smaller.
 _PROFILE_ROWS, _DWELL_ROWS, _BIN_ROWS = (6, 11), (7, 11), (2, 9)
-_MOST_MESSAGES = 5
+_MAX_MESSAGE_ROWS = 5
 
 
-def screen(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Text]:
-    """Lines that show a picture, none wider than ``width`` and no more than ``height``.
+def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
+    """Lines that show a snapshot, at most ``height`` lines of at most ``width`` characters.
 
-    State, time left, what is wrong, and the open question are always there; then come step, readings
-    and live bias, the profile, the dwell with its position, the bins, and messages.
+    State, time remaining, alarms and the open question are always shown; then, as space permits, step,
+    readings and live bias, the profile, the dwell with its position, the bins, and messages.
     """
     plus_minus = "+-" if is_ascii else "±"
-    top = [headline(picture, width), *attention(picture, width)]
-    lines = [step_line(picture)]
-    if picture.bench:
-        lines.append(readings_line(picture.bench))
-    bias = [bias_line(picture, plus_minus)]
-    rows = _shares(height - len(top) - len(lines) - len(bias), picture)
-    if picture.dwell and rows["sigma"]:
-        bias.append(sigma_line(picture.dwell.estimates, width, is_ascii))
+    top = [headline(snapshot, width), *attention(snapshot, width)]
+    lines = [step_line(snapshot)]
+    if snapshot.bench:
+        lines.append(readings_line(snapshot.bench))
+    bias = [bias_line(snapshot, plus_minus)]
+    rows = _shares(height - len(top) - len(lines) - len(bias), snapshot)
+    if snapshot.dwell and rows["sigma"]:
+        bias.append(sigma_line(snapshot.dwell.estimates, width, is_ascii))
     if rows["profile"]:
-        lines += profile_graph(picture, width, rows["profile"], is_ascii)
+        lines += profile_graph(snapshot, width, rows["profile"], is_ascii)
     if rows["dwell"]:
-        lines += dwell_graphs(picture, width, rows["dwell"], is_ascii)
-    lines += [*bias, *bins_table(picture, rows["bins"], plus_minus)]
-    lines += message_lines(picture, rows["messages"])
+        lines += dwell_graphs(snapshot, width, rows["dwell"], is_ascii)
+    lines += [*bias, *bins_table(snapshot, rows["bins"], plus_minus)]
+    lines += message_lines(snapshot, rows["messages"])
     shown = [*top, *lines][:height]
     for line in shown:
         line.truncate(width, overflow="ellipsis")
@@ -310,23 +309,23 @@ def screen(picture: Picture, width: int, height: int, is_ascii: bool) -> list[Te
     return shown
 
 
-def _shares(room: int, picture: Picture) -> dict[str, int]:
-    """So many rows for each part: first each gets its least, in the order of importance, then its most."""
-    filled = len({each.low_c for each in picture.bins if each.count and each.gyro == "x"})
-    wishes = {
+def _shares(room: int, snapshot: RunSnapshot) -> dict[str, int]:
+    """Rows of each part: first the minimum of each, in the order of importance, then up to its maximum."""
+    filled = len({each.low_c for each in snapshot.bins if each.count and each.gyro == "x"})
+    row_limits = {
         "profile": _PROFILE_ROWS,
         "dwell": _DWELL_ROWS,
         "bins": (_BIN_ROWS[0], min(_BIN_ROWS[1], 1 + filled)) if filled else (0, 0),
-        "sigma": (1, 1) if picture.dwell and len(picture.dwell.estimates) > 1 else (0, 0),
-        "messages": (min(1, len(picture.messages)), min(_MOST_MESSAGES, len(picture.messages))),
+        "sigma": (1, 1) if snapshot.dwell and len(snapshot.dwell.estimates) > 1 else (0, 0),
+        "messages": (min(1, len(snapshot.messages)), min(_MAX_MESSAGE_ROWS, len(snapshot.messages))),
     }
-    rows = dict.fromkeys(wishes, 0)
-    for part, (least, _) in wishes.items():
-        if least <= room:
-            rows[part] = least
-            room -= least
+    rows = dict.fromkeys(row_limits, 0)
+    for part, (min_rows, _) in row_limits.items():
+        if min_rows <= room:
+            rows[part] = min_rows
+            room -= min_rows
     while room > 0:
-        growing = [part for part, (_, most) in wishes.items() if 0 < rows[part] < most]
+        growing = [part for part, (_, max_rows) in row_limits.items() if 0 < rows[part] < max_rows]
         if not growing:
             break
         for part in growing[:room]:

@@ -14,8 +14,8 @@ from rich.padding import Padding
 from rich.status import Status
 from rich.text import Text
 
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.state_space.bias_filter import StateSpaceEstimate
 from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator
@@ -25,16 +25,16 @@ from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import Job
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.monitor.recorder import PictureRecorder
-from gyrobench.bench.monitor.snapshot import Picture
+from gyrobench.bench.monitor.recorder import SnapshotRecorder
+from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.terminal import (
+    BackgroundStream,
     Keyboard,
-    PatientConsole,
-    PatientStream,
+    RunConsole,
     is_c_locale,
     is_in_foreground,
 )
-from gyrobench.bench.monitor.terminal_screen import TALLEST, WIDEST, screen
+from gyrobench.bench.monitor.terminal_screen import MAX_HEIGHT, MAX_WIDTH, screen
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Chamber
@@ -42,7 +42,7 @@ from gyrobench.bench.procedure.timeline import hours_minutes
 
 
 class TerminalOperator:
-    """Takes answers and orders from the keyboard without waiting for them."""
+    """Takes answers and commands from the keyboard without waiting for them."""
 
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
         self._console = console
@@ -55,7 +55,7 @@ class TerminalOperator:
         self._console.print(f"\n{question}\nAnswer with one of: {', '.join(answers)}", soft_wrap=True)
 
     def answer(self) -> str | None:
-        """The answer, once one of those asked for has been typed."""
+        """The answer, once one of the possible answers has been typed."""
         typed = self._keyboard.line()
         if typed in self._answers:
             self._answers = ()
@@ -65,11 +65,11 @@ class TerminalOperator:
         return None
 
     def withdraw(self) -> None:
-        """Expect no answer any more."""
+        """Withdraw the question."""
         self._answers = ()
 
     def order(self) -> Order | None:
-        """An order that has been typed; other words are answered with what can be typed."""
+        """A command that has been typed; other input prints the commands."""
         typed = "" if self._answers else self._keyboard.line()
         if typed in list(Order):
             return Order(typed)
@@ -85,17 +85,7 @@ _INDENT = 8
 
 
 class LinesView(Progress):
-    """Prints each dwell as soon as it is measured; on a terminal also a line that says where it is.
-
-    Parameters
-    ----------
-    console : Console
-        Where to print.
-    plan : Plan
-        What is being run.
-    has_status : bool
-        Whether a terminal gets the line that says where it is.
-    """
+    """Prints each dwell as soon as it is measured; on a terminal with ``has_status`` also a status line."""
 
     def __init__(self, console: Console, plan: Plan, has_status: bool = True) -> None:
         self._console = console
@@ -127,7 +117,7 @@ class LinesView(Progress):
         self._console.print(text, highlight=False)
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
-        """Show the step; the chamber's are printed, with the time since the start."""
+        """Show the step; chamber steps are printed with the time since the start."""
         self._step = f"{planned.label}: {planned.step.describe()}"
         self._so_far = ""
         self._ticks = 0
@@ -137,7 +127,7 @@ class LinesView(Progress):
             self._console.print(f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False)
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:
-        """Show temperatures and time left, now and then."""
+        """Update temperatures and remaining time."""
         self._left_s = left_s
         self._ticks += 1
         if self._status and self._ticks % _UPDATE_EVERY_TICKS == 1:
@@ -149,12 +139,12 @@ class LinesView(Progress):
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
     def estimated(self, estimate: StateSpaceEstimate) -> None:
-        """Show the biases so far with the next update."""
+        """Show the present biases with the next update."""
         pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
         self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
-        """Print a dwell; above the first one what its numbers are, below one with flags the reason."""
+        """Print a dwell, the table head above the first one, and the reasons below a flagged one."""
         if not self._has_head:
             self._console.print(f"{_UNITS}\n{_HEAD}", highlight=False)
             self._has_head = True
@@ -171,36 +161,34 @@ class LinesView(Progress):
         self._console.print(f"{head} {values} {hours_minutes(self._left_s):>6s}", highlight=False)
 
 
-#: Rows that stay free above the view, for the lines that scroll by.
+#: Rows above the view for scrolling lines.
 _ROWS_ABOVE = 4
-_SHORTEST = 4
-#: How often the picture is taken, and how often keys that were typed are shown.
-_PICTURE_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
+_MIN_HEIGHT = 4
+#: Intervals of the snapshot and of showing typed keys.
+_SNAPSHOT_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
 
 
 class TerminalView(Progress):
-    """Shows the newest picture, and what is being typed below it.
+    """Shows the newest snapshot and the keys being typed.
 
-    The picture is taken where the run tells its progress; it is drawn in a thread of its own.
+    The snapshot is taken in the thread of the run and drawn in a separate thread.
 
     Parameters
     ----------
     console : Console
-        A terminal; what is printed to it meanwhile scrolls by above the view.
-    recorder : PictureRecorder
-        Has the picture.
-    keyboard : Keyboard
-        What is typed.
+        A terminal; lines printed to it scroll above the view.
+    recorder, keyboard
+        Sources of the snapshot and of typed keys.
     takes_orders : bool
-        Whether somebody looks at what is typed.
+        Whether commands can be typed.
     can_draw : callable
-        Whether the terminal has taken all that was drawn before.
+        Whether the terminal has shown all earlier output.
     """
 
     def __init__(
         self,
         console: Console,
-        recorder: PictureRecorder,
+        recorder: SnapshotRecorder,
         keyboard: Keyboard,
         takes_orders: bool,
         can_draw: Callable[[], bool],
@@ -211,8 +199,8 @@ class TerminalView(Progress):
         self._takes_orders = takes_orders
         self._can_draw = can_draw
         self._clock = WallClock()
-        self._next_picture_s = 0.0
-        self._picture: Picture | None = None
+        self._next_snapshot_s = 0.0
+        self._snapshot: RunSnapshot | None = None
         self._over = threading.Event()
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._thread = threading.Thread(target=self._draw_until_over, daemon=True)
@@ -230,8 +218,8 @@ class TerminalView(Progress):
         self._keyboard.__exit__()
 
     def beat(self, bench: LiveBench) -> None:  # noqa: ARG002
-        """Take a new picture if it is time."""
-        if self._clock.now() >= self._next_picture_s:
+        """Take a new snapshot if it is due."""
+        if self._clock.now() >= self._next_snapshot_s:
             self._take()
 
     def held(self, why: str, needs_person: bool, ordered: Order | None) -> None:  # noqa: ARG002
@@ -247,67 +235,69 @@ class TerminalView(Progress):
         self._take()
 
     def _take(self) -> None:
-        self._picture = self._recorder.picture()
-        self._next_picture_s = self._clock.now() + _PICTURE_EVERY_S
+        self._snapshot = self._recorder.snapshot()
+        self._next_snapshot_s = self._clock.now() + _SNAPSHOT_EVERY_S
 
     def _draw_until_over(self) -> None:
-        drawn: tuple[Picture | None, str, tuple[int, int]] | None = None
+        drawn: tuple[RunSnapshot | None, str, tuple[int, int]] | None = None
         while not self._over.wait(_KEYS_EVERY_S):
             size = (self._console.width, self._console.height)
-            typed = self._keyboard.begun if self._takes_orders else ""
-            seen = (self._picture, typed, size)
+            typed = self._keyboard.unfinished if self._takes_orders else ""
+            seen = (self._snapshot, typed, size)
             is_same = drawn is not None and seen[0] is drawn[0] and seen[1:] == drawn[1:]
             if not is_same and self._can_draw():
                 self._live.update(Group(*self._lines(*seen)), refresh=True)
                 drawn = seen
 
-    def _lines(self, picture: Picture | None, typed: str, size: tuple[int, int]) -> list[Text]:
-        width = min(WIDEST, size[0])
-        height = min(TALLEST, max(_SHORTEST, size[1] - _ROWS_ABOVE))
+    def _lines(self, snapshot: RunSnapshot | None, typed: str, size: tuple[int, int]) -> list[Text]:
+        width = min(MAX_WIDTH, size[0])
+        height = min(MAX_HEIGHT, max(_MIN_HEIGHT, size[1] - _ROWS_ABOVE))
         is_ascii = self._console.options.ascii_only or is_c_locale(os.environ)
-        prompt = [self._prompt(picture, typed)] if self._takes_orders else []
-        if picture is None:
+        prompt = [self._prompt(snapshot, typed)] if self._takes_orders else []
+        if snapshot is None:
             return [Text("starting", "bold cyan"), *prompt]
-        return [*screen(picture, width, height - len(prompt), is_ascii), *prompt]
+        return [*screen(snapshot, width, height - len(prompt), is_ascii), *prompt]
 
-    def _prompt(self, picture: Picture | None, typed: str) -> Text:
+    def _prompt(self, snapshot: RunSnapshot | None, typed: str) -> Text:
         if typed:
             return Text(f"> {typed}_", no_wrap=True)
-        question = picture.question if picture else None
+        question = snapshot.question if snapshot else None
         choice = "an answer" if question else ", ".join(Order)
         return Text.assemble("> ", (f"type {choice}", "dim"), no_wrap=True)
 
 
-#: So long a terminal has at the end to take what has not been shown yet.
-_LONGEST_DRAIN_S = 10.0
+#: Time limit for showing the remaining output at the end.
+_MAX_DRAIN_S = 10.0
 
 
 @contextmanager
-def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tuple[Progress, Operator]]:
-    """Record the picture of a run, and show the run, while the context lasts.
+def observe_in_terminal(
+    console: RunConsole, job: Job, wants_live: bool
+) -> Iterator[tuple[Progress, Operator]]:
+    """Record the snapshot of a run, and show the run, while the context lasts.
 
     Parameters
     ----------
-    console : PatientConsole
-        Where to show it. It is never waited for.
+    console : RunConsole
+        Where to show it; the run never waits for it.
     job : Job
-        What is to be run.
+        The run.
     wants_live : bool
-        Whether the whole picture is shown. That needs a terminal that can move its cursor and listens to
-        this process; elsewhere there are lines only.
+        Whether to show the live view. It needs a terminal that can move its cursor, with this process in
+        the foreground; otherwise lines are printed.
 
     Returns
     -------
     Progress, Operator
-        The one who watches, and the one who answers: the person at the terminal, but on virtual time, where
-        nobody can be waited for, one who consents to all.
+        Observer and operator of the run. On virtual time, where no operator can be waited for, every
+        question is answered with consent.
     """
     keyboard = Keyboard()
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console, keyboard)
     is_live = wants_live and console.is_terminal and not console.is_dumb_terminal and is_in_foreground()
-    recorder = PictureRecorder(job.plan)
+    recorder = SnapshotRecorder(job.plan)
     with ExitStack() as shown:
-        stream = shown.enter_context(_never_waited_for(console))
+        stream = shown.enter_context(_background_output(console))
         lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
         watchers: list[Progress] = [recorder, lines]
         if is_live:
@@ -317,13 +307,13 @@ def watched(console: PatientConsole, job: Job, wants_live: bool) -> Iterator[tup
 
 
 @contextmanager
-def _never_waited_for(console: PatientConsole) -> Iterator[PatientStream]:
-    """Write in the background; what is left at the end is waited for a while."""
+def _background_output(console: RunConsole) -> Iterator[BackgroundStream]:
+    """Write in the background; at the end wait a limited time for the remaining output."""
     before = console.file
-    stream = PatientStream(cast(TextIO, before), console.on_broken_pipe)
+    stream = BackgroundStream(cast(TextIO, before), console.on_broken_pipe)
     console.file = cast(TextIO, stream)
     try:
         yield stream
     finally:
-        stream.drain(_LONGEST_DRAIN_S)
+        stream.drain(_MAX_DRAIN_S)
         console.file = before

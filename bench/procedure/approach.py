@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gyrobench.bench.procedure.climate_steps import Chamber, ChamberOff, Soak
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
-from gyrobench.bench.procedure.steps import GoTo, PowerOff, PowerOn, Step, Wait
+from gyrobench.bench.procedure.steps import Chamber, ChamberOff, GoTo, PowerOff, PowerOn, Soak, Step, Wait
 
 #: A soak begins with the air this near to its set point, however early the chamber's step ends otherwise.
 _NEAR_C = 1.0

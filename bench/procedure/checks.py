@@ -2,17 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
-from gyrobench.bench.foundations.documents import Document, Problem
-from gyrobench.bench.procedure.climate_steps import Chamber, Soak
-from gyrobench.bench.procedure.dwell_checks import find_dwell_problems
-from gyrobench.bench.procedure.limits import StationLimits
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
-from gyrobench.bench.procedure.reach import find_reach_problems
-from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, PowerOn, Turn
+from gyrobench.bench.foundations.documents import Document, Location, Problem
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after
+from gyrobench.bench.procedure.steps import (
+    MIN_NAVIGATION_S,
+    Align,
+    Chamber,
+    GoTo,
+    Navigate,
+    PowerOn,
+    Soak,
+    Turn,
+    Wait,
+)
+
+
+@dataclass(frozen=True)
+class StationLimits:
+    """Limits of one station's chamber and table.
+
+    Attributes
+    ----------
+    chamber_low_c, chamber_high_c : float
+        Range of the chamber's set point.
+    ramp_max_c_per_min : float
+        Fastest ramp of the chamber, up or down.
+    table_rate_max_dps : float
+        Fastest turn of either axis of the table.
+    reachable : callable
+        ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't stand
+        there and then do these turns, None where it can.
+    gyro_low_c, gyro_high_c : float
+        Temperatures of the gyros at which an interlock trips.
+    """
+
+    chamber_low_c: float
+    chamber_high_c: float
+    ramp_max_c_per_min: float
+    table_rate_max_dps: float
+    reachable: Callable[[str, float, tuple[float, ...]], str | None]
+    gyro_low_c: float = -math.inf
+    gyro_high_c: float = math.inf
 
 
 def check(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
@@ -56,26 +94,26 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
 def _order_problems(planned: PlannedStep) -> Iterator[Problem]:
     step, bench = planned.step, planned.before
     if isinstance(step, PowerOn) and bench.powered:
-        yield Problem(planned.location, "the INS is already on here; power_off must come before")
+        yield Problem(planned.location, "the INS is already on here. Put power_off before this step")
     needs_power = isinstance(step, Align | Navigate) or (isinstance(step, Soak) and step.for_s is None)
     if needs_power and not bench.powered:
-        yield Problem(planned.location, f"{step.name} needs the INS: power_on must come before")
+        yield Problem(planned.location, f"{step.name} needs the INS on. Put power_on before this step")
     if isinstance(step, Align) and bench.position is None:
-        yield Problem(planned.location, "align needs a position: go_to must come before")
+        yield Problem(planned.location, "align needs a position. Put go_to before this step")
     if isinstance(step, Navigate | Turn) and not bench.aligned:
         yield Problem(
             planned.location,
-            f"{step.name} needs an aligned INS: align must come before, after the last go_to and power_on",
+            f"{step.name} needs an aligned INS. Put align before it, after the last go_to and power_on",
         )
 
 
 def _time_problems(planned: PlannedStep) -> Iterator[Problem]:
     step = planned.step
-    least_s = step.at_most_s if isinstance(step, Soak) and step.for_s is None else planned.duration_s
-    if planned.timeout_s < least_s:
+    min_s = step.at_most_s if isinstance(step, Soak) and step.for_s is None else planned.duration_s
+    if planned.timeout_s < min_s:
         yield Problem(
             planned.place_of("timeout_s"),
-            f"timeout_s of {planned.timeout_s:g} s ends the step before its {least_s:.0f} s are over",
+            f"timeout_s ({planned.timeout_s:g} s) is shorter than the step, which takes {min_s:.0f} s",
         )
 
 
@@ -93,12 +131,12 @@ def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[P
         yield Problem(
             planned.place_of("ramp_c_per_min"),
             f"a ramp of {step.ramp_c_per_min:g} degC/min is too fast for the chamber; "
-            f"at most {limits.ramp_max_c_per_min:g} degC/min",
+            f"allowed: at most {limits.ramp_max_c_per_min:g} degC/min",
         )
 
 
 def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
-    """Tell where a chamber's command would bring the gyros to where an interlock trips."""
+    """Commands of the chamber that would bring the gyros to a temperature at which an interlock trips."""
     command: PlannedStep | None = None
     for planned in plan.steps:
         if isinstance(planned.step, Chamber):
@@ -107,8 +145,8 @@ def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
         if command is not None and not limits.gyro_low_c <= gyro_c <= limits.gyro_high_c:
             yield Problem(
                 command.place_of("temperature_c"),
-                f"the gyros would come to {gyro_c:.0f} degC, where the interlock gyro_temperature trips "
-                f"({limits.gyro_low_c:g} to {limits.gyro_high_c:g} degC)",
+                f"the gyros would reach {gyro_c:.0f} degC; the interlock gyro_temperature trips outside "
+                f"{limits.gyro_low_c:g} to {limits.gyro_high_c:g} degC",
             )
             command = None
 
@@ -119,5 +157,236 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Pro
         yield Problem(
             planned.place_of("rate_dps"),
             f"a rate of {step.rate_dps:g} deg/s is too fast for the table; "
-            f"at most {limits.table_rate_max_dps:g} deg/s",
+            f"allowed: at most {limits.table_rate_max_dps:g} deg/s",
         )
+
+
+_INSEPARABLE = "biases and initial errors can't be separated"
+
+
+def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
+    """Everything that keeps the dwells of a plan from giving a result, in no order."""
+    for dwell, steps in itertools.groupby(plan.steps, key=lambda planned: planned.dwell):
+        group = list(steps)
+        windows = [planned for planned in group if isinstance(planned.step, Navigate)]
+        yield from itertools.chain.from_iterable(map(_navigation_time_problems, windows))
+        if dwell is None:
+            yield from _stray(windows)
+            continue
+        turns = [planned for planned in group if isinstance(planned.step, Turn)]
+        kind_problems = _turned_verification if group[0].is_verification else _one_sided
+        yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
+        yield from _early_until(windows)
+        yield from _not_turned_between(group)
+        yield from _turned_to_the_same(windows, turns)
+    yield from find_unpaired_verifications(plan)
+
+
+def _navigation_time_problems(window: PlannedStep) -> Iterator[Problem]:
+    step = window.step
+    if not isinstance(step, Navigate):
+        return
+    key, shortest_s = ("at_least_s", step.at_least_s) if step.until else ("duration_s", step.longest_s)
+    if shortest_s < MIN_NAVIGATION_S:
+        yield Problem(
+            window.place_of(key),
+            f"navigate for {shortest_s:g} s is too short for a bias; allowed: {MIN_NAVIGATION_S:g} s or more",
+        )
+
+
+def _stray(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
+    for window in windows:
+        if window.before.aligned:  # else that is the problem to report
+            yield Problem(
+                window.location,
+                "this navigation belongs to no dwell: only navigate, turn and wait may follow align",
+            )
+
+
+def _turn_that_follows(plan: Plan, last: PlannedStep) -> list[PlannedStep]:
+    """Find a turn after the last navigation, which its dwell does not contain."""
+    following = itertools.dropwhile(lambda planned: isinstance(planned.step, Wait), plan.later(last))
+    return [planned for planned in itertools.islice(following, 1) if isinstance(planned.step, Turn)]
+
+
+def _turned_verification(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+    if not turns:
+        return
+    for window in windows:
+        if isinstance(window.step, Navigate) and window.step.purpose == "verification":
+            yield Problem(
+                window.place_of("purpose"),
+                "a verification is one navigation directly after the alignment, without a turn before or "
+                "after it. Leave purpose out, or replace the turn by go_to and align",
+            )
+
+
+def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+    if len(windows) != 1:
+        return
+    if turns:
+        message = (
+            f"navigation on one side of the turn only: {_INSEPARABLE}. Navigate before and after the turn"
+        )
+    else:
+        message = f"no turn: {_INSEPARABLE}. Add a turn and a second navigation, or set purpose: verification"
+    yield Problem(windows[0].location, message)
+
+
+def _early_until(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
+    first = windows[0]
+    if isinstance(first.step, Navigate) and first.step.until:
+        yield Problem(
+            first.place_of("until"),
+            f"until needs a navigation and a turn before it; without them {_INSEPARABLE}. Use duration_s",
+        )
+
+
+def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
+    moves = [planned for planned in dwell if isinstance(planned.step, Navigate | Turn)]
+    advice = _turn_advice(moves)
+    for earlier, later in itertools.pairwise(moves):
+        if isinstance(earlier.step, Navigate) and isinstance(later.step, Navigate):
+            yield Problem(later.location, f"two navigations in succession. {advice}")
+
+
+def _turn_advice(moves: Sequence[PlannedStep]) -> str:
+    """What to do about two navigations in succession: one alone gives a bias only in a verification."""
+    if moves[0].is_verification:
+        return "a verification has a single one. Make it longer, or put go_to and align between them"
+    has_turn = any(isinstance(planned.step, Turn) for planned in moves)
+    return "Put a turn between them" + (", or make one longer" if has_turn else "")
+
+
+def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+    azimuths_deg = {round(window.before.azimuth_deg, 6) % 360.0 for window in windows}
+    if turns and len(windows) > 1 and len(azimuths_deg) == 1:
+        yield Problem(
+            turns[-1].place_of("angle_deg"),
+            f"all navigations are at azimuth {azimuths_deg.pop():g} deg: {_INSEPARABLE}. "
+            "Turn by an angle other than a full circle",
+        )
+
+
+_TOLERANCE_DEG = 0.5
+
+
+def find_unpaired_verifications(plan: Plan) -> Iterator[Problem]:
+    """Verifications that have no partner half a turn away, in their position and at their temperature.
+
+    A gyro bias turns the heading of one alignment against the other; an error of the table's
+    azimuth turns both alike.
+    """
+    groups: dict[tuple[int, int, str | None], list[PlannedStep]] = defaultdict(list)
+    for number, stop in enumerate(_stops(plan)):
+        for window in _verifying(stop):
+            groups[number, window.cycle, window.before.position].append(window)
+    for windows in groups.values():
+        for alone in _unpaired(windows):
+            opposite_deg = (alone.before.azimuth_deg + 180.0) % 360.0
+            yield Problem(
+                alone.place_of("purpose"),
+                "a single alignment includes the table's azimuth error. "
+                f"Add the same position ({alone.before.position}) at azimuth {opposite_deg:g} deg, "
+                "in the same cycle, before the next chamber or power step",
+            )
+
+
+def _stops(plan: Plan) -> Iterator[list[PlannedStep]]:
+    """Cut a plan where the set point of the chamber changes, or the power."""
+    for _, steps in itertools.groupby(
+        plan.steps, key=lambda planned: (planned.before.powered, planned.before.set_point_c)
+    ):
+        yield list(steps)
+
+
+def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
+    """Navigations of verification dwells; those with several or with turns are another problem."""
+    for dwell, members in itertools.groupby(steps, key=lambda planned: planned.dwell):
+        group = list(members)
+        windows = [planned for planned in group if isinstance(planned.step, Navigate)]
+        turned = any(isinstance(planned.step, Turn) for planned in group)
+        if dwell is not None and group[0].is_verification and len(windows) == 1 and not turned:
+            yield windows[0]
+
+
+def _unpaired(windows: Sequence[PlannedStep]) -> list[PlannedStep]:
+    """Pair each with the first unpaired one half a turn away, as the measurement does."""
+    unpaired: list[PlannedStep] = []
+    for window in windows:
+        partner = next((other for other in unpaired if _half_turn_apart(other, window)), None)
+        if partner is None:
+            unpaired.append(window)
+        else:
+            unpaired.remove(partner)
+    return unpaired
+
+
+def _half_turn_apart(one: PlannedStep, other: PlannedStep) -> bool:
+    away_deg = (other.before.azimuth_deg - one.before.azimuth_deg) % 360.0 - 180.0
+    return abs(away_deg) < _TOLERANCE_DEG
+
+
+#: Azimuths to try for advice.
+_AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
+
+
+def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
+    """Why a position can't be reached, or not with the turns that follow there.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan to look at.
+    planned : PlannedStep
+        One of its steps; only a go_to can have a problem.
+    limits : StationLimits
+        What the table reaches.
+
+    Yields
+    ------
+    Problem
+        At the first turn that leads out of reach, or at the go_to if that is out of reach itself.
+    """
+    step = planned.step
+    if not isinstance(step, GoTo):
+        return
+    turn_steps = turn_steps_after(plan, planned)
+    turns_deg = tuple(turn.step.angle_deg for turn in turn_steps if isinstance(turn.step, Turn))
+    if limits.reachable(step.position, step.azimuth_deg, turns_deg) is None:
+        return
+    for count in range(len(turns_deg) + 1):
+        reason = limits.reachable(step.position, step.azimuth_deg, turns_deg[:count])
+        if reason:
+            what = ", then turns of ".join([f"azimuth {step.azimuth_deg:g}", *_listed(turns_deg[:count])])
+            advice = _reach_advice(step, turns_deg, limits)
+            yield Problem(
+                turn_steps[count - 1].place_of("angle_deg") if count else _place(planned, step, limits),
+                f"{step.position} at {what} deg can't be reached: {reason}{advice}",
+            )
+            return
+
+
+def _place(planned: PlannedStep, step: GoTo, limits: StationLimits) -> Location:
+    another_would_do = "azimuth_deg" in step.model_fields_set and _azimuths_deg(step.position, limits)
+    return planned.place_of("azimuth_deg" if another_would_do else "position")
+
+
+def _reach_advice(step: GoTo, turns_deg: tuple[float, ...], limits: StationLimits) -> str:
+    azimuths_deg = _azimuths_deg(step.position, limits)
+    positions = [name for name in POSITIONS if limits.reachable(name, step.azimuth_deg, turns_deg) is None]
+    advice = ""
+    if 0 < len(azimuths_deg) < len(_AZIMUTHS_DEG):
+        azimuths = ", ".join(f"{azimuth:g}" for azimuth in azimuths_deg)
+        advice += f". In {step.position} the table can stand at azimuth {azimuths} deg"
+    if positions and (turns_deg or step.azimuth_deg):
+        advice += f". This azimuth with its turns can be reached in {', '.join(positions)}"
+    return advice
+
+
+def _azimuths_deg(position: str, limits: StationLimits) -> list[float]:
+    return [each for each in _AZIMUTHS_DEG if limits.reachable(position, each, ()) is None]
+
+
+def _listed(turns_deg: tuple[float, ...]) -> list[str]:
+    return [", ".join(f"{turn:g}" for turn in turns_deg)] if turns_deg else []

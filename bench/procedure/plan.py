@@ -9,11 +9,9 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from gyrobench.bench.foundations.documents import Document, Location
-from gyrobench.bench.procedure.document import Procedure
 from gyrobench.bench.procedure.estimate import BenchEstimate
-from gyrobench.bench.procedure.resolve import ResolvedStep, resolve
-from gyrobench.bench.procedure.step import Step
-from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Turn, Wait
+from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
+from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, Wait
 
 
 class Phase(StrEnum):
@@ -137,7 +135,7 @@ def expand(document: Document, procedure: Procedure, bench: BenchEstimate | None
     document : Document
         The file that the procedure was read from; it tells the places of mistakes.
     procedure : Procedure
-        What :func:`gyrobench.bench.procedure.document.load_procedure` made of it.
+        What :func:`gyrobench.bench.procedure.procedure_file.load_procedure` made of it.
     bench : BenchEstimate, optional
         Bench at the start; at rest at room temperature if not given.
 

@@ -1,34 +1,357 @@
-"""The kinds of step that a procedure is made of."""
+"""The kinds of step of a procedure: data, and answers about themselves without being run."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 from typing_extensions import override
 
-from gyrobench.bench.procedure.climate_steps import Chamber, ChamberOff, Soak
+from gyrobench.bench.bias.dwell import MIN_DURATION
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate
-from gyrobench.bench.procedure.navigation_steps import Align, Navigate, Turn
-from gyrobench.bench.procedure.step import Duration, DurationOrZero, PositionName, Step, TableRate, span
 
-__all__ = [
-    "STEP_KINDS",
-    "Align",
-    "AskOperator",
-    "Chamber",
-    "ChamberOff",
-    "GoTo",
-    "Navigate",
-    "PowerOff",
-    "PowerOn",
-    "Soak",
-    "Step",
-    "Turn",
-    "Wait",
+#: A step of more than a week is taken for a slip of the pen.
+MAX_STEP_S = 604_800.0
+
+_TIMEOUT_FACTOR = 1.5
+_TIMEOUT_MARGIN_S = 60.0
+
+
+def _known_position(name: str) -> str:
+    if name in POSITIONS:
+        return name
+    raise ValueError(
+        f"no such position{did_you_mean(name, POSITIONS)}; the positions are {', '.join(POSITIONS)}"
+    )
+
+
+Duration = Annotated[float, Field(gt=0.0, le=MAX_STEP_S)]
+DurationOrZero = Annotated[float, Field(ge=0.0, le=MAX_STEP_S)]
+Celsius = Annotated[float, Field(gt=-273.15, le=1000.0)]
+TableRate = Annotated[float, Field(ge=0.001, le=10_000.0)]
+PositionName = Annotated[
+    str, Field(json_schema_extra={"enum": [*POSITIONS]}), AfterValidator(_known_position)
 ]
+
+
+class Step(StrictModel):
+    """One thing that the bench does: data, and answers about itself without being run."""
+
+    #: Name of the kind in procedure files.
+    name: ClassVar[str]
+    #: Whether the step belongs to one position rather than to the temperature as a whole.
+    at_position: ClassVar[bool] = False
+
+    timeout_s: Duration | None = Field(
+        default=None,
+        description="time after which the step has failed; follows from its duration if not given",
+    )
+    retries: int = Field(
+        default=3, ge=0, le=100, description="how often a failed exchange with an instrument is tried again"
+    )
+
+    def expected_s(self, bench: BenchEstimate) -> float:  # noqa: ARG002
+        """Tell how long the step is expected to take, starting from ``bench``."""
+        return 0.0
+
+    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+        """Predict the bench ``elapsed_s`` after the step began on ``bench``."""
+        return bench.passed(elapsed_s)
+
+    def time_limit_s(self, expected_s: float) -> float:
+        """Time after which the step has failed, given its expected duration."""
+        return self.timeout_s or self.usual_time_limit_s(expected_s)
+
+    def usual_time_limit_s(self, expected_s: float) -> float:
+        """Time limit where the procedure gives none."""
+        return _TIMEOUT_FACTOR * expected_s + _TIMEOUT_MARGIN_S
+
+    def describe(self) -> str:
+        """One line for people."""
+        return self.name.replace("_", " ")
+
+
+def span(duration_s: float) -> str:
+    """Write a duration for people: "45 s", "10 min", "2.5 h"."""
+    if duration_s < 120.0:
+        return f"{duration_s:.4g} s"
+    if duration_s < 7200.0:
+        return f"{duration_s / 60.0:.3g} min"
+    return f"{duration_s / 3600.0:.3g} h"
+
+
+_CHAMBER_MARGIN_S = 1800.0
+_LONGEST_SOAK_S = 14_400.0
+
+
+class Chamber(Step):
+    """Bring the chamber to a temperature at a rate and wait until its air is there."""
+
+    name = "chamber"
+    temperature_c: Celsius = Field(description="set point, degC")
+    ramp_c_per_min: float = Field(ge=0.001, le=100.0, description="how fast the set point moves, degC/min")
+    within_c: float = Field(
+        default=1.0, ge=0.05, le=50.0, description="the step ends when the air is this near to it, degC"
+    )
+
+    @override
+    def expected_s(self, bench: BenchEstimate) -> float:
+        ramp_s = self._commanded(bench).ramp_left_s()
+        air_lag_s = bench.thermal.air_lag_s
+        behind_c = self.ramp_c_per_min / 60.0 * min(ramp_s, air_lag_s)
+        if self.within_c > behind_c:  # near enough while the set point still moves
+            return max(0.0, ramp_s - (self.within_c - behind_c) / self.ramp_c_per_min * 60.0)
+        return ramp_s + air_lag_s * math.log(behind_c / self.within_c)
+
+    @override
+    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+        return self._commanded(bench).passed(elapsed_s)
+
+    @override
+    def usual_time_limit_s(self, expected_s: float) -> float:
+        return 2.0 * expected_s + _CHAMBER_MARGIN_S
+
+    @override
+    def describe(self) -> str:
+        return f"chamber to {self.temperature_c:g} degC at {self.ramp_c_per_min:g} degC/min"
+
+    def _commanded(self, bench: BenchEstimate) -> BenchEstimate:
+        return replace(bench, set_point_c=self.temperature_c, ramp_c_per_s=self.ramp_c_per_min / 60.0)
+
+
+class ChamberOff(Step):
+    """Switch the chamber off; it goes back to room temperature by itself."""
+
+    name = "chamber_off"
+
+    @override
+    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+        # How slowly an idle chamber goes back does not matter to a plan.
+        idle = replace(bench, set_point_c=None, ramp_c_per_s=0.0, chamber_c=bench.thermal.room_c)
+        return idle.passed(elapsed_s)
+
+
+class Soak(Step):
+    """Wait for a fixed time, or until the gyros' temperature hardly changes any more."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": ["for_s"]}, {"required": ["until_gyro_rate_below_c_per_h"]}]
+        }
+    )
+    name = "soak"
+    for_s: Duration | None = Field(default=None, description="a fixed time, s")
+    until_gyro_rate_below_c_per_h: float | None = Field(
+        default=None, ge=0.01, le=1000.0, description="soak until every gyro changes by less, degC/h"
+    )
+    at_least_s: DurationOrZero = Field(default=0.0, description="soak this long in any case, s")
+    at_most_s: Duration = Field(default=_LONGEST_SOAK_S, description="go on after this time in any case, s")
+
+    @model_validator(mode="after")
+    def _one_kind_of_soak(self) -> Self:
+        if (self.for_s is None) == (self.until_gyro_rate_below_c_per_h is None):
+            raise ValueError("give either for_s or until_gyro_rate_below_c_per_h")
+        if self.for_s is not None and {"at_least_s", "at_most_s"} & self.model_fields_set:
+            raise ValueError("at_least_s and at_most_s go with until_gyro_rate_below_c_per_h, not with for_s")
+        if self.at_most_s < self.at_least_s:
+            raise ValueError(f"at_most_s ({self.at_most_s:g}) is below at_least_s ({self.at_least_s:g})")
+        return self
+
+    @override
+    def expected_s(self, bench: BenchEstimate) -> float:
+        if self.until_gyro_rate_below_c_per_h is None:
+            return self.for_s or 0.0
+        settling_s = bench.time_until_gyro_rate_s(self.until_gyro_rate_below_c_per_h)
+        return min(max(settling_s, self.at_least_s), self.at_most_s)
+
+    @override
+    def usual_time_limit_s(self, expected_s: float) -> float:
+        return super().usual_time_limit_s(self.at_most_s if self.for_s is None else expected_s)
+
+    @override
+    def describe(self) -> str:
+        if self.for_s is not None:
+            return f"soak {span(self.for_s)}"
+        return (
+            f"soak until below {self.until_gyro_rate_below_c_per_h:g} degC/h, "
+            f"{span(self.at_least_s)} to {span(self.at_most_s)}"
+        )
+
+
+#: Shortest navigation that gives a bias, s: the shortest window, and what its commands cost.
+MIN_NAVIGATION_S = MIN_DURATION + 5.0
+
+_FINE_ALIGNMENT_S = 300.0
+
+
+class Align(Step):
+    """Let the INS align itself: for a time, or until it reports fine alignment, or both."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "anyOf": [{"required": ["duration_s"]}, {"required": ["until_fine"]}],
+            "dependentRequired": {"at_most_s": ["until_fine"]},
+        }
+    )
+    name = "align"
+    at_position = True
+    duration_s: Duration | None = Field(
+        default=None, description="alignment time, s; the shortest one together with until_fine"
+    )
+    until_fine: bool = Field(default=False, description="wait until the INS reports fine alignment")
+    at_most_s: Duration | None = Field(
+        default=None, description="with until_fine: the step fails if the INS is not fine by then, s"
+    )
+    euler_sequence: Literal["automatic", "rpy_321", "pry_231"] = Field(
+        default="automatic",
+        description="Euler angles that give the heading; automatic takes those regular in the position",
+    )
+
+    @model_validator(mode="after")
+    def _ends(self) -> Self:
+        if self.duration_s is None and not self.until_fine:
+            raise ValueError("give duration_s, or until_fine: true with at_most_s")
+        if self.until_fine != (self.at_most_s is not None):
+            raise ValueError("until_fine: true and at_most_s go together")
+        if self.duration_s and self.at_most_s and self.at_most_s < self.duration_s:
+            raise ValueError(f"at_most_s ({self.at_most_s:g}) is below duration_s ({self.duration_s:g})")
+        return self
+
+    @override
+    def expected_s(self, bench: BenchEstimate) -> float:
+        if self.at_most_s is None:
+            return self.duration_s or 0.0
+        return min(max(self.duration_s or 0.0, _FINE_ALIGNMENT_S), self.at_most_s)
+
+    @override
+    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+        return replace(bench, aligned=bench.powered).passed(elapsed_s)
+
+    @override
+    def usual_time_limit_s(self, expected_s: float) -> float:
+        return self.at_most_s or super().usual_time_limit_s(expected_s)
+
+    @override
+    def describe(self) -> str:
+        time = f"align {span(self.duration_s)}" if self.duration_s else "align"
+        return f"{time} until fine, {span(self.at_most_s)} at most" if self.at_most_s else time
+
+
+class Until(StrictModel):
+    """What ends a navigation before its longest time."""
+
+    bias_sigma_below_dph: float = Field(
+        ge=1e-5, le=10.0, description="standard uncertainty of all three gyro biases is below this, deg/h"
+    )
+
+
+class Navigate(Step):
+    """Let the INS navigate at rest: for a time, or until its gyro biases are known well enough."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [{"required": ["duration_s"]}, {"required": ["until"]}],
+            "dependentRequired": {"until": ["at_most_s"]},
+        }
+    )
+    name = "navigate"
+    at_position = True
+    duration_s: Duration | None = Field(default=None, description="navigation time, s")
+    until: Until | None = Field(
+        default=None, description="end as soon as the biases are known so well; only after a turn"
+    )
+    at_least_s: Duration = Field(
+        default=MIN_NAVIGATION_S, description="with until: navigate this long in any case, s"
+    )
+    at_most_s: Duration | None = Field(
+        default=None, description="with until: go on after this time in any case, s"
+    )
+    purpose: Literal["calibration", "verification"] = Field(
+        default="calibration",
+        description="verification: one navigation straight from the alignment, without a turn",
+    )
+
+    @model_validator(mode="after")
+    def _ends(self) -> Self:
+        if (self.duration_s is None) == (self.until is None):
+            raise ValueError("give either duration_s, or until with at_most_s")
+        if self.until is None and {"at_least_s", "at_most_s"} & self.model_fields_set:
+            raise ValueError("at_least_s and at_most_s go with until, not with duration_s")
+        if self.until and self.at_most_s is None:
+            raise ValueError("until needs at_most_s, the longest time to navigate")
+        if self.at_most_s and self.at_most_s < self.at_least_s:
+            raise ValueError(f"at_most_s ({self.at_most_s:g}) is below at_least_s ({self.at_least_s:g})")
+        return self
+
+    @property
+    def longest_s(self) -> float:
+        """Time after which the navigation is over in any case."""
+        return self.duration_s or self.at_most_s or 0.0
+
+    def is_satisfied(self, elapsed_s: float, bias_sigma_dph: float) -> bool:
+        """Whether to end now, before the longest time.
+
+        Parameters
+        ----------
+        elapsed_s : float
+            How long the navigation has gone on.
+        bias_sigma_dph : float
+            Largest standard uncertainty of the three gyro biases by the estimate so far.
+        """
+        if self.until is None:
+            return False
+        return elapsed_s >= self.at_least_s and bias_sigma_dph < self.until.bias_sigma_below_dph
+
+    @override
+    def expected_s(self, bench: BenchEstimate) -> float:
+        """Tell the longest time: how soon the biases are known depends on the unit."""
+        return self.longest_s
+
+    @override
+    def describe(self) -> str:
+        time = f"navigate {span(self.longest_s)}"
+        if self.until:
+            sigma = f"{self.until.bias_sigma_below_dph:g} deg/h"
+            time = f"navigate until bias sigma below {sigma}, {span(self.longest_s)} at most"
+        return time if self.purpose == "calibration" else f"{time} for {self.purpose}"
+
+
+class Turn(Step):
+    """Turn about the vertical while the INS navigates."""
+
+    name = "turn"
+    at_position = True
+    angle_deg: float = Field(ge=-360.0, le=360.0, description="turn about Up, deg; not zero")
+    rate_dps: TableRate = Field(default=10.0, description="rate of the table's axes, deg/s")
+    settle_s: DurationOrZero = Field(default=5.0, description="wait after the turn, s")
+
+    @field_validator("angle_deg")
+    @classmethod
+    def _turns(cls, angle_deg: float) -> float:
+        if angle_deg == 0.0:
+            raise ValueError("a turn by zero turns nothing")
+        return angle_deg
+
+    @override
+    def expected_s(self, bench: BenchEstimate) -> float:
+        return abs(self.angle_deg) / self.rate_dps + self.settle_s
+
+    @override
+    def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
+        azimuth_deg = (bench.azimuth_deg + self.angle_deg) % 360.0
+        return replace(bench, azimuth_deg=azimuth_deg).passed(elapsed_s)
+
+    @override
+    def describe(self) -> str:
+        return f"turn {self.angle_deg:g} deg"
+
 
 _BOOT_S = 300.0
 _ANSWER_S = 60.0

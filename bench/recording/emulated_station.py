@@ -13,8 +13,8 @@ from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.recording.emulator_process import emulated_dbc
-from gyrobench.bench.station.document import StationFile
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import StationFile
 
 #: The emulated chamber controller's output that powers the INS.
 UNIT_POWER_EVENT = 2

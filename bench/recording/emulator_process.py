@@ -17,8 +17,8 @@ from types import FrameType, TracebackType
 from typing import NoReturn, Self
 from urllib.parse import urlsplit
 
-from gyrobench.bench.station.document import StationFile
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import StationFile
 from gyrobench.drivers import ins
 
 _PROGRAM = ("-m", "gyrobench.drivers.emulators.serve", "--until-stdin-closes")

@@ -11,11 +11,11 @@ from typing import Literal
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
-from gyrobench.bench.foundations.documents import StrictModel, find_document
+from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, NoReplyError
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, write_whole
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.replay import CHAMBER_QUERIES, TABLE_QUERIES, call_driver
-from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.instruments import (
     CHAMBER,
     RATE_TABLE,
@@ -25,6 +25,7 @@ from gyrobench.bench.station.instruments import (
     open_ins,
     open_table,
 )
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.can_ins import CanIns

@@ -11,10 +11,11 @@ from urllib.parse import quote
 from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import Problem, hint, problems_of
+from gyrobench.bench.foundations.documents import Problem, problems_of
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
-from gyrobench.drivers.dialects import CHAMBERS, RATE_TABLES, load
 from gyrobench.drivers.rate_table import RateTable, TableDialect
 from gyrobench.drivers.recording.protocol_replay import SCHEME
 from gyrobench.drivers.recording.recording_file import Call, Recording, read_recording
@@ -97,7 +98,7 @@ def _checked_arguments(
     """Arguments of a call with their types, or what is wrong, located within the call."""
     methods = dict(_methods(protocol))
     if ask not in methods:
-        return Problem(("ask",), f"a {protocol.__name__} has no method '{ask}'{hint(ask, methods)}")
+        return Problem(("ask",), f"a {protocol.__name__} has no method '{ask}'{did_you_mean(ask, methods)}")
     try:
         inspect.signature(methods[ask]).bind(None, **arguments)
     except TypeError as error:

@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
 from gyrobench.bench.foundations.text import bin_label, listed
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
@@ -331,7 +330,7 @@ _FIGURE = "{}: bias by position, before and after."
 _NOT_COMPARABLE = ["", "nothing to compare", ""]
 
 
-def before_after_section(before: RunContent, after: RunContent) -> Section:
+def before_after_section(before: RunContent, after: RunContent, marked_c: Sequence[float] = ()) -> Section:
     """Set the biases of an earlier run beside those of this one."""
     verdict = f", unit {before.acceptance.verdict}" if before.acceptance and before.acceptance.limits else ""
     paragraphs = [_TEXT.format(before.name, verdict)]
@@ -342,7 +341,7 @@ def before_after_section(before: RunContent, after: RunContent) -> Section:
         SectionFigure(
             f"before_after_{gyro}",
             _FIGURE.format(gyro_label(gyro)),
-            before_after_figure(gyro, before.bins, after.bins),
+            before_after_figure(gyro, before.bins, after.bins, marked_c),
         )
         for gyro in AXES
     ]

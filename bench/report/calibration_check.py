@@ -16,7 +16,7 @@ from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma
 from gyrobench.bench.report.page import Section, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE
-from gyrobench.bench.runs.tables.verification_table import VerificationRow
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _METHODS = (
     "Without a turn, the INS aligned itself and navigated. The heading after two alignments half a turn "
@@ -54,7 +54,7 @@ class VerificationLine:
     difference: str
 
 
-def verification_section(rows: Sequence[VerificationRow]) -> Section | None:
+def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
     """Set the biases of a verification beside the calibrated ones; None without any."""
     if not rows:
         return None
@@ -72,7 +72,7 @@ def verification_section(rows: Sequence[VerificationRow]) -> Section | None:
     )
 
 
-def verification_sentence(rows: Sequence[VerificationRow]) -> str:
+def verification_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     """Say how many biases agree with the calibration, and where the largest difference is."""
     compared = [row for row in rows if row.is_compared]
     flagged = sum(bool(row.flags) for row in rows)
@@ -85,14 +85,14 @@ def verification_sentence(rows: Sequence[VerificationRow]) -> str:
     return (_agreement(compared) if compared else _NOTHING) + (f" Not compared: {what}." if what else "")
 
 
-def accelerometer_sentence(rows: Sequence[VerificationRow]) -> str:
+def accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     """Say what not knowing the accelerometers does; empty where they are known."""
     sigmas_ug = [row.accelerometer_sigma_ug for row in rows if not row.flags]
     large = [sigma for sigma in sigmas_ug if sigma > _LARGE_ACCELEROMETER_UG]
     return _UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)) if large else ""
 
 
-def verification_scale(rows: Sequence[VerificationRow]) -> BiasScale:
+def verification_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     """Choose unit and decimals for the biases of a verification."""
     return BiasScale.of(
         [bias for row in rows for bias in (row.bias_dph, row.paper_bias_dph, row.calibrated_dph)],
@@ -100,7 +100,7 @@ def verification_scale(rows: Sequence[VerificationRow]) -> BiasScale:
     )
 
 
-def verification_lines(rows: Sequence[VerificationRow]) -> list[VerificationLine]:
+def verification_lines(rows: Sequence[CalibrationCheckRow]) -> list[VerificationLine]:
     """Rows as text; a star marks a difference that chance does not explain."""
     scale = verification_scale(rows)
     differing = _differing(rows)
@@ -119,7 +119,7 @@ def verification_lines(rows: Sequence[VerificationRow]) -> list[VerificationLine
     ]
 
 
-def place_label(row: VerificationRow) -> str:
+def place_label(row: CalibrationCheckRow) -> str:
     """Name position and azimuth, both azimuths of a pair of alignments: "Z-Up 180°", "Z-Up 0/180°"."""
     azimuths_deg = [row.azimuth_deg]
     if row.turned_dwell is not None:
@@ -127,13 +127,13 @@ def place_label(row: VerificationRow) -> str:
     return f"{position_label(row.position)} {'/'.join(f'{azimuth:g}' for azimuth in azimuths_deg)}°"
 
 
-def dwells_text(rows: Sequence[VerificationRow]) -> str:
+def dwells_text(rows: Sequence[CalibrationCheckRow]) -> str:
     """Say how many dwells a verification took: "12 dwells for verification"."""
     numbers = {row.dwell for row in rows} | {row.turned_dwell for row in rows if row.turned_dwell}
     return f"{counted(len(numbers), 'dwell')} for verification"
 
 
-def flag_lines(rows: Sequence[VerificationRow]) -> list[tuple[str, str]]:
+def flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
     """Where something was wrong, and what."""
     return [
         (
@@ -146,7 +146,7 @@ def flag_lines(rows: Sequence[VerificationRow]) -> list[tuple[str, str]]:
     ]
 
 
-def _agreement(compared: Sequence[VerificationRow]) -> str:
+def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
     count, different = len(compared), len(_differing(compared))
     allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
     if different:
@@ -165,17 +165,17 @@ def _agreement(compared: Sequence[VerificationRow]) -> str:
     )
 
 
-def _differing(rows: Sequence[VerificationRow]) -> list[VerificationRow]:
+def _differing(rows: Sequence[CalibrationCheckRow]) -> list[CalibrationCheckRow]:
     """Rows whose difference chance does not explain, allowing for the number of comparisons (Bonferroni)."""
     compared = [row for row in rows if row.is_compared]
     return [row for row in compared if row.p_value < SIGNIFICANCE / len(compared)]
 
 
-def _sigmas(row: VerificationRow) -> float:
+def _sigmas(row: CalibrationCheckRow) -> float:
     return row.difference_dph / row.difference_sigma_dph
 
 
-def _difference(row: VerificationRow, differs: bool) -> str:
+def _difference(row: CalibrationCheckRow, differs: bool) -> str:
     if row.flags:
         return "flagged"
     return f"{_sigmas(row):+z.1f}{'*' if differs else ''}" if row.is_compared else ""
@@ -185,7 +185,7 @@ def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:
     return "" if math.isnan(bias_dph) else scale.with_sigma(bias_dph, sigma_dph)
 
 
-def _bias_table(rows: Sequence[VerificationRow]) -> SectionTable:
+def _bias_table(rows: Sequence[CalibrationCheckRow]) -> SectionTable:
     return SectionTable(
         f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured less "
         "calibrated in standard uncertainties of both; * chance does not explain it",
@@ -204,7 +204,7 @@ def _bias_table(rows: Sequence[VerificationRow]) -> SectionTable:
     )
 
 
-def _flag_tables(rows: Sequence[VerificationRow]) -> list[SectionTable]:
+def _flag_tables(rows: Sequence[CalibrationCheckRow]) -> list[SectionTable]:
     lines = flag_lines(rows)
     return [SectionTable("Flagged", ["where", "what was wrong"], lines, words=2)] if lines else []
 
@@ -218,7 +218,7 @@ _LEGEND = (
 )
 
 
-def verification_table(rows: Sequence[VerificationRow]) -> RenderableType:
+def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
     """Biases that a verification shows beside the calibrated ones, and what that says."""
     if not rows:
         return Text("Nothing was verified.")

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate
-from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate
+from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
@@ -21,15 +21,14 @@ from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_f
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.tables.acceptance_file import read_acceptance
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
-    JointStopRow,
+    JointPlateauRow,
     read_joint_biases,
-    read_joint_stops,
+    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
-from gyrobench.bench.runs.tables.verification_table import VerificationRow, read_verification
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 T = TypeVar("T")
@@ -51,7 +50,7 @@ class RunContent:
     dwells, bins, telemetry
         Content of the tables; empty where missing. Bins are worked out from the dwells where
         only their own file is missing.
-    joint_biases, joint_stops, noise, verification
+    joint_biases, joint_plateaus, noise, verification
         What solving dwells together, the noise of the INS and verifying a calibration gave; empty
         where there is none.
     acceptance : Acceptance or None
@@ -71,9 +70,9 @@ class RunContent:
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
     joint_biases: list[JointBiasRow] = field(default_factory=list)
-    joint_stops: list[JointStopRow] = field(default_factory=list)
+    joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
-    verification: list[VerificationRow] = field(default_factory=list)
+    verification: list[CalibrationCheckRow] = field(default_factory=list)
     acceptance: Acceptance | None = None
     chapters: list[Findings] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -82,6 +81,16 @@ class RunContent:
     def facts(self) -> RunFacts:
         """What the journal tells in short."""
         return facts_of(self.journal)
+
+    @property
+    def marked_temperatures_c(self) -> list[float]:
+        """Temperatures in degC that the procedure marks in figures."""
+        marked = self.procedure.get("marked_temperatures_c", [])
+        return (
+            [float(each) for each in marked if isinstance(each, int | float)]
+            if isinstance(marked, list)
+            else []
+        )
 
     def entries(self, event: str) -> list[Entry]:
         """Entries of the journal that tell of one kind of event, in order."""
@@ -115,12 +124,12 @@ def read_run(folder: RunFolder) -> RunContent:
         return read(path, reader, missing) if path.exists() else missing
 
     no_joint_biases: list[JointBiasRow] = []
-    no_joint_stops: list[JointStopRow] = []
-    no_verification: list[VerificationRow] = []
+    no_joint_stops: list[JointPlateauRow] = []
+    no_verification: list[CalibrationCheckRow] = []
     read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
     verification = read_if_there(
-        folder.verification, lambda: read_verification(folder.verification), no_verification
+        folder.verification, lambda: read_calibration_check(folder.verification), no_verification
     )
     # A run of verifications only has no dwells to put into a table.
     read_dwell_table = read_if_there if verification else read
@@ -138,7 +147,7 @@ def read_run(folder: RunFolder) -> RunContent:
         joint_biases=read_if_there(
             folder.joint_biases, lambda: read_joint_biases(folder.joint_biases), no_joint_biases
         ),
-        joint_stops=read_if_there(folder.joint, lambda: read_joint_stops(folder.joint), no_joint_stops),
+        joint_plateaus=read_if_there(folder.joint, lambda: read_joint_plateaus(folder.joint), no_joint_stops),
         noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
         verification=verification,
         acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
-from gyrobench.bench.bias.joint.vertical_pairs import Finding
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate, compare_noise
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, compare_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.estimators import (
@@ -25,7 +25,7 @@ from gyrobench.bench.report.figures.noise import noise_figure
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE, fit_sentence
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow
 
 _STATE_SPACE = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "
@@ -72,13 +72,17 @@ def estimators_note(rows: Sequence[DwellRow]) -> str:
     return _UNKNOWN if rows else ""
 
 
-def estimators_section(rows: Sequence[DwellRow]) -> Section | None:
+def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ()) -> Section | None:
     """Compare the estimators; None where no good dwell has both."""
     both = with_both(rows)
     if not both:
         return None
     # A single dwell has no course to draw: the table says it all.
-    drawn = [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both))] if len(both) > 1 else []
+    drawn = (
+        [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both, marked_c))]
+        if len(both) > 1
+        else []
+    )
     return Section("The two estimators", [_LEAKS], drawn, [_difference_table(both)])
 
 
@@ -114,7 +118,7 @@ def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:
 
 
 _TOGETHER = (
-    "At each stop of the chamber the dwells are also solved together: they share accelerometer biases, "
+    "On each plateau the dwells are also solved together: they share accelerometer biases, "
     "the errors of the gyros' axes and any rate that is fixed in the navigation frame. The gyro biases of "
     "each dwell stay its own."
 )
@@ -127,20 +131,24 @@ _LATITUDE = (
     "they do once a rate North is allowed, so the latitude is wrong by more than declared. The biases "
     "without the rate Up are right where it applies; check the latitude that station and INS have."
 )
-_NOT_TRUSTED = "the joint biases of this stop are not to be trusted."
+_NOT_TRUSTED = "the joint biases of this plateau are not to be trusted."
 _WRONG_FIT_P = 1e-3
 #: An accelerometer known no better has only what was known of it before.
 _UNKNOWN_ACCELEROMETER_UG = 100.0
 
 
-def joint_section(biases: Sequence[JointBiasRow], stops: Sequence[JointStopRow]) -> Section | None:
+def joint_section(biases: Sequence[JointBiasRow], plateaus: Sequence[JointPlateauRow]) -> Section | None:
     """Tell what solving together gives; None where nothing was, or a table is missing."""
-    if not (biases and stops):
+    if not (biases and plateaus):
         return None
     return Section(
         "All dwells of one temperature together",
-        [f"{_TOGETHER} {_gain_sentence(biases)}", f"{_UP} {_finding_sentence(stops)}", *_misfits(stops)],
-        tables=[_gain_table(biases), _stop_table(stops)],
+        [
+            f"{_TOGETHER} {_gain_sentence(biases)}",
+            f"{_UP} {_finding_sentence(plateaus)}",
+            *_misfits(plateaus),
+        ],
+        tables=[_gain_table(biases), _plateau_table(plateaus)],
     )
 
 
@@ -167,10 +175,10 @@ def _is_vertical(row: JointBiasRow) -> bool:
     return AXES[POSITIONS[row.position].up_axis] == row.gyro
 
 
-def _finding_sentence(stops: Sequence[JointStopRow]) -> str:
-    last = stops[-1]
+def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
+    last = plateaus[-1]
     finding = Finding[last.finding.upper()]
-    where = "Over all stops" if last.stop == 0 else "At this stop"
+    where = "Over all plateaus" if last.plateau == 0 else "On this plateau"
     if finding is Finding.NO_PAIR:
         return f"{where}: {finding.value}."
     rate = f"{1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h"
@@ -184,11 +192,12 @@ def _finding_sentence(stops: Sequence[JointStopRow]) -> str:
     return text
 
 
-def _misfits(stops: Sequence[JointStopRow]) -> list[str]:
+def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     return [
-        f"At stop {row.stop} the dwells do not agree on what they share{_p_in_brackets(row.fit_p_value)}: "
+        f"On plateau {row.plateau} the dwells do not agree on what they share"
+        f"{_p_in_brackets(row.fit_p_value)}: "
         + (_LATITUDE if row.any_north_p_value >= _WRONG_FIT_P else _NOT_TRUSTED)
-        for row in stops
+        for row in plateaus
         if row.fit_p_value < _WRONG_FIT_P
     ]
 
@@ -200,11 +209,11 @@ def _p_in_brackets(p_value: float) -> str:
 
 
 def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
-    stops = sorted({row.stop for row in rows})
+    plateaus = sorted({row.plateau for row in rows})
     cells = []
-    for stop in stops:
-        own = [row for row in rows if row.stop == stop]
-        cells.append([str(stop)])
+    for plateau in plateaus:
+        own = [row for row in rows if row.plateau == plateau]
+        cells.append([str(plateau)])
         for vertical in (False, True):
             chosen = [row for row in own if _is_vertical(row) is vertical]
             cells[-1] += [
@@ -215,21 +224,21 @@ def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
     return SectionTable(
         "Median uncertainty of a bias by itself and solved together, 10⁻³ deg/h, and their ratio",
         [
-            *("stop", "level, by itself", "level, together", "gain"),
+            *("plateau", "level, by itself", "level, together", "gain"),
             *("vertical, by itself", "vertical, together", "gain"),
         ],
         cells,
     )
 
 
-def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
+def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
     return SectionTable(
-        "What the dwells of each stop share: accelerometer biases in µg where the "
+        "What the dwells of each plateau share: accelerometer biases in µg where the "
         "dwells tell them, rates in 10⁻³ deg/h, p of the fit",
-        ["stop", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
+        ["plateau", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
         [
             [
-                "all" if row.stop == 0 else str(row.stop),
+                "all" if row.plateau == 0 else str(row.plateau),
                 "" if math.isnan(row.chamber_set_c) else f"{row.chamber_set_c:g}",
                 str(row.dwells),
                 *(
@@ -243,7 +252,7 @@ def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
                 _signed(1e3 * row.up_rate_dph, 1e3 * row.up_rate_sigma_dph, 2),
                 "" if math.isnan(row.fit_p_value) else p_text(row.fit_p_value),
             ]
-            for row in stops
+            for row in plateaus
         ],
     )
 

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.bias.equality import PositionComparison
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.foundations.text import bin_label, listed
 
 BinT = TypeVar("BinT")

@@ -15,8 +15,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import make_folder, write_whole
-from gyrobench.bench.foundations.reading import parse_json
+from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
 from gyrobench.bench.navigation.positions import position_label
 from gyrobench.bench.report.figures.style import save_figure
 

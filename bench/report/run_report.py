@@ -11,12 +11,12 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import compare_positions
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES
@@ -60,7 +60,11 @@ _TEMPLATE = "report.html.j2"
 
 
 def write_report(
-    folder: RunFolder, prepared_by: str = "", out: Path | None = None, before: RunFolder | None = None
+    folder: RunFolder,
+    prepared_by: str = "",
+    out: Path | None = None,
+    before: RunFolder | None = None,
+    mark_temperatures_c: Sequence[float] = (),
 ) -> Path:
     """Write ``report.html`` and the figures of a run, from what its folder holds.
 
@@ -76,7 +80,9 @@ def write_report(
     out : Path, optional
         Folder to write into; without one the run's.
     before : RunFolder, optional
-        Run before a change, to be set beside this one.
+        Run before a change, to compare with this one.
+    mark_temperatures_c : sequence of float
+        Temperatures in degC that figures mark beside those of the procedure.
 
     Returns
     -------
@@ -94,9 +100,12 @@ def write_report(
     content, hashes = _with_hashes(folder)
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
-    figures = save_figures(into, content.telemetry, content.dwells, content.bins, content.acceptance)
-    compared = [before_after_section(read_run(before), content)] if before else []
-    sections = with_figure_files(into.figures, [*compared, *_sections(content)])
+    marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
+    figures = save_figures(
+        into, content.telemetry, content.dwells, content.bins, content.acceptance, marked_c
+    )
+    compared = [before_after_section(read_run(before), content, marked_c)] if before else []
+    sections = with_figure_files(into.figures, [*compared, *_sections(content, marked_c)])
     write_whole(into.report, render(content, figures, sections, hashes, by).encode())
     return into.report
 
@@ -162,12 +171,12 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
         return replace(content, problems=[*content.problems, problem]), []
 
 
-def _sections(content: RunContent) -> list[Section]:
+def _sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Parts that this run has something for."""
     sections = [
-        estimators_section(content.dwells),
+        estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
-        joint_section(content.joint_biases, content.joint_stops),
+        joint_section(content.joint_biases, content.joint_plateaus),
         noise_section(content.noise, content.station),
         verification_section(content.verification),
     ]
@@ -273,7 +282,7 @@ def versions_of(provenance: Entry) -> dict[str, Any]:
 
 
 _LACKING = (
-    "PDF needs the library Pango, which can't be loaded here: {}. Install it (Debian, Ubuntu: "
+    "can't load the library Pango, needed for PDF: {}. Install it (Debian, Ubuntu: "
     "`apt-get install libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0`; macOS: `brew install pango`), "
     "or print report.html in a browser."
 )
@@ -292,20 +301,21 @@ def write_pdf(page: Path, pdf: Path) -> Path:
     Raises
     ------
     GyrobenchError
-        A library of the system is missing.
+        A system library is missing.
+    MissingPackageError
+        Weasyprint is not installed.
     RunFolderError
         The file can't be written.
     """
     try:
-        from weasyprint import HTML
-        from weasyprint.urls import URLFetcher
+        html, urls = require("weasyprint"), require("weasyprint.urls")
     except OSError as error:
         raise GyrobenchError(_LACKING.format(str(error).splitlines()[0])) from error
     for name in ("weasyprint", "fontTools"):
         logging.getLogger(name).setLevel(logging.ERROR)
-    # Pictures are inside the page: nothing is fetched, whatever a file from elsewhere says.
-    document = HTML(
-        string=page.read_text(encoding="utf-8"), url_fetcher=URLFetcher(allowed_protocols=["data"])
+    # Pictures are embedded: no other address is fetched.
+    document = html.HTML(
+        string=page.read_text(encoding="utf-8"), url_fetcher=urls.URLFetcher(allowed_protocols=["data"])
     )
     write_whole(pdf, document.write_pdf())
     return pdf
@@ -317,6 +327,7 @@ def save_figures(
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None = None,
+    marked_c: Sequence[float] = (),
 ) -> list[Path]:
     """Draw everything that a run gives into its folder of figures.
 
@@ -333,26 +344,28 @@ def save_figures(
     """
     make_folder(folder.figures)
     paths = []
-    for name, figure in _figures(telemetry, dwells, bins, acceptance):
+    for name, figure in run_figures(telemetry, dwells, bins, acceptance, marked_c):
         paths.append(folder.figures / f"{name}.png")
         save_figure(figure, paths[-1])
     return paths
 
 
-def _figures(
+def run_figures(
     telemetry: Readings,
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None,
+    marked_c: Sequence[float],
 ) -> Iterator[tuple[str, Figure]]:
+    """Draw what a run gives: name and figure, one after the other."""
     if len(telemetry.get("time_s", ())) or dwells:
-        yield "temperature", temperature_figure(telemetry, dwells)
+        yield "temperature", temperature_figure(telemetry, dwells, marked_c)
     if bins or any(not row.flags for row in dwells):
         span_dph = bias_span_dph(dwells, bins)
         for gyro in AXES:
-            yield f"bias_{gyro}", bias_figure(gyro, dwells, bins, span_dph)
+            yield f"bias_{gyro}", bias_figure(gyro, dwells, bins, span_dph, marked_c)
     comparisons = compare_positions(bins)
     limits = acceptance.limits if acceptance else None
     limit_dph = limits.position_difference_dph if limits else None
     if comparisons:
-        yield "position_differences", position_difference_figure(comparisons, limit_dph)
+        yield "position_differences", position_difference_figure(comparisons, limit_dph, marked_c)

@@ -7,10 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
 
-from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import PositionComparison
-from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
@@ -173,7 +172,7 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
 
 def _stops(acceptance: Acceptance) -> str:
     bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
-    return f"{counted(acceptance.stops, 'stop')} compared, in {counted(len(bins), 'temperature bin')}"
+    return f"{counted(acceptance.plateaus, 'stop')} compared, in {counted(len(bins), 'temperature bin')}"
 
 
 def _gyros(acceptance: Acceptance, verdict: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
@@ -14,10 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from filelock import lock_descriptor
+
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, sync_folder
-from gyrobench.bench.foundations.reading import parse_json, read_limited
+from gyrobench.bench.foundations.files import cant_be_written, parse_json, read_limited, sync_folder
 
 #: Some hundred times the journal of a run of 1000 h.
 MAX_JOURNAL_BYTES = 500_000_000
@@ -27,9 +27,8 @@ _SHOWN_CHARACTERS = 60
 class Journal:
     """Append-only JSON lines; each is on the disk when :meth:`record` returns.
 
-    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. A journal that is there is
-    gone on with. If its last line was cut off, that line goes, and an entry ``journal_repaired``
-    says so.
+    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. An existing journal is continued.
+    If its last line was cut off, that line is removed and an entry ``journal_repaired`` added.
 
     Raises
     ------
@@ -95,13 +94,13 @@ class Journal:
 
     def _lock(self) -> None:
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            is_free = lock_descriptor(self._descriptor, blocking=False)
+        except OSError:  # a file system or a platform without locks
+            is_free = True
+        if not is_free:
             raise RunFolderError(
                 f"{self._path}: another process is writing this run. Wait for its end, or stop it."
-            ) from error
-        except OSError:
-            pass  # a file system without locks
+            )
 
     def _find_end(self) -> tuple[int, bytes]:
         try:
@@ -169,17 +168,17 @@ def _finite(value: Any) -> Any:
 
 
 #: What no run reaches; a later time is a damaged entry.
-LONGEST_RUN_S = 1e9
+MAX_RUN_S = 1e9
 
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What the entries so far tell; empty where they do not.
+    """Summary of a journal; unknown texts are empty.
 
     Attributes
     ----------
     procedure, station, unit : str
-        What was run, on which bench, and the serial number of the INS.
+        Procedure, station, and serial number of the INS.
     options : mapping
         Options of the command that began or resumed it.
     started_utc : str
@@ -187,14 +186,13 @@ class RunFacts:
     last_s : float
         Latest time of an entry, on the run's clock.
     resumes : int
-        How often it was resumed.
+        Number of resumptions.
     dwells : int
-        How many were measured.
+        Number of completed dwells.
     ended, reason : str
-        How it ended and why: "finished", "stopped" or "failed". Empty for a run that was cut off, or goes
-        on: what was said before it was resumed no longer holds.
+        "finished", "stopped" or "failed", and why. Empty for a run that was cut off or is in progress.
     safe_state : tuple of mapping
-        What was done at its end to make the bench safe.
+        Actions at its end that made the bench safe.
     """
 
     procedure: str = ""
@@ -211,7 +209,7 @@ class RunFacts:
 
 
 def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:
-    """Read a journal with patience: entries that are not as they should be are passed over."""
+    """Summarise a journal; malformed entries are ignored."""
     facts = RunFacts()
     for entry in entries:
         facts = _with(replace(facts, last_s=max(facts.last_s, _time_s(entry))), entry)
@@ -258,7 +256,7 @@ def _text(entry: Mapping[str, Any], key: str) -> str:
 
 def _time_s(entry: Mapping[str, Any]) -> float:
     value = entry.get("time_s")
-    return float(value) if isinstance(value, int | float) and 0.0 <= value <= LONGEST_RUN_S else 0.0
+    return float(value) if isinstance(value, int | float) and 0.0 <= value <= MAX_RUN_S else 0.0
 
 
 def _safe_state(actions: object) -> tuple[Mapping[str, Any], ...]:

@@ -1,8 +1,8 @@
 """Telemetry: the readings of the bench's instruments, as a folder of Parquet files.
 
 pandas, polars, DuckDB and the like open the folder as one table. Where readings are missing, a row
-of NaN with the time of the next reading stands between them, so that a line drawn through the
-readings is broken there.
+of NaN with the time of the next reading marks the gap, so that a line through the readings is
+broken there.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ import pyarrow.parquet as pq
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import make_folder, write_whole
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
 from gyrobench.bench.runs.folder import find_parts, part_path
 
 #: Columns, in order; all are 64-bit floats, NaN where a value is not known.
@@ -42,8 +41,8 @@ COLUMNS = (
     "dwell",
 )
 _ROWS_PER_PART = 900
-#: A kill loses the readings of this time at most.
-_LONGEST_UNWRITTEN_S = 600.0
+#: Maximum loss after a kill.
+_MAX_UNWRITTEN_S = 600.0
 _SUFFIX = ".parquet"
 _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 
@@ -51,9 +50,9 @@ _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 class Telemetry:
     """Writes the readings, part by part.
 
-    The present part is written anew, whole, with every flush until it is full: so a run of weeks
-    has few parts, and each can be read at any instant. Parts that are there at the start are kept;
-    the readings go on in a new one, after a gap.
+    The present part is rewritten as a whole with every flush until it is full: a run of weeks has few
+    parts, and each is readable at any instant. Existing parts are kept; the readings continue in a new
+    part, after a gap.
 
     Raises
     ------
@@ -77,7 +76,7 @@ class Telemetry:
             self._gap = False
         self._rows.append(row)
         unwritten_s = row[0] - self._rows[self._written_rows][0]
-        if unwritten_s >= _LONGEST_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
+        if unwritten_s >= _MAX_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
             self.flush()
 
     def flush(self) -> None:
@@ -123,7 +122,7 @@ def _read_part(path: Path) -> dict[str, FloatArray]:
     content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
     try:
         part = pq.ParquetFile(content)
-        # A few damaged bytes could ask for gigabytes.
+        # Damaged bytes could request gigabytes.
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
         table = part.read(columns=list(COLUMNS))

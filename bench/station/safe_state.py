@@ -6,9 +6,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError
-from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, within
 from gyrobench.bench.station.station import Station
-from gyrobench.bench.station.time_limit import within
 
 #: Longest times allowed, far beyond what healthy instruments need. A release waits for rest.
 _EXCHANGE_TIME_S = 20.0

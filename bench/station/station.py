@@ -8,23 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, Problem
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.single_axis_table import SingleAxisTable
-from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
-from gyrobench.bench.procedure.checks import check
-from gyrobench.bench.procedure.document import Procedure
+from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TwoAxisTable
+from gyrobench.bench.procedure.checks import StationLimits, check
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.limits import StationLimits
 from gyrobench.bench.procedure.plan import Plan, expand
-from gyrobench.bench.station.document import SafeState, UnitSection, load_station_file
-from gyrobench.bench.station.field_types import Direction
+from gyrobench.bench.procedure.procedure_file import Procedure
+from gyrobench.bench.station.instrument_sections import Direction
+from gyrobench.bench.station.station_file import SafeState, UnitSection, load_station_file
 from gyrobench.drivers import ins
 from gyrobench.drivers.ins.command_map import check_commands
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc

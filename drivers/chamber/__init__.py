@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 from gyrobench.bench.foundations.documents import StrictModel
-from gyrobench.drivers.dialects import LineDefaults
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 OptionsT = TypeVar("OptionsT", bound=StrictModel)
 

@@ -14,8 +14,7 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError
 from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
 from gyrobench.drivers.chamber.text_chamber import TextChamber
-from gyrobench.drivers.dialects import LineDefaults
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine
 
 _OUTPUTS = 8

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from gyrobench.drivers.emulators.acl_syntax import AclError, ErrorCode
 from gyrobench.drivers.emulators.world.motion_profile import AxisState
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
@@ -20,8 +19,39 @@ _MAX_DELTA_DEG = 180.0
 _AT_LIMIT_DEG = 1e-6
 
 
+class ErrorCode(IntEnum):
+    """Why a message is refused.
+
+    The public manual lists no error codes: the numbers are an assumption, any nonzero code.
+    """
+
+    NONE = 0
+    SYNTAX = 100
+    UNKNOWN_COMMAND = 101
+    WRONG_PARAMETER_COUNT = 102
+    WRONG_PARAMETER_TYPE = 103
+    MESSAGE_TOO_LONG = 104
+    PARAMETER_OUT_OF_RANGE = 200
+    NOT_SERVOED = 201
+    CANNOT_SERVO = 202
+    NOT_AVAILABLE = 203
+
+    @property
+    def text(self) -> str:
+        """Text of the error."""
+        return "No error" if self is ErrorCode.NONE else self.name.replace("_", " ").capitalize()
+
+
+class AclError(Exception):
+    """A refused message; never leaves the emulator."""
+
+    def __init__(self, code: ErrorCode) -> None:
+        super().__init__(code.text)
+        self.code = code
+
+
 class Mode(IntEnum):
-    """What the axis follows."""
+    """What the servo follows."""
 
     OFF = 0
     POSITION = 1
@@ -52,7 +82,7 @@ class SoftwareFault(IntEnum):
 
 @dataclass
 class Demands:
-    """What an axis was last told, and which demands wait for their mode."""
+    """The last demands of an axis, and which of them wait for their mode."""
 
     position_deg: float
     rate_dps: float = 0.0
@@ -64,30 +94,29 @@ class Demands:
 class AclAxis:
     """State of one axis around its physics.
 
-    The controller works in servo frames: all that one message says or asks happens at the
-    moment of the frame that was begun for it.
+    The controller works in servo frames: a message is executed at the time of the frame started for it.
 
     Attributes
     ----------
     state : AxisState
-        What the encoder read in this frame.
+        Encoder reading of this frame.
     limits : dict of Mode to AxisLimits
-        Bounds in force in each mode.
+        Limits of each mode.
     trip_rates_dps : dict of Mode to float
         Rate at which the axis trips in each mode.
     """
 
     def __init__(self, physics: TableAxis) -> None:
         self.physics = physics
-        self.widest = physics.parameters.limits
+        self.absolute_limits = physics.parameters.limits
         self.open_interlocks = 0
         self._now_s = 0.0
         self.state: AxisState = physics.encoder(0.0)
         self._set_defaults()
 
     def _set_defaults(self) -> None:
-        self.limits = dict.fromkeys(Mode, self.widest)
-        self.trip_rates_dps = dict.fromkeys(Mode, _RATE_TRIP_FACTOR * self.widest.rate_dps)
+        self.limits = dict.fromkeys(Mode, self.absolute_limits)
+        self.trip_rates_dps = dict.fromkeys(Mode, _RATE_TRIP_FACTOR * self.absolute_limits.rate_dps)
         self.tracking_error_limit_deg = _TRACKING_ERROR_LIMIT_DEG
         self.mode = Mode.OFF
         self.closed = False
@@ -96,7 +125,7 @@ class AclAxis:
         self.demands = Demands(self.state.position_deg)
 
     def begin_frame(self, now_s: float) -> None:
-        """Look at the axis now; a rate or a following error beyond its limit trips it."""
+        """Read the axis; a rate or a following error beyond its limit trips it."""
         self._now_s = now_s
         self.state = self.physics.encoder(now_s)
         if self.closed:
@@ -141,18 +170,18 @@ class AclAxis:
         self.mode = Mode.OFF
 
     def reset(self) -> None:
-        """Forget latched faults, unless the axis is servoed or the cause is still there."""
+        """Clear latched faults, unless the axis is servoed or the condition persists."""
         if not self.closed:
             self.software_faults = 0
             self.latched_interlocks = self.open_interlocks
 
     def trip(self, fault: SoftwareFault) -> None:
-        """Latch a fault and lose the servo."""
+        """Latch a fault and open the servo."""
         self.software_faults |= 1 << fault
         self.open()
 
     def open_interlock(self, bit: int) -> None:
-        """Open one of the hardware interlocks: latch it and lose the servo."""
+        """Open one of the hardware interlocks: latch it and open the servo."""
         self.open_interlocks |= 1 << bit
         self.latched_interlocks |= 1 << bit
         self.open()
@@ -162,14 +191,14 @@ class AclAxis:
         self.open_interlocks &= ~(1 << bit)
 
     def power_cycle(self) -> None:
-        """Lose the servo, and come back as switched on: nothing latched, all that was set forgotten."""
+        """Open the servo, and restart with nothing latched and default settings."""
         self.open()
         self._set_defaults()
 
     # modes and demands
 
     def set_mode(self, mode: Mode) -> None:
-        """Change the mode and carry out the demand that waits for it; without one, stop."""
+        """Change the mode and execute the demand that waits for it; without one, stop."""
         if mode in _MODES_NOT_EMULATED:
             raise AclError(ErrorCode.NOT_AVAILABLE)
         if not self.closed:
@@ -187,14 +216,14 @@ class AclAxis:
             self._stop()
 
     def home(self) -> None:
-        """Go to zero in position mode."""
+        """Move to zero in position mode."""
         if not self.closed:
             raise AclError(ErrorCode.NOT_SERVOED)
         self.demand_position(0.0)
         self.set_mode(Mode.POSITION)
 
     def demand_position(self, position_deg: float) -> None:
-        """Move there in position mode, in another mode keep it until then."""
+        """Move there in position mode; in another mode, store the demand."""
         limits = self.limits[Mode.POSITION]
         if not limits.low_deg <= position_deg <= limits.high_deg:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
@@ -204,7 +233,7 @@ class AclAxis:
             self._move()
 
     def demand_delta(self, delta_deg: float) -> None:
-        """Move the position demand on, or start from where the axis is in a rate mode."""
+        """Change the position demand by a delta; in a rate mode, start from the present position."""
         if abs(delta_deg) > _MAX_DELTA_DEG:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         turning = self.mode in _RATE_MODES and not self.demands.position_waits
@@ -212,8 +241,8 @@ class AclAxis:
         self.demand_position(base_deg + delta_deg)
 
     def demand_rate(self, rate_dps: float) -> None:
-        """Turn in a rate mode, in another mode keep it until then."""
-        if abs(rate_dps) > self.widest.rate_dps:
+        """Turn in a rate mode; in another mode, store the demand."""
+        if abs(rate_dps) > self.absolute_limits.rate_dps:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         self.demands.rate_dps = rate_dps
         self.demands.rate_waits = True
@@ -221,8 +250,8 @@ class AclAxis:
             self._turn()
 
     def demand_acceleration(self, acceleration_dps2: float) -> None:
-        """Keep it: the modes that follow an acceleration are not emulated."""
-        if abs(acceleration_dps2) > self.widest.acceleration_dps2:
+        """Store the demand: the modes that follow an acceleration are not emulated."""
+        if abs(acceleration_dps2) > self.absolute_limits.acceleration_dps2:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         self.demands.acceleration_dps2 = acceleration_dps2
 
@@ -248,16 +277,16 @@ class AclAxis:
     # limits
 
     def set_limits(self, mode: Mode, **bounds: float) -> None:
-        """Change bounds of one mode, within the widest ones; named as those of the physics."""
-        wanted, widest = replace(self.limits[mode], **bounds), self.widest
+        """Change limits of one mode, within the absolute ones; ``bounds`` are fields of AxisLimits."""
+        limits, absolute = replace(self.limits[mode], **bounds), self.absolute_limits
         if not (
-            0.0 < wanted.rate_dps <= widest.rate_dps
-            and 0.0 < wanted.acceleration_dps2 <= widest.acceleration_dps2
-            and 0.0 < wanted.jerk_dps3 <= widest.jerk_dps3
-            and widest.low_deg <= wanted.low_deg < wanted.high_deg <= widest.high_deg
+            0.0 < limits.rate_dps <= absolute.rate_dps
+            and 0.0 < limits.acceleration_dps2 <= absolute.acceleration_dps2
+            and 0.0 < limits.jerk_dps3 <= absolute.jerk_dps3
+            and absolute.low_deg <= limits.low_deg < limits.high_deg <= absolute.high_deg
         ):
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
-        self.limits[mode] = wanted
+        self.limits[mode] = limits
 
     def set_trip_rate(self, mode: Mode, rate_dps: float) -> None:
         """Change the rate at which the axis trips in one mode."""
@@ -268,7 +297,7 @@ class AclAxis:
     # status registers
 
     def state_register(self) -> int:
-        """``AnSTATE``: mode, servo, why it is not servoed, and whether that is latched."""
+        """``AnSTATE``: mode, servo, reason for an open servo, and whether that is latched."""
         value = int(self.mode)
         value |= self.closed << 4 | (not self.closed and not self.faulted) << 5
         value |= bool(self.software_faults) << 6 | bool(self.latched_interlocks) << 7
@@ -286,7 +315,7 @@ class AclAxis:
         return value | (complete and self.mode is Mode.POSITION) << 8 | (complete and turning) << 9
 
     def legacy_register(self) -> int:
-        """Status word of the controllers before it (``Status:ECP n,2``)."""
+        """Status word of earlier controllers (``Status:ECP n,2``)."""
         faults = self.software_faults
         lost = (
             faults >> SoftwareFault.FINE_FEEDBACK_LOSS & 1 | faults >> SoftwareFault.COARSE_FEEDBACK_LOSS & 1

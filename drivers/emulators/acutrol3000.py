@@ -4,10 +4,9 @@ Source: command language manual TM-8004; prefix of the replies as in TM-9374A. E
 answered by an error code and a length, 32 bits each, and then the text: the answers of its
 queries joined by ``;``, or ``OK``.
 
-Assumptions where the public manuals are silent: the error codes; that a refused message is
-answered with the error's words; that a message with a wrong word is refused as a whole, while one
-refused by an axis stays executed up to there; that the status request enable register starts
-with the interlock bit set.
+Assumptions where the public manuals are silent: the error codes; a refused message is answered with the
+error's text; a message with a wrong keyword is refused as a whole, while one refused by an axis is
+executed up to there; the status request enable register starts with the interlock bit set.
 """
 
 from __future__ import annotations
@@ -17,20 +16,16 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Literal
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, SoftwareFault
-from gyrobench.drivers.emulators.acl_axis_commands import (
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault
+from gyrobench.drivers.emulators.acl_commands import (
+    MAX_MESSAGE_CHARACTERS,
     Arguments,
     AxisCommands,
     Handler,
     Handlers,
     expect,
-    whole_number,
-)
-from gyrobench.drivers.emulators.acl_syntax import (
-    MAX_MESSAGE_CHARACTERS,
-    AclError,
-    ErrorCode,
     parse_message,
+    whole_number,
 )
 from gyrobench.drivers.emulators.dialect import TableEmulation
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
@@ -47,7 +42,7 @@ class Acutrol3000Emulator:
     Parameters
     ----------
     axes : mapping of int to TableAxis
-        Physics of each axis by its number; axes with position limits, so never continuous.
+        Physics of each axis by its number, with position limits.
     word_order : {"little", "big"}
         Byte order of the two words before each reply.
     identity : str
@@ -93,7 +88,7 @@ class Acutrol3000Emulator:
         self._set_defaults()
 
     def power_on(self, now_s: float) -> None:
-        """Come back."""
+        """Restart."""
 
     def refusal(self, code: ErrorCode) -> bytes:
         """Reply to a message that is refused with this code."""
@@ -111,12 +106,12 @@ class Acutrol3000Emulator:
         return replies
 
     def trip(self, axis: int, fault: SoftwareFault, now_s: float) -> None:
-        """Make an axis lose its servo by a fault of the controller's own; a reset clears it."""
+        """Open an axis's servo by a fault that the controller detects; a reset clears it."""
         self.axes[axis].begin_frame(now_s)
         self.axes[axis].trip(fault)
 
     def open_interlock(self, axis: int, now_s: float, bit: int = 0) -> None:
-        """Open a hardware interlock (a bit of ``AnINTLK``): the axis loses its servo."""
+        """Open a hardware interlock (a bit of ``AnINTLK``): the servo of the axis opens."""
         self.axes[axis].begin_frame(now_s)
         self.axes[axis].open_interlock(bit)
 
@@ -236,7 +231,7 @@ class Acutrol3000Emulator:
         return ""
 
     def _refuse_format(self, _: Arguments) -> str:
-        """Binary numbers exist on the GPIB alone."""
+        """Binary numbers exist only on the GPIB."""
         raise AclError(ErrorCode.NOT_AVAILABLE)
 
 

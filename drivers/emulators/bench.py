@@ -1,12 +1,12 @@
-"""The emulated bench: one world and its three instruments, shared by all who open them.
+"""The emulated bench: one world and its three instruments, shared by all clients.
 
-An address says which: ``emulator://table?clock=NAME&world=FILE&seed=N&faults=FILE`` (pyserial), or
+An address selects it: ``emulator://table?clock=NAME&world=FILE&seed=N&faults=FILE`` (pyserial), or
 the same keys as options of python-can's ``interface="emulator"``. Equal clock, world, seed and list of
-faults mean the same bench. Without a clock the bench runs on wall time, without a world it is
+faults select the same bench. Without a clock the bench runs on wall time, without a world it is
 ``gyro_a``, without a list of faults nothing fails.
 
-The keys ``table`` and ``chamber`` say which dialects these two speak; the first address of a bench
-decides, and later ones may leave them out.
+The keys ``table`` and ``chamber`` select their dialects; the first address of a bench decides, and later
+ones may omit them.
 """
 
 from __future__ import annotations
@@ -17,20 +17,17 @@ from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
 from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.entry_points import EMULATORS, load
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.dialects import EMULATORS, load
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
-from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
-from gyrobench.drivers.emulators.faults.document import FaultList, check_faults, load_faults
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
 from gyrobench.drivers.emulators.faults.fault import BenchParts
-from gyrobench.drivers.emulators.faults.faulty_can import FaultyCan
-from gyrobench.drivers.emulators.faults.faulty_serial import FaultySerial
-from gyrobench.drivers.emulators.faults.injector import Injector
-from gyrobench.drivers.emulators.faults.record import Injected, InjectionRecord
-from gyrobench.drivers.emulators.serial_instrument import Connection, SerialInstrument
-from gyrobench.drivers.emulators.world.document import load_world
+from gyrobench.drivers.emulators.faults.fault_list import FaultList, check_faults, load_faults
+from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
+from gyrobench.drivers.emulators.faults.injector import Injection, InjectionLog, Injector
 from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.world_file import load_world
 
 #: The chamber controller's event output that feeds the unit's power supply.
 UNIT_POWER_EVENT = 2
@@ -42,7 +39,7 @@ _KEYS = ("clock", "world", "seed", "faults", "table", "chamber")
 
 @dataclass(frozen=True)
 class BenchAddress:
-    """Which emulated bench is meant, and what its table and chamber speak."""
+    """Selection of an emulated bench, and the dialects of its table and chamber."""
 
     clock: str = ""
     world: str = _DEFAULT_WORLD
@@ -55,20 +52,20 @@ class BenchAddress:
 class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
-    It begins at the clock's present time, everything switched off and at room temperature.
+    It starts at the clock's present time, everything switched off and at room temperature.
 
     Parameters
     ----------
     clock : Clock
-        The time that it lives in.
+        Its time.
     world : Path
         World file.
     seed : int
-        Seed of everything random.
+        Seed of all random numbers.
     faults : Path, optional
         List of faults to inject.
     faults_log : Path, optional
-        Where injected faults are noted, in place of the list's own ``log``.
+        Log file of injected faults, in place of the list's own ``log``.
     table, chamber : str
         Dialects of these two.
 
@@ -77,20 +74,20 @@ class EmulatedBench:
     dialects : dict of str to str
         Dialects of ``table`` and ``chamber``.
     table, chamber, ins
-        The emulated instruments themselves.
+        The emulated instruments.
     serial : dict of str to SerialInstrument
-        ``table`` and ``chamber`` as they are at their ports.
+        ``table`` and ``chamber`` at their ports, with faults.
     bus : CanNode
-        The INS as it is at the bus.
+        The INS at the bus, with faults.
     connections : dict of str to Connection
         The plugs of ``table``, ``chamber`` and ``ins``.
-    injected : list of Injected
-        The faults so far.
+    injected : list of Injection
+        The faults injected so far.
 
     Raises
     ------
     DocumentError
-        The world file or the list of faults is wrong, the seed is below zero, or no emulator of a
+        The world file or the list of faults is wrong, the seed is negative, or no emulator of a
         dialect is installed.
     """
 
@@ -105,7 +102,7 @@ class EmulatedBench:
         chamber: str = _DEFAULT_CHAMBER,
     ) -> None:
         if seed < 0:
-            raise DocumentError(f"emulated bench: the seed must not be below zero; found {seed}")
+            raise DocumentError(f"emulated bench: the seed must not be negative; found {seed}")
         self.clock = clock
         start_s = math.floor(clock.now())
         self.world = World(load_world(world), seed, start_s)
@@ -116,16 +113,16 @@ class EmulatedBench:
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
         self.bus: CanNode = self.ins
         self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
-        self.injected: list[Injected] = []
+        self.injected: list[Injection] = []
         self._injector: Injector | None = None
         if faults is not None:
             listed = load_faults(faults)
-            beside = faults.parent / listed.log if listed.log else None
-            self._inject(listed, seed, start_s, faults_log or beside, faults)
+            listed_log = faults.parent / listed.log if listed.log else None
+            self._inject(listed, seed, start_s, faults_log or listed_log, faults)
         self.advance()
 
     def advance(self) -> None:
-        """Bring the world to the present."""
+        """Advance the world to the present."""
         if self._injector is None:
             self.world.advance(self.clock.now())
         else:
@@ -138,8 +135,7 @@ class EmulatedBench:
         self.connections = {name: line.connection for name, line in lines.items()} | {"ins": bus.connection}
         parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus, self.dialects)
         check_faults(path, faults, parts)
-        record = InjectionRecord(self.injected, log)
-        self._injector = Injector(faults.faults, parts, seed, start_s, record)
+        self._injector = Injector(faults.faults, parts, seed, start_s, InjectionLog(self.injected, log))
 
     def _chamber_event(self, number: int, on: bool) -> None:
         if number == UNIT_POWER_EVENT:
@@ -150,13 +146,13 @@ _wall_clocks: dict[str, WallClock] = {}
 
 
 def emulated_bench(address: BenchAddress) -> EmulatedBench:
-    """Find the bench of that address; the first who asks makes it.
+    """Find the bench of that address, or create it.
 
     Raises
     ------
     DocumentError
-        The world file or the list of faults is wrong or absent, the seed is below zero, no clock of
-        that name exists, or the bench speaks other dialects.
+        The world file or the list of faults is wrong or missing, the seed is negative, no clock has
+        that name, or the bench has other dialects.
     """
     clock: Clock
     try:
@@ -176,10 +172,10 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
             table=address.table or _DEFAULT_TABLE,
             chamber=address.chamber or _DEFAULT_CHAMBER,
         )
-    for name, asked in (("table", address.table), ("chamber", address.chamber)):
-        if asked and asked != bench.dialects[name]:
+    for name, dialect in (("table", address.table), ("chamber", address.chamber)):
+        if dialect and dialect != bench.dialects[name]:
             raise DocumentError(
-                f"emulator address: the {name} of this bench speaks {bench.dialects[name]}, not {asked}"
+                f"emulator address: the {name} of this bench is a {bench.dialects[name]}, not a {dialect}"
             )
     return bench
 
@@ -190,17 +186,17 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     Raises
     ------
     DocumentError
-        The address has another key, a seed that is no whole number, or is no URL.
+        The address has an unknown key, a seed that is not an integer, or is not a URL.
     """
     try:
         parts = urlsplit(url)
     except ValueError as error:
-        raise DocumentError(f"{url}: is no address: {error}") from error
+        raise DocumentError(f"{url}: not a valid address: {error}") from error
     values = dict(parse_qsl(parts.query, keep_blank_values=True))
     unknown = values.keys() - _KEYS
     if unknown:
         raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(_KEYS)}")
     seed = values.get("seed", "0")
     if not seed.isdecimal():
-        raise DocumentError(f"{url}: seed must be a whole number; found {seed!r}")
+        raise DocumentError(f"{url}: seed must be a non-negative integer; found {seed!r}")
     return parts.netloc, BenchAddress(**{**values, "seed": int(seed)})  # type: ignore[arg-type]

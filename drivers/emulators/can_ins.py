@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Protocol
 
 import can
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.can_formats import CAN_FORMATS
+from gyrobench.drivers.emulators.can_formats import CanFormat
+from gyrobench.drivers.emulators.can_formats.canaerospace import CanaerospaceFormat
+from gyrobench.drivers.emulators.can_formats.gyrobench_ins import GyrobenchFormat
+from gyrobench.drivers.emulators.can_formats.sbg import SbgFormat
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
 
-#: The set of frames of an INS that is told nothing else.
+#: Makes each set of frames, by the name of its DBC file.
+CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
+    {"gyrobench_ins": GyrobenchFormat, "sbg": SbgFormat, "canaerospace": CanaerospaceFormat}
+)
 DEFAULT_FORMAT = "gyrobench_ins"
 
 
@@ -22,7 +29,7 @@ class CanNode(Protocol):
     Attributes
     ----------
     listeners : list of callable
-        Each is called with the messages of every stretch of time that the world advances.
+        Each is called with the messages of every interval by which the world advances.
     """
 
     listeners: list[Callable[[list[can.Message]], None]]
@@ -33,56 +40,50 @@ class CanNode(Protocol):
 
 
 class CanInsEmulator:
-    """The INS at its CAN connector.
+    """The INS at its CAN connector; a :class:`CanNode`.
 
     Parameters
     ----------
     world : World
-        Its unit is this INS; the world must be advanced by whoever waits for frames.
+        Its unit is this INS; clients that wait for frames must advance the world.
     epoch_unix_s : float
         Calendar time at world time zero, for the frames' time stamps.
-
-    Attributes
-    ----------
-    listeners : list of callable
-        Each is called with the messages of every stretch of time that the world advances.
     """
 
     def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
         self.listeners: list[Callable[[list[can.Message]], None]] = []
-        self.speak(DEFAULT_FORMAT)
+        self.use_format(DEFAULT_FORMAT)
         world.on_epochs = self._send_epochs
 
-    def speak(self, name: str) -> None:
-        """Put out, and understand, the frames of the DBC file of that name from now on.
+    def use_format(self, name: str) -> None:
+        """Send and receive the frames of the DBC file of that name.
 
         Raises
         ------
         DocumentError
-            No emulated INS speaks it.
+            There is no such set of frames.
         """
         if name not in CAN_FORMATS:
-            raise DocumentError(f"no emulated INS speaks {name!r}; there are: {', '.join(CAN_FORMATS)}")
+            raise DocumentError(
+                f"no emulated INS sends the frames {name!r}; available: {', '.join(CAN_FORMATS)}"
+            )
         self._format = CAN_FORMATS[name](self._world, self._epoch_unix_s)
 
     def receive(self, message: can.Message) -> None:
-        """Take a frame from the bus.
-
-        Ones that are not meant for this INS change nothing, nor does any while it is off or boots.
-        """
+        """Take a frame from the bus; ignored if unknown, and while the INS is off or boots."""
         if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
         if self._world.unit.mode is not Mode.OFF:
             self._format.receive(message)
 
-    def count_anew(self) -> None:
-        """Begin all counters at zero, as switching on does."""
-        self._format.count_anew()
+    def reset_counters(self) -> None:
+        """Reset all counters, as at power-on."""
+        self._format.reset_counters()
 
     def skip_epochs(self, count: int) -> None:
-        """Let the epoch counter jump."""
+        """Make the epoch counter jump."""
         self._format.skip_epochs(count)
 
     def _send_epochs(self, epochs: Epochs) -> None:

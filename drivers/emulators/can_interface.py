@@ -13,17 +13,16 @@ from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 class EmulatorBus(can.BusABC):
-    """A bus with the emulated INS on it, living on the bench's clock.
+    """A bus with the emulated INS on it, on the bench's clock.
 
     Parameters
     ----------
     channel : str
         ``ins``.
     clock, world, seed, faults, table, chamber
-        Which emulated bench; see :mod:`gyrobench.drivers.emulators.bench`.
+        Address of the emulated bench; see :mod:`gyrobench.drivers.emulators.bench`.
     frames : str
-        What the INS speaks from now on: a name in
-        :data:`gyrobench.drivers.emulators.can_formats.CAN_FORMATS`.
+        Set of frames that the INS sends: a name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`.
 
     Raises
     ------
@@ -44,23 +43,23 @@ class EmulatorBus(can.BusABC):
         **options: Any,
     ) -> None:
         if channel != "ins":
-            raise can.CanInitializationError(f"no emulated CAN channel {channel!r}; there is: ins")
+            raise can.CanInitializationError(f"no emulated CAN channel {channel!r}; available: ins")
         try:
             self._bench = emulated_bench(BenchAddress(clock, world, seed, faults, table, chamber))
             self._bench.advance()
             if frames:
-                self._bench.ins.speak(frames)
+                self._bench.ins.use_format(frames)
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
         self._connection = self._bench.connections["ins"]
-        self._opened_number = self._connection.number
+        self._generation = self._connection.generation
         self._queue: deque[can.Message] = deque()
         self.channel_info = f"emulated INS, world {world}, seed {seed}"
         super().__init__(channel, **options)
         self._bench.bus.listeners.append(self._queue.extend)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
-        """Send a frame to the INS; it arrives at once."""
+        """Send a frame to the INS; it arrives immediately."""
         self._bench.advance()
         self._check_bus()
         self._bench.bus.receive(msg)
@@ -68,7 +67,7 @@ class EmulatorBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Wait for a frame that passes the filters; None if none came in ``timeout`` seconds.
 
-        Overrides python-can's own, which takes the time from the wall clock.
+        Overrides python-can's method, which uses the wall clock.
         """
         clock = self._bench.clock
         end_s = math.inf if timeout is None else clock.now() + timeout
@@ -80,18 +79,18 @@ class EmulatorBus(can.BusABC):
                 message = self._queue.popleft()
                 if self._matches_filters(message):
                     return message
-            left_s = end_s - clock.now()
-            if left_s <= 0.0:
+            remaining_s = end_s - clock.now()
+            if remaining_s <= 0.0:
                 return None
-            clock.sleep(min(self._bench.world.file.ins.epoch_period_s, left_s))
+            clock.sleep(min(self._bench.world.file.ins.epoch_period_s, remaining_s))
             self._bench.advance()
 
     def _check_bus(self) -> None:
-        if self._connection.number != self._opened_number:
-            raise can.CanOperationError("bus-off: the controller has left the bus; it has to be opened anew")
+        if self._connection.generation != self._generation:
+            raise can.CanOperationError("bus-off: the controller has left the bus; reopen it")
 
     def shutdown(self) -> None:
-        """Leave the bus; the INS goes on."""
+        """Leave the bus; the INS continues."""
         listeners = self._bench.bus.listeners
         if self._queue.extend in listeners:
             listeners.remove(self._queue.extend)

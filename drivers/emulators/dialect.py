@@ -1,8 +1,7 @@
-"""What makes an emulator one of a dialect, and what faults can do to it beyond its line.
+"""What an emulator of a dialect is, and what faults can do to it beyond its line.
 
-Every emulator is at least a :class:`~gyrobench.drivers.emulators.serial_instrument.SerialInstrument`. The
-protocols below are what it may offer besides; a fault that needs one of them is refused where the
-emulator lacks it.
+Every emulator is at least a :class:`SerialInstrument`. The capabilities below are optional; a fault that
+needs one of them is refused where the emulator lacks it.
 """
 
 from __future__ import annotations
@@ -11,12 +10,56 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from gyrobench.drivers.emulators.serial_instrument import SerialInstrument
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
-#: Told of every event output that changes: its number, counted from 1, and its state.
+#: Called for every event output that changes: its number, counted from 1, and its state.
 OnEvent = Callable[[int, bool], None]
+
+
+class SerialInstrument(Protocol):
+    """An instrument that takes bytes and answers with bytes.
+
+    Attributes
+    ----------
+    latency_s : float
+        Time from the last byte of a request to the first byte of its reply.
+    """
+
+    latency_s: float
+
+    def feed(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes from the line at time ``now_s`` and return the reply, if one is complete.
+
+        The world has already been advanced to ``now_s``. Any byte sequence is accepted.
+        """
+        ...
+
+
+class Connection:
+    """The plug between an instrument and its clients.
+
+    Attributes
+    ----------
+    broken : bool
+        Whether nothing is transmitted at present.
+    generation : int
+        Changes with every disconnect and reconnect: a client that opened an earlier one must reopen.
+    """
+
+    def __init__(self) -> None:
+        self.broken = False
+        self.generation = 0
+
+    def disconnect(self) -> None:
+        """Pull the plug."""
+        self.broken = True
+        self.generation += 1
+
+    def reconnect(self) -> None:
+        """Plug in again."""
+        self.broken = False
+        self.generation += 1
 
 
 @dataclass(frozen=True)
@@ -40,8 +83,8 @@ class ChamberEmulation:
     Attributes
     ----------
     make : callable
-        Makes the controller from the air that it controls, and from what it has to call when an
-        event output changes.
+        Makes the controller from the air that it controls and a function to call when an event
+        output changes.
     """
 
     make: Callable[[ChamberAir, OnEvent], SerialInstrument]
@@ -49,14 +92,14 @@ class ChamberEmulation:
 
 @runtime_checkable
 class Restartable(Protocol):
-    """It can lose power and come back."""
+    """It can lose power and restart."""
 
     def power_off(self, now_s: float) -> None:
         """Lose power: outputs drop, a table stops by its brakes."""
         ...
 
     def power_on(self, now_s: float) -> None:
-        """Come back with what it keeps without power."""
+        """Restart with the settings that survive without power."""
         ...
 
 
@@ -74,24 +117,24 @@ class WithSensor(Protocol):
     """A chamber whose temperature sensor can fail."""
 
     def break_sensor(self, error: int) -> None:
-        """Let the sensor fail with that error; the control stops."""
+        """Make the sensor fail with that error; control stops."""
         ...
 
-    def mend_sensor(self) -> None:
-        """Let the sensor be well again."""
+    def repair_sensor(self) -> None:
+        """End the sensor's failure."""
         ...
 
 
 @runtime_checkable
 class WithAlarms(Protocol):
-    """A chamber that tells of alarms."""
+    """A chamber with alarms."""
 
     def raise_alarm(self, number: int, high: bool) -> None:
-        """Give alarm 1 or 2 a cause."""
+        """Set the condition of alarm 1 or 2."""
         ...
 
     def end_alarm(self, number: int) -> None:
-        """Take its cause away."""
+        """End the condition of the alarm."""
         ...
 
 

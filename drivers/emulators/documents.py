@@ -11,11 +11,10 @@ import json
 import sys
 from pathlib import Path
 
-from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.foundations.documents import StrictModel, json_schema, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.json_schema import json_schema
-from gyrobench.drivers.emulators.faults.document import FaultList
-from gyrobench.drivers.emulators.world.document import WorldFile
+from gyrobench.drivers.emulators.faults.fault_list import FaultList
+from gyrobench.drivers.emulators.world.world_file import WorldFile
 
 _WRONG_FILE = 2
 _KINDS: dict[str, tuple[type[StrictModel], str]] = {

@@ -1,11 +1,11 @@
 """Emulator of an Ideal Aerosmith single-axis table controller at its serial port.
 
-Commands are three letters and a number; each ends with a prompt, and a question mark before it says
-that the command was not understood. Source: programs that drive such tables; there is no public
-manual. Sinusoids and calibration are not emulated.
+Commands are three letters and a number. Each is answered with a prompt; a question mark before it reports
+an unknown command. Source: programs that drive such tables; there is no public manual. Sinusoids and
+calibration are not emulated.
 
-Assumptions where the sources are silent: the state that ``STA`` tells (1 moving, 0 not); that
-absolute and relative moves give their prompt at once; that motions need the motor switched on.
+Assumptions where the sources are silent: ``STA`` answers 1 while moving and 0 otherwise; absolute and
+relative moves give their prompt at once; motions need the motor switched on.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Literal
 
 from gyrobench.drivers.emulators.dialect import TableEmulation
-from gyrobench.drivers.emulators.text_requests import TextRequests, decimal
+from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: The axis of the world that such a table has.
@@ -27,7 +27,7 @@ _DEFAULT_TOLERANCE_DEG = 0.01
 _STANDSTILL_DPS = 1e-3
 
 
-class IdealAerosmithEmulator:
+class IdealAerosmithEmulator(TextInstrument):
     """The controller over its one axis.
 
     Parameters
@@ -35,9 +35,9 @@ class IdealAerosmithEmulator:
     axis : TableAxis
         Its physics.
     done : {0, 1}
-        What ``MCO`` answers when a motion is complete: programs in the field disagree.
+        Answer to ``MCO`` when a motion is complete: programs in the field disagree.
     jog_prompt : {"late", "at_once"}
-        When the prompt of ``JOG`` comes: with the stop or the next ``STA``, or at once.
+        Time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
     decimals : int
         Decimals of the numbers that are read.
     latency_s : float
@@ -53,13 +53,11 @@ class IdealAerosmithEmulator:
         decimals: int = 4,
         latency_s: float = 0.02,
     ) -> None:
+        super().__init__(latency_s)
         self.axis = axis
-        self.latency_s = latency_s
         self._done = done
         self._jog_prompt = jog_prompt
         self._decimals = decimals
-        self._now_s = 0.0
-        self._requests = TextRequests()
         self._zero_deg = self._home_deg = 0.0
         self._set_defaults()
         #: Commands with a number, and those without.
@@ -67,7 +65,7 @@ class IdealAerosmithEmulator:
             "JOG": self._jog,
             "MOV": self._move_to,
             "P": self._move_to,
-            "RMO": lambda way_deg: self._move_to(self._position_deg + way_deg),
+            "RMO": lambda distance_deg: self._move_to(self._position_deg + distance_deg),
             "VEL": self._set_velocity,
             "ACL": self._set_acceleration,
             "SRV": self._set_servo,
@@ -86,11 +84,6 @@ class IdealAerosmithEmulator:
             "PZR": self._zero,
         }
 
-    def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes; return the replies to the commands that they complete."""
-        self._now_s = now_s
-        return b"".join(self._reply(request) for request in self._requests.take(data))
-
     def is_servoed(self, axis: int) -> bool:
         """Whether the motor is switched on."""
         if axis != AXIS:
@@ -100,17 +93,17 @@ class IdealAerosmithEmulator:
     def power_off(self, now_s: float) -> None:
         """Lose power: the brake stops the axis."""
         self.axis.release(now_s)
-        self._requests.forget()
+        self._discard_input()
         self._set_defaults()
 
     def power_on(self, now_s: float) -> None:
-        """Come back with the motor off and the defaults."""
+        """Restart with the motor off and the defaults."""
 
     def _set_defaults(self) -> None:
         self._servo = False
         self._direction = 1.0
         self._target_deg = self.axis.rest_position_deg
-        self._owes_prompt = False
+        self._prompt_pending = False
         self.axis.limits = self.axis.parameters.limits
 
     @property
@@ -120,19 +113,19 @@ class IdealAerosmithEmulator:
     def _reply(self, request: str) -> bytes:
         parts = _COMMAND.fullmatch(request.upper())
         name, rest = (parts[1], parts[2]) if parts else ("", "")
-        owed = b""
-        if self._owes_prompt and name in ("STO", "STA"):
-            self._owes_prompt, owed = False, _PROMPT
+        late_prompt = b""
+        if self._prompt_pending and name in ("STO", "STA"):
+            self._prompt_pending, late_prompt = False, _PROMPT
         answer = self._execute(name, rest)
         if name == "JOG" and answer == b"" and self._jog_prompt == "late":
-            self._owes_prompt = True
+            self._prompt_pending = True
             return b""
         if answer is None:
             answer = b"?"
-        return owed + (answer + b"\r" if answer else b"") + _PROMPT
+        return late_prompt + (answer + b"\r" if answer else b"") + _PROMPT
 
     def _execute(self, name: str, rest: str) -> bytes | None:
-        """Answer to one command, empty for none; None where it is not understood."""
+        """Answer to one command, possibly empty; None for an unknown or impossible command."""
         if not rest:
             alone = self._alone.get(name)
             return alone() if alone else None

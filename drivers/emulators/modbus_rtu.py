@@ -1,4 +1,4 @@
-"""A Modbus RTU device as the line sees it: frames in, frames out, registers behind.
+"""A Modbus RTU server: frames in, frames out, holding registers behind.
 
 Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
 over Serial Line V1.02.
@@ -21,14 +21,14 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterResponse,
 )
 
-#: A silence longer than this ends a frame: the 3.5 characters of the standard, and what a
-#: computer's serial port adds.
+#: A silence longer than this ends a frame: the 3.5 characters of the standard, and the latency of a
+#: computer's serial port.
 SILENT_INTERVAL_S = 0.05
 
 _BROADCAST = 0
 _EXCEPTION_BIT = 0x80
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
-_MOST_WRITTEN = 123
+_MAX_WRITTEN = 123
 _REQUESTS: dict[int, type[ModbusPDU]] = {
     request.function_code: request
     for request in (ReadHoldingRegistersRequest, WriteSingleRegisterRequest, WriteMultipleRegistersRequest)
@@ -42,9 +42,9 @@ class HoldingRegister:
     Attributes
     ----------
     read : callable
-        Its value.
+        Returns its value.
     write : callable or None
-        Sets it and tells whether the value is allowed; None means read only.
+        Sets it and returns whether the value is allowed; None for a read-only register.
     """
 
     read: Callable[[], int]
@@ -94,8 +94,8 @@ class ModbusRtuDevice:
     def _take_frame(self) -> bytes:
         """Take a complete and intact frame, without its CRC, or nothing.
 
-        The function tells the length; with a function that is not known here, all bytes since
-        the last silence are the frame.
+        The function code gives the length; with an unknown one, all bytes since the last silence are
+        the frame.
         """
         received = bytes(self._received)
         if len(received) < FramerRTU.MIN_SIZE:
@@ -140,7 +140,7 @@ class ModbusRtuDevice:
 
     def _write_several(self, request: WriteMultipleRegistersRequest) -> int:
         count = len(request.registers)
-        if not 1 <= count <= _MOST_WRITTEN or request.count != count or request.byte_count != 2 * count:
+        if not 1 <= count <= _MAX_WRITTEN or request.count != count or request.byte_count != 2 * count:
             return _ILLEGAL_VALUE
         return self._write(request.address, request.registers)
 

@@ -1,7 +1,7 @@
-"""The emulated bench as a program of its own, at pseudo-terminals or TCP ports of the loopback.
+"""The emulated bench as a separate program, at pseudo-terminals or TCP ports of the loopback.
 
-``gyrobench emulate`` starts it. Any client can talk to the instruments: this project's bench, pymodbus,
-python-can, a terminal program. The first line that it prints says where they are, as JSON.
+``gyrobench emulate`` starts it. Any client can use the instruments: this project's bench, pymodbus,
+python-can, a terminal program. The first line of output has their addresses, as JSON.
 """
 
 from __future__ import annotations
@@ -9,29 +9,156 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
+import selectors
 import signal
 import sys
 import tempfile
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import EmulatedBench
-from gyrobench.drivers.emulators.server import Server
+from gyrobench.drivers.emulators.can_adapters import BUS_NAME, CanAdapter, SlcanAdapter, SocketcandDaemon
+from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
 from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 
 _INSTRUMENTS = ("table", "chamber", "ins")
-_MOST_SPEED = 100.0
+_MAX_SPEED = 100.0
+#: Period at which the world advances, s of the bench's time: the maximum delay of its frames.
+_PERIOD_S = 0.01
+_MAX_BACKLOG = 65536
+
+
+class Server:
+    """The three instruments of an emulated bench at ports.
+
+    Parameters
+    ----------
+    bench : EmulatedBench
+        On a wall clock, of any speed.
+    make_port : callable
+        Makes a port from the name of its instrument and a function that returns a client's greeting.
+    socketcand : bool
+        The INS uses socketcand, which needs a TCP port, instead of slcan.
+
+    Attributes
+    ----------
+    urls : dict of str to str
+        Addresses of ``table``, ``chamber`` and ``ins``.
+    """
+
+    def __init__(
+        self,
+        bench: EmulatedBench,
+        make_port: Callable[[str, Callable[[], bytes]], Port],
+        socketcand: bool = False,
+    ) -> None:
+        self._bench = bench
+        self._lines: dict[str, _Line] = {}
+        self.urls: dict[str, str] = {}
+        for name, instrument in bench.serial.items():
+            self._add(name, make_port(name, bytes), instrument, bench.connections[name])
+        # Faults of the bus act on the adapter's channel; the adapter itself stays plugged in.
+        adapter = SocketcandDaemon if socketcand else SlcanAdapter
+        self._adapter: CanAdapter = adapter(bench.bus, bench.connections["ins"])
+        self._add("ins", make_port("ins", self._adapter.greet), self._adapter, Connection())
+        if socketcand:
+            self.urls["ins"] = f"{self.urls['ins'].replace('socket://', 'socketcand://')}/{BUS_NAME}"
+
+    def _add(self, name: str, port: Port, instrument: SerialInstrument, connection: Connection) -> None:
+        self._lines[name] = _Line(port, instrument, connection)
+        self.urls[name] = port.url
+
+    def close(self) -> None:
+        """Close all ports and remove their links."""
+        for line in self._lines.values():
+            line.close()
+
+    def serve(self, duration_s: float | None = None) -> None:
+        """Serve for ``duration_s`` of the bench's time, or without end."""
+        clock = self._bench.clock
+        end_s = None if duration_s is None else clock.now() + duration_s
+        while end_s is None or clock.now() < end_s:
+            self._wait()
+            self._bench.advance()
+            for line in self._lines.values():
+                line.exchange(clock.now())
+            self._lines["ins"].send(self._adapter.from_bus())
+
+    def _wait(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            for line in self._lines.values():
+                if line.plugged_in:
+                    selector.register(line.port, selectors.EVENT_READ)
+            clock = self._bench.clock
+            due_s = min(line.due_s for line in self._lines.values())
+            selector.select(max(0.0, min(_PERIOD_S, due_s - clock.now()) / clock.speed))
+
+
+class _Line:
+    """An instrument on its port, with its pending replies and unsent bytes."""
+
+    def __init__(self, port: Port, instrument: SerialInstrument, connection: Connection) -> None:
+        self.port = port
+        self.plugged_in = True
+        self._instrument = instrument
+        self._connection = connection
+        self._generation = connection.generation
+        self._replies: deque[tuple[float, bytes]] = deque()
+        self._backlog = bytearray()
+
+    @property
+    def due_s(self) -> float:
+        """Time of the next reply; infinite for none."""
+        return self._replies[0][0] if self._replies else math.inf
+
+    def exchange(self, now_s: float) -> None:
+        """Pass received bytes to the instrument and send its reply after its latency."""
+        self._follow_plug()
+        data = self.port.read() if self.plugged_in else b""
+        reply = self._instrument.feed(data, now_s) if data else b""
+        if reply:
+            self._replies.append((now_s + self._instrument.latency_s, reply))
+        while self.due_s <= now_s:
+            self.send(self._replies.popleft()[1])
+        self.send(b"")
+
+    def close(self) -> None:
+        """Close the port."""
+        if self.plugged_in:
+            self.plugged_in = False
+            self.port.unplug()
+
+    def _follow_plug(self) -> None:
+        if self._connection.generation == self._generation:
+            return
+        self._generation = self._connection.generation
+        if self.plugged_in:
+            self.port.unplug()
+            self._replies.clear()
+            self._backlog.clear()
+        self.plugged_in = not self._connection.broken
+        if self.plugged_in:
+            self.port.plug_in()
+
+    def send(self, data: bytes) -> None:
+        """Send; without a reader, the oldest bytes beyond the backlog's size are lost."""
+        self._backlog += data
+        del self._backlog[:-_MAX_BACKLOG]
+        if self._backlog and self.plugged_in:
+            del self._backlog[: self.port.write(bytes(self._backlog))]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Serve an emulated bench until it is told to end."""
+    """Serve an emulated bench until a signal or the end of its time."""
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.until_stdin_closes:
@@ -40,7 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         try:
             world = find_document("worlds", options.world)
             faults = find_document("faults", options.faults) if options.faults else None
-            _rehearse(world)
+            _compile_kernels(world)
             clock = WallClock(speed=options.speed)
             bench = EmulatedBench(
                 clock,
@@ -51,14 +178,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 table=options.table_dialect,
                 chamber=options.chamber_dialect,
             )
-            bench.ins.speak(options.frames)
+            bench.ins.use_format(options.frames)
         except DocumentError as error:
             parser.exit(2, f"gyrobench emulate: {error}\n")
         signal.signal(signal.SIGTERM, _end)
         try:
             server = Server(bench, _port_maker(opened, options), options.can == "socketcand")
         except OSError as error:
-            parser.exit(2, f"gyrobench emulate: can't serve there: {error}. Choose another port or path.\n")
+            parser.exit(2, f"gyrobench emulate: can't open a port: {error}. Choose another port or path.\n")
         opened.callback(server.close)
         sys.stdout.write(json.dumps(server.urls) + "\n")
         sys.stdout.flush()
@@ -70,28 +197,37 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--world", default="gyro_a", help="world file, or the name of a shipped one")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
     parser.add_argument("--faults", default="", help="list of faults, or the name of a shipped one")
-    parser.add_argument("--faults-log", type=Path, help="file to which each injected fault is added as JSON")
-    parser.add_argument("--tcp", action="store_true", help="TCP ports of the loopback, not pseudo-terminals")
+    parser.add_argument(
+        "--faults-log", type=Path, help="log file; each injected fault appends a line of JSON"
+    )
+    parser.add_argument(
+        "--tcp", action="store_true", help="use TCP ports of the loopback instead of pseudo-terminals"
+    )
     for name in _INSTRUMENTS:
         parser.add_argument(
             f"--{name}-port", default="", help=f"number of the {name}'s TCP port, or link to its terminal"
         )
-    parser.add_argument("--table-dialect", default="acutrol3000", help="what the table speaks")
-    parser.add_argument("--chamber-dialect", default="watlow_f4", help="what the chamber speaks")
-    parser.add_argument("--frames", default="gyrobench_ins", help="which frames the INS sends")
+    parser.add_argument("--table-dialect", default="acutrol3000", help="dialect of the table")
+    parser.add_argument("--chamber-dialect", default="watlow_f4", help="dialect of the chamber")
+    parser.add_argument("--frames", default="gyrobench_ins", help="set of frames that the INS sends")
     parser.add_argument(
-        "--can", choices=("slcan", "socketcand"), default="slcan", help="what carries the INS's frames"
+        "--can",
+        choices=("slcan", "socketcand"),
+        default="slcan",
+        help="adapter that carries the INS's frames",
     )
-    parser.add_argument("--speed", type=_speed, default=1.0, help="how many times as fast as real time")
-    parser.add_argument("--for-s", type=float, default=None, help="end after so many seconds of real time")
-    parser.add_argument("--until-stdin-closes", action="store_true", help="end with the program that reads")
+    parser.add_argument("--speed", type=_speed, default=1.0, help="speed relative to real time")
+    parser.add_argument("--for-s", type=float, default=None, help="end after this many seconds of real time")
+    parser.add_argument(
+        "--until-stdin-closes", action="store_true", help="end when the standard input closes"
+    )
     return parser
 
 
 def _speed(text: str) -> float:
     speed = float(text)
-    if not 1.0 <= speed <= _MOST_SPEED:
-        raise argparse.ArgumentTypeError(f"1 to {_MOST_SPEED:g} is possible; found {text}")
+    if not 1.0 <= speed <= _MAX_SPEED:
+        raise argparse.ArgumentTypeError(f"the speed must be 1 to {_MAX_SPEED:g}; found {text}")
     return speed
 
 
@@ -100,7 +236,7 @@ def _end(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - th
 
 
 def _end_with_stdin() -> None:
-    """End with the program that started this one, however that ends."""
+    """End with the program that started this one, also if that is killed."""
     while os.read(sys.stdin.fileno(), 1):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
@@ -109,34 +245,34 @@ def _end_with_stdin() -> None:
 def _port_maker(
     opened: contextlib.ExitStack, options: argparse.Namespace
 ) -> Callable[[str, Callable[[], bytes]], Port]:
-    """Make ports; pseudo-terminals that can go away get links, so that they come back under their names."""
+    """Makes ports; with faults, pseudo-terminals get links, so that they return under the same name."""
     folder: Path | None = None
     if options.faults:
         name = opened.enter_context(tempfile.TemporaryDirectory(prefix="gyrobench-emulators-"))
         folder = Path(name)
 
     def make_port(name: str, greet: Callable[[], bytes]) -> Port:
-        where: str = getattr(options, f"{name}_port")
-        if where.isdecimal():
-            return TcpPort(int(where), greet)
-        if (name == "ins" and options.can == "socketcand") or (options.tcp and not where):
+        requested: str = getattr(options, f"{name}_port")
+        if requested.isdecimal():
+            return TcpPort(int(requested), greet)
+        if (name == "ins" and options.can == "socketcand") or (options.tcp and not requested):
             return TcpPort(0, greet)
-        if where:
-            return PseudoTerminal(Path(where))
+        if requested:
+            return PseudoTerminal(Path(requested))
         return PseudoTerminal(folder / name if folder else None)
 
     return make_port
 
 
-def _rehearse(world: Path) -> None:
-    """Let a throw-away bench align, navigate and turn: in real time nothing may wait for a compiler."""
+def _compile_kernels(world: Path) -> None:
+    """Align, navigate and turn on a temporary bench: compilation must not delay the real-time bench."""
     bench = EmulatedBench(VirtualClock(), world, 0)
     unit, axis = bench.world.unit, bench.world.axes[1]
     bench.world.power_unit(True)
-    for duration_s, deed in ((60.0, unit.align), (120.0, unit.navigate), (5.0, lambda: None)):
+    for duration_s, act in ((60.0, unit.align), (120.0, unit.navigate), (5.0, lambda: None)):
         bench.clock.sleep(duration_s)
         bench.advance()
-        deed()
+        act()
     axis.move_to(10.0, bench.clock.now())
     bench.clock.sleep(10.0)
     bench.advance()

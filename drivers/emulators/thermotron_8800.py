@@ -3,9 +3,9 @@
 Source: Thermotron's published list of computer interface commands, in parts. No programs are
 emulated: the chamber is stopped or runs in manual mode.
 
-Assumptions where the public sources are silent: the codes of refusals; that a query that can't be
-answered is not; that alarms follow their cause; that a process alarm and an open input stop the
-chamber; that set points outside the range of the chamber are refused.
+Assumptions where the public sources are silent: the codes of refusals; a query that can't be answered is
+ignored; alarms end with their condition; a process alarm and an open input stop the chamber; set points
+outside the range of the chamber are refused.
 """
 
 from __future__ import annotations
@@ -13,23 +13,25 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from typing import Literal
 
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
-from gyrobench.drivers.emulators.text_requests import TextRequests, decimal
+from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 _CHANNEL = "1"
 _COMMAND = re.compile(r"([A-Z]{4})(\d*)(?:,([^,]*))?")
 _QUERY = re.compile(r"([A-Z]{4})(\d*)\?")
 _MANUAL = 1 << 4
-_FASTEST_RAMP = 999.0
-_MOST_DEVIATION = 100.0
+_MAX_RAMP = 999.0
+_MAX_DEVIATION = 100.0
 _AUXILIARIES_IN_GROUP = 8
 _ALL_AUXILIARIES = (1 << _AUXILIARIES_IN_GROUP) - 1
 #: Bits of ALRM by alarm (1 process, 2 deviation) and side.
 _ALARM_BITS = {(1, False): 4, (1, True): 5, (2, False): 0, (2, True): 1}
 _PROCESS_ALARM = 1
+_PROCESS_ALARM_BITS = 1 << 4 | 1 << 5
 
 
 class Code(IntEnum):
@@ -42,7 +44,7 @@ class Code(IntEnum):
 
 
 class Stop(IntEnum):
-    """What stopped the chamber last."""
+    """Cause of the last stop."""
 
     COLD_BOOT = 0
     RUNNING = 1
@@ -57,7 +59,7 @@ class Stop(IntEnum):
     THERM_ALARM = 10
 
 
-class Thermotron8800Emulator:
+class Thermotron8800Emulator(TextInstrument):
     """A Thermotron 8800 that controls the air of an emulated chamber on channel 1.
 
     Parameters
@@ -67,7 +69,7 @@ class Thermotron8800Emulator:
     on_event : callable, optional
         Called with number and state of each auxiliary that changes.
     echo : {"never", "before", "instead"}
-        Whether it repeats what it was sent: never, before each reply, or in place of a command's code.
+        Whether it repeats each request: never, before each reply, or in place of a command's code.
     auxiliaries_need_run : bool
         Whether auxiliaries can be switched, and keep their state, only while the chamber runs.
     latency_s : float
@@ -88,8 +90,8 @@ class Thermotron8800Emulator:
         auxiliaries_need_run: bool = False,
         latency_s: float = 0.05,
     ) -> None:
+        super().__init__(latency_s)
         self.air = air
-        self.latency_s = latency_s
         self.stop_code = Stop.RUNNING if air.running else Stop.COLD_BOOT
         self._on_event = on_event
         self._echo = echo
@@ -99,11 +101,10 @@ class Thermotron8800Emulator:
         self._ramp_c_per_min = air.ramp_rate_c_per_min or 0.0
         self._deviation_c = 0.0
         self._open_input = False
-        self._requests = TextRequests()
         self._commands: dict[str, Callable[[str, str | None], Code]] = {
-            "SETP": self._set_set_point,
-            "MRMP": self._set_ramp,
-            "DEVN": self._set_deviation,
+            "SETP": partial(self._set_value, "set point"),
+            "MRMP": partial(self._set_value, "ramp"),
+            "DEVN": partial(self._set_value, "deviation"),
             "AUXE": self._set_auxiliaries,
             "RUNM": lambda number, value: self._without(number, value, self._run),
             "STOP": lambda number, value: self._without(number, value, lambda: self._stop(Stop.COMPUTER)),
@@ -127,38 +128,34 @@ class Thermotron8800Emulator:
             "VRSN": lambda number: None if number else "gyrobench emulator",
         }
 
-    def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002 - the air is at the present already
-        """Take bytes; return the replies to the requests that they complete."""
-        return b"".join(self._reply(request) for request in self._requests.take(data))
-
     def power_off(self, now_s: float) -> None:  # noqa: ARG002
         """Lose power: the chamber stops and its auxiliaries drop."""
         self.air.running = False
-        self._requests.forget()
+        self._discard_input()
         for group in self._auxiliaries:
             self._switch_auxiliaries(group, 0)
 
     def power_on(self, now_s: float) -> None:  # noqa: ARG002
-        """Come back stopped, with the settings as they were."""
+        """Restart stopped, with the settings as they were."""
         self.stop_code = Stop.POWER_FAIL
 
-    def break_sensor(self, error: int) -> None:  # noqa: ARG002 - it tells one kind only
+    def break_sensor(self, error: int) -> None:  # noqa: ARG002 - it reports one kind only
         """Open the temperature input: the chamber stops."""
         self._open_input = self.air.faults.blind = True
         self._stop(Stop.OPEN_INPUT)
 
-    def mend_sensor(self) -> None:
+    def repair_sensor(self) -> None:
         """Close the temperature input; the chamber stays stopped."""
         self._open_input = self.air.faults.blind = False
 
     def raise_alarm(self, number: int, high: bool) -> None:
-        """Give the process alarm (1), which stops the chamber, or the deviation alarm (2) a cause."""
+        """Set the condition of the process alarm (1), which stops the chamber, or the deviation alarm (2)."""
         self._alarms |= 1 << _ALARM_BITS[number, high]
         if number == _PROCESS_ALARM:
             self._stop(Stop.PROCESS_ALARM)
 
     def end_alarm(self, number: int) -> None:
-        """Take the cause away; the chamber stays stopped."""
+        """End the condition of the alarm; the chamber stays stopped."""
         for (alarm, _), bit in _ALARM_BITS.items():
             if alarm == number:
                 self._alarms &= ~(1 << bit)
@@ -184,34 +181,24 @@ class Thermotron8800Emulator:
     def _of_air(self, channel: str, answer: str) -> str | None:
         return answer if channel == _CHANNEL else None
 
-    def _without(self, number: str, value: str | None, deed: Callable[[], Code]) -> Code:
-        return Code.WRONG_PARAMETER if number or value is not None else deed()
+    def _without(self, number: str, value: str | None, action: Callable[[], Code]) -> Code:
+        return Code.WRONG_PARAMETER if number or value is not None else action()
 
-    def _value(self, channel: str, text: str | None, low: float, high: float) -> float | None:
+    def _set_value(self, name: str, channel: str, text: str | None) -> Code:
+        low, high = {
+            "set point": (self.air.parameters.low_c, self.air.parameters.high_c),
+            "ramp": (0.0, _MAX_RAMP),
+            "deviation": (0.0, _MAX_DEVIATION),
+        }[name]
         value = decimal(text) if text is not None and channel == _CHANNEL else None
-        return value if value is not None and low <= value <= high else None
-
-    def _set_set_point(self, channel: str, text: str | None) -> Code:
-        limits = self.air.parameters
-        value = self._value(channel, text, limits.low_c, limits.high_c)
-        if value is None:
+        if value is None or not low <= value <= high:
             return Code.WRONG_PARAMETER
-        self.air.set_point_c = value
-        return Code.DONE
-
-    def _set_ramp(self, channel: str, text: str | None) -> Code:
-        value = self._value(channel, text, 0.0, _FASTEST_RAMP)
-        if value is None:
-            return Code.WRONG_PARAMETER
-        self._ramp_c_per_min = value
-        self.air.ramp_rate_c_per_min = value or None
-        return Code.DONE
-
-    def _set_deviation(self, channel: str, text: str | None) -> Code:
-        value = self._value(channel, text, 0.0, _MOST_DEVIATION)
-        if value is None:
-            return Code.WRONG_PARAMETER
-        self._deviation_c = value
+        if name == "set point":
+            self.air.set_point_c = value
+        elif name == "ramp":
+            self._ramp_c_per_min, self.air.ramp_rate_c_per_min = value, value or None
+        else:
+            self._deviation_c = value
         return Code.DONE
 
     def _set_auxiliaries(self, group: str, text: str | None) -> Code:
@@ -232,7 +219,7 @@ class Thermotron8800Emulator:
                 self._on_event(number, bool(mask >> place & 1))
 
     def _run(self) -> Code:
-        if self._open_input or self._alarms & (1 << 4 | 1 << 5):
+        if self._open_input or self._alarms & _PROCESS_ALARM_BITS:
             return Code.NOT_NOW
         self.air.running = True
         self.stop_code = Stop.RUNNING
@@ -242,7 +229,7 @@ class Thermotron8800Emulator:
         self.air.running = False
         if self._open_input:
             code = Stop.OPEN_INPUT
-        elif self._alarms & (1 << 4 | 1 << 5):
+        elif self._alarms & _PROCESS_ALARM_BITS:
             code = Stop.PROCESS_ALARM
         self.stop_code = code
         if self._auxiliaries_need_run:

@@ -11,31 +11,28 @@ from typing import Literal, NamedTuple
 
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
 from gyrobench.drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
+from gyrobench.drivers.emulators.watlow_loop import MAX_RAMP, OUTPUTS, RampAction, WatlowLoop
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 MODEL_NUMBER = 5270
 
-#: The event output that switches the chamber's machinery.
-CHAMBER_EVENT = 1
-_EVENT_OUTPUTS = 8
 _ALARM_1_LOW, _ALARM_1_HIGH = 302, 303
 _SET_POINT_LOW, _SET_POINT_HIGH = 602, 603
 _NO_ALARM, _LOW_ALARM, _HIGH_ALARM = 0, 1, 2
 _ALARM_MARGIN_C = 5.0
-_RAMP_OFF, _RAMP_AT_START, _RAMP_AT_EVERY_CHANGE = 0, 1, 2
-_DEFAULT_RAMP, _FASTEST_RAMP = 100.0, 999.0
-_MOST_DECIMALS = 3
+_DEFAULT_RAMP = 100.0
+_MAX_DECIMALS = 3
 _CELSIUS = 1
 _INT16_MIN, _INT16_MAX = -32768, 32767
 
 
 class _Settings(NamedTuple):
-    """What the controller keeps without power."""
+    """Settings in the controller's non-volatile memory."""
 
     set_point_c: float
     decimals: int
     limits_c: dict[int, float]
-    ramp: tuple[int, float, bool]
+    ramp: tuple[RampAction, float, bool]
 
 
 class WatlowF4Emulator:
@@ -59,9 +56,9 @@ class WatlowF4Emulator:
     latency_s : float
         Time that the controller takes to answer.
     sensor_error : int
-        Error of input 1; zero while the sensor is well.
+        Error of input 1; zero for none.
     alarm_1, alarm_2 : int
-        Latched state of the alarms, zero for none. Alarm 1 looks at the air at each exchange.
+        Latched state of the alarms, zero for none. Alarm 1 monitors the air at each exchange.
     """
 
     latency_s = 0.02
@@ -78,16 +75,12 @@ class WatlowF4Emulator:
         self.air = air
         self._address = address
         self._sensor_fault = self._sensor_latched = 0
-        self._alarm_causes = {1: _NO_ALARM, 2: _NO_ALARM}
+        self._alarm_conditions = {1: _NO_ALARM, 2: _NO_ALARM}
         self.sensor_error = 0
         self.alarm_1 = _NO_ALARM
         self.alarm_2 = _NO_ALARM
         self._decimals = decimals
-        self._on_event = on_event
-        self._events = [air.running] + [False] * (_EVENT_OUTPUTS - 1)
-        self._ramp_mode = _RAMP_OFF
-        self._ramp_rate = _DEFAULT_RAMP
-        self._ramp_per_hour = False
+        self._loop = WatlowLoop(air, on_event, _DEFAULT_RAMP)
         low_c, high_c = air.parameters.low_c, air.parameters.high_c
         self._limits_c = {
             _ALARM_1_LOW: low_c - _ALARM_MARGIN_C,
@@ -99,7 +92,7 @@ class WatlowF4Emulator:
         if model == "F4P":
             registers |= self._ramp()
         self._device = ModbusRtuDevice(registers, address)
-        self._memory = self._kept_settings()
+        self._memory = self._present_settings()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the line at time ``now_s`` and return the reply, if one is complete."""
@@ -112,39 +105,38 @@ class WatlowF4Emulator:
 
     def power_off(self, now_s: float) -> None:  # noqa: ARG002
         """Lose power: every event output drops."""
-        for number in range(1, _EVENT_OUTPUTS + 1):
-            self._set_event(number, 0)
+        self._loop.switch_all_off()
 
     def power_on(self, now_s: float) -> None:  # noqa: ARG002
-        """Come back with the settings last saved by register 25, alarms clear and outputs off."""
+        """Restart with the settings last saved by register 25, alarms clear and outputs off."""
         self.alarm_1 = self.alarm_2 = _NO_ALARM
         self._sensor_latched = self._sensor_fault
         self.sensor_error = self._sensor_fault
         self.air.faults.blind = bool(self._sensor_fault)
-        kept = self._memory
-        self.air.set_point_c = kept.set_point_c
-        self._decimals = kept.decimals
-        self._limits_c = dict(kept.limits_c)
-        self._ramp_mode, self._ramp_rate, self._ramp_per_hour = kept.ramp
-        self._apply_ramp()
+        saved = self._memory
+        self.air.set_point_c = saved.set_point_c
+        self._decimals = saved.decimals
+        self._limits_c = dict(saved.limits_c)
+        self._loop.action, self._loop.ramp_rate, self._loop.per_hour = saved.ramp
+        self._loop.apply_ramp()
 
     def break_sensor(self, error: int) -> None:
-        """Let input 1 fail: the outputs stop. The error stays until register 311 clears it."""
+        """Make input 1 fail: the control outputs stop. The error stays until register 311 clears it."""
         self._sensor_fault = self._sensor_latched = self.sensor_error = error
         self.air.faults.blind = True
 
-    def mend_sensor(self) -> None:
-        """Let input 1 be well again; its error stays until it is cleared."""
+    def repair_sensor(self) -> None:
+        """Repair input 1; its error stays until it is cleared."""
         self._sensor_fault = 0
 
     def raise_alarm(self, number: int, high: bool) -> None:
-        """Give alarm 1 or 2 a cause; the alarm stays until register 312 clears it."""
-        self._alarm_causes[number] = _HIGH_ALARM if high else _LOW_ALARM
+        """Set the condition of alarm 1 or 2; the alarm stays until register 312 clears it."""
+        self._alarm_conditions[number] = _HIGH_ALARM if high else _LOW_ALARM
         self._watch_air()
 
     def end_alarm(self, number: int) -> None:
-        """Take the cause away; the alarm stays until it is cleared."""
-        self._alarm_causes[number] = _NO_ALARM
+        """End the condition of the alarm; the alarm stays until it is cleared."""
+        self._alarm_conditions[number] = _NO_ALARM
 
     def _measurements(self) -> dict[int, HoldingRegister]:
         return {
@@ -182,14 +174,14 @@ class WatlowF4Emulator:
             1990 + 10 * number: HoldingRegister(
                 partial(self._event, number), partial(self._set_event, number)
             )
-            for number in range(1, _EVENT_OUTPUTS + 1)
+            for number in OUTPUTS
         }
 
     def _ramp(self) -> dict[int, HoldingRegister]:
         return {
-            1100: HoldingRegister(lambda: self._ramp_mode, self._set_ramp_mode),
-            1101: HoldingRegister(lambda: self._number(self._ramp_rate), self._set_ramp_rate),
-            1102: HoldingRegister(lambda: int(self._ramp_per_hour), self._set_ramp_scale),
+            1100: HoldingRegister(lambda: self._loop.action, self._set_ramp_action),
+            1101: HoldingRegister(lambda: self._number(self._loop.ramp_rate), self._set_ramp_rate),
+            1102: HoldingRegister(lambda: int(self._loop.per_hour), self._set_ramp_scale),
         }
 
     def _number(self, value: float) -> int:
@@ -208,24 +200,22 @@ class WatlowF4Emulator:
     def _set_set_point(self, number: int) -> bool:
         allowed = self._limit(_SET_POINT_LOW) <= number <= self._limit(_SET_POINT_HIGH)
         if allowed:
-            self.air.set_point_c = self._value(number)
-            if self._ramp_mode == _RAMP_AT_START and self.air.running:
-                self.air.ramp_rate_c_per_min = None
+            self._loop.set_set_point(self._value(number))
         return allowed
 
     def _set_decimals(self, number: int) -> bool:
-        allowed = 0 <= number <= _MOST_DECIMALS
+        allowed = 0 <= number <= _MAX_DECIMALS
         if allowed:
             self._decimals = number
         return allowed
 
-    def _kept_settings(self) -> _Settings:
-        ramp = (self._ramp_mode, self._ramp_rate, self._ramp_per_hour)
+    def _present_settings(self) -> _Settings:
+        ramp = (self._loop.action, self._loop.ramp_rate, self._loop.per_hour)
         return _Settings(self.air.set_point_c, self._decimals, dict(self._limits_c), ramp)
 
     def _save(self, number: int) -> bool:
         if number == 0:
-            self._memory = self._kept_settings()
+            self._memory = self._present_settings()
         return number == 0
 
     def _clear_input_error(self, number: int) -> bool:
@@ -240,53 +230,38 @@ class WatlowF4Emulator:
         return number in (0, 1)
 
     def _event(self, number: int) -> int:
-        return int(self._events[number - 1])
+        return int(self._loop.outputs[number])
 
     def _set_event(self, number: int, state: int) -> bool:
-        on = bool(state)
-        if state in (0, 1) and on != self._events[number - 1]:
-            self._events[number - 1] = on
-            if number == CHAMBER_EVENT:
-                self._switch_air(on)
-            if self._on_event:
-                self._on_event(number, on)
-        return state in (0, 1)
-
-    def _switch_air(self, on: bool) -> None:
-        self.air.running = on
-        if on and self._ramp_mode == _RAMP_AT_START:
-            self.air.ramp_rate_c_per_min = self._ramp_rate_c_per_min()
-
-    def _set_ramp_mode(self, number: int) -> bool:
-        allowed = _RAMP_OFF <= number <= _RAMP_AT_EVERY_CHANGE
+        allowed = state in (0, 1)
         if allowed:
-            self._ramp_mode = number
-            self._apply_ramp()
+            self._loop.switch(number, bool(state))
+        return allowed
+
+    def _set_ramp_action(self, number: int) -> bool:
+        allowed = RampAction.OFF <= number <= RampAction.AT_EVERY_CHANGE
+        if allowed:
+            self._loop.action = RampAction(number)
+            self._loop.apply_ramp()
         return allowed
 
     def _set_ramp_rate(self, number: int) -> bool:
-        allowed = 0.0 < self._value(number) <= _FASTEST_RAMP
+        allowed = 0.0 < self._value(number) <= MAX_RAMP
         if allowed:
-            self._ramp_rate = self._value(number)
-            self._apply_ramp()
+            self._loop.ramp_rate = self._value(number)
+            self._loop.apply_ramp()
         return allowed
 
     def _set_ramp_scale(self, number: int) -> bool:
-        if number in (0, 1):
-            self._ramp_per_hour = bool(number)
-            self._apply_ramp()
-        return number in (0, 1)
-
-    def _apply_ramp(self) -> None:
-        every_change = self._ramp_mode == _RAMP_AT_EVERY_CHANGE
-        self.air.ramp_rate_c_per_min = self._ramp_rate_c_per_min() if every_change else None
-
-    def _ramp_rate_c_per_min(self) -> float:
-        return self._ramp_rate / 60.0 if self._ramp_per_hour else self._ramp_rate
+        allowed = number in (0, 1)
+        if allowed:
+            self._loop.per_hour = bool(number)
+            self._loop.apply_ramp()
+        return allowed
 
     def _watch_air(self) -> None:
-        self.alarm_1 = self._alarm_causes[1] or self.alarm_1
-        self.alarm_2 = self._alarm_causes[2] or self.alarm_2
+        self.alarm_1 = self._alarm_conditions[1] or self.alarm_1
+        self.alarm_2 = self._alarm_conditions[2] or self.alarm_2
         if self.air.air_c < self._limits_c[_ALARM_1_LOW]:
             self.alarm_1 = _LOW_ALARM
         elif self.air.air_c > self._limits_c[_ALARM_1_HIGH]:

@@ -3,9 +3,9 @@
 Source: the command list of the F4T's SCPI interface in a chamber maker's manual. One control loop,
 eight outputs, no profiles.
 
-Assumptions where the public sources are silent: that settings are asked for by their command with a
-question mark; that what can't be done is passed over without a word; that set points outside the range
-of the chamber can't be done; that the error of the loop goes with its cause.
+Assumptions where the public sources are silent: settings are read by their command with a question mark;
+a request that can't be executed is ignored without an answer; set points outside the range of the
+chamber can't be executed; the error of the loop ends with its condition.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ from collections.abc import Callable
 from functools import partial
 
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
-from gyrobench.drivers.emulators.text_requests import TextRequests, decimal
+from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
+from gyrobench.drivers.emulators.watlow_loop import MAX_RAMP, OUTPUTS, RampAction, WatlowLoop
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
-#: The output that switches the chamber's machinery.
-CHAMBER_OUTPUT = 1
-_OUTPUTS = 8
 _REQUEST = re.compile(r":?([A-Z0-9*:]+)(\?| +(\S+))?")
 _LOOP = "SOURCE:CLOOP1:"
-_ACTIONS = ("OFF", "STARTUP", "SETPOINT", "BOTH")
-_SCALES = {"MINUTES": 1.0, "HOURS": 60.0}
-_DEFAULT_RAMP, _FASTEST_RAMP = 1.0, 999.0
+_ACTIONS = {
+    "OFF": RampAction.OFF,
+    "STARTUP": RampAction.AT_START,
+    "SETPOINT": RampAction.AT_EVERY_CHANGE,
+    "BOTH": RampAction.AT_EVERY_CHANGE,
+}
+_DEFAULT_RAMP = 1.0
 
 
-class WatlowF4TEmulator:
+class WatlowF4TEmulator(TextInstrument):
     """A Watlow F4T that controls the air of an emulated chamber on loop 1.
 
     Parameters
@@ -51,18 +53,13 @@ class WatlowF4TEmulator:
         decimals: int = 4,
         latency_s: float = 0.02,
     ) -> None:
+        super().__init__(latency_s)
         self.air = air
-        self.latency_s = latency_s
-        self._on_event = on_event
+        self._loop = WatlowLoop(air, on_event, _DEFAULT_RAMP)
         self._decimals = decimals
-        self._outputs = dict.fromkeys(range(1, _OUTPUTS + 1), False)
-        self._outputs[CHAMBER_OUTPUT] = air.running
         self._action = "OFF"
-        self._scale = "MINUTES"
-        self._rate = _DEFAULT_RAMP
         self._fahrenheit = False
         self._error = False
-        self._requests = TextRequests()
         self._commands: dict[str, Callable[[str], None]] = {
             _LOOP + "SPOINT": self._set_set_point,
             _LOOP + "RACTION": self._set_action,
@@ -76,33 +73,28 @@ class WatlowF4TEmulator:
             _LOOP + "SPOINT": lambda: self._shown(self.air.set_point_c),
             _LOOP + "ERROR": lambda: "ERROR" if self._error else "NONE",
             _LOOP + "RACTION": lambda: self._action,
-            _LOOP + "RSCALE": lambda: self._scale,
-            _LOOP + "RRATE": lambda: self._number(self._rate),
+            _LOOP + "RSCALE": lambda: "HOURS" if self._loop.per_hour else "MINUTES",
+            _LOOP + "RRATE": lambda: self._number(self._loop.ramp_rate),
             "UNIT:TEMPERATURE": lambda: "F" if self._fahrenheit else "C",
         }
-        for number in self._outputs:
+        for number in OUTPUTS:
             self._commands[f"OUTPUT{number}:STATE"] = partial(self._set_output, number)
             self._queries[f"OUTPUT{number}:STATE"] = partial(self._output, number)
 
-    def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002 - the air is at the present already
-        """Take bytes; return the answers to the queries that they complete."""
-        return b"".join(self._reply(request) for request in self._requests.take(data))
-
     def power_off(self, now_s: float) -> None:  # noqa: ARG002
         """Lose power: every output drops."""
-        self._requests.forget()
-        for number in self._outputs:
-            self._switch(number, False)
+        self._discard_input()
+        self._loop.switch_all_off()
 
     def power_on(self, now_s: float) -> None:
-        """Come back with the settings as they were and the outputs off."""
+        """Restart with the settings as they were and the outputs off."""
 
-    def break_sensor(self, error: int) -> None:  # noqa: ARG002 - it tells one kind only
-        """Let the input fail: the loop stops and reports an error."""
+    def break_sensor(self, error: int) -> None:  # noqa: ARG002 - it reports one kind only
+        """Make the input fail: the loop stops and reports an error."""
         self._error = self.air.faults.blind = True
 
-    def mend_sensor(self) -> None:
-        """Let the input be well again, and the loop go on."""
+    def repair_sensor(self) -> None:
+        """Repair the input; the loop continues."""
         self._error = self.air.faults.blind = False
 
     def _reply(self, request: str) -> bytes:
@@ -128,55 +120,35 @@ class WatlowF4TEmulator:
             return
         value_c = (value - 32.0) / 1.8 if self._fahrenheit else value
         if self.air.parameters.low_c <= value_c <= self.air.parameters.high_c:
-            self.air.set_point_c = value_c
-            if self._action == "STARTUP" and self.air.running:
-                self.air.ramp_rate_c_per_min = None
+            self._loop.set_set_point(value_c)
 
     def _set_action(self, text: str) -> None:
         if text in _ACTIONS:
-            self._action = text
-            self._apply_ramp()
+            self._action, self._loop.action = text, _ACTIONS[text]
+            self._loop.apply_ramp()
 
     def _set_scale(self, text: str) -> None:
-        if text in _SCALES:
-            self._scale = text
-            self._apply_ramp()
+        if text in ("MINUTES", "HOURS"):
+            self._loop.per_hour = text == "HOURS"
+            self._loop.apply_ramp()
 
     def _set_rate(self, text: str) -> None:
         value = decimal(text)
-        if value is not None and 0.0 < value <= _FASTEST_RAMP:
-            self._rate = value
-            self._apply_ramp()
+        if value is not None and 0.0 < value <= MAX_RAMP:
+            self._loop.ramp_rate = value
+            self._loop.apply_ramp()
 
     def _set_unit(self, text: str) -> None:
         if text in ("C", "F"):
             self._fahrenheit = text == "F"
+            self._loop.degrees_per_kelvin = 1.8 if self._fahrenheit else 1.0
 
     def _output(self, number: int) -> str:
-        return "ON" if self._outputs[number] else "OFF"
+        return "ON" if self._loop.outputs[number] else "OFF"
 
     def _set_output(self, number: int, text: str) -> None:
         if text in ("ON", "OFF"):
-            self._switch(number, text == "ON")
-
-    def _switch(self, number: int, on: bool) -> None:
-        if on == self._outputs[number]:
-            return
-        self._outputs[number] = on
-        if number == CHAMBER_OUTPUT:
-            self.air.running = on
-            if on and self._action == "STARTUP":
-                self.air.ramp_rate_c_per_min = self._ramp_c_per_min
-        if self._on_event:
-            self._on_event(number, on)
-
-    @property
-    def _ramp_c_per_min(self) -> float:
-        return self._rate / _SCALES[self._scale] / (1.8 if self._fahrenheit else 1.0)
-
-    def _apply_ramp(self) -> None:
-        every_change = self._action in ("SETPOINT", "BOTH")
-        self.air.ramp_rate_c_per_min = self._ramp_c_per_min if every_change else None
+            self._loop.switch(number, text == "ON")
 
 
 DIALECT = ChamberEmulation(WatlowF4TEmulator)

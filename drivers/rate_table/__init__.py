@@ -14,8 +14,7 @@ from typing import Generic, Protocol, TypeVar
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, ReplyError
-from gyrobench.drivers.dialects import LineDefaults
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 OptionsT = TypeVar("OptionsT", bound=StrictModel)
 

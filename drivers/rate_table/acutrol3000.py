@@ -18,7 +18,6 @@ from typing import TypeVar
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
-from gyrobench.drivers.dialects import LineDefaults
 from gyrobench.drivers.rate_table import (
     AxisLimits,
     TableDialect,
@@ -26,7 +25,7 @@ from gyrobench.drivers.rate_table import (
     await_standstill,
     require_rest,
 )
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 ReplyT = TypeVar("ReplyT")
 

@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
-from gyrobench.drivers.dialects import LineDefaults
 from gyrobench.drivers.rate_table import (
     AxisLimits,
     TableDialect,
@@ -26,7 +25,7 @@ from gyrobench.drivers.rate_table import (
     await_standstill,
     require_rest,
 )
-from gyrobench.drivers.serial_line import SerialLine
+from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import TextLine
 
 _PROMPT = b">"

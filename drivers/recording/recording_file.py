@@ -15,8 +15,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import cant_be_written
-from gyrobench.bench.foundations.reading import read_limited
+from gyrobench.bench.foundations.files import cant_be_written, read_limited
 
 MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"

@@ -1,12 +1,31 @@
 """gyrobench: bench controller for calibrating the gyros of inertial navigation systems.
 
-The parts of the package are folders at the top of the repository: :mod:`gyrobench.bench` and
-:mod:`gyrobench.drivers`, and the YAML files for people beside them.
+>>> import gyrobench
+>>> run = gyrobench.run("ten_minute_check", world="ideal")  # doctest: +SKIP
+>>> run.dwells[["position", "bias_x_dph", "sigma_x_dph"]]  # doctest: +SKIP
+
+Everything below is loaded when it is first used; see :mod:`gyrobench.bench.api`. The parts of the
+package are folders at the top of the repository, bench/ and drivers/, and the YAML files for people.
 """
 
-from importlib.metadata import PackageNotFoundError, version
+from __future__ import annotations
 
-try:
-    __version__ = version("gyrobench")
-except PackageNotFoundError:  # a source tree that was not installed
-    __version__ = "0+unknown"
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from gyrobench.bench import __version__
+
+if TYPE_CHECKING:
+    from gyrobench.bench.api import Run, close_loop, estimate_bias, open_run, run
+
+__all__ = ["Run", "__version__", "close_loop", "estimate_bias", "open_run", "run"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(import_module("gyrobench.bench.api"), name)
+    raise AttributeError(f"module 'gyrobench' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return __all__

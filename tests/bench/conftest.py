@@ -10,7 +10,7 @@ from rich.console import Console
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench

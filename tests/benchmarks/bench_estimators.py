@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import kstest
 
+from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.dwell import Dwell
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
-from gyrobench.bench.bias.prior import PriorKnowledge
-from gyrobench.bench.bias.state_space.bias_filter import BiasFilter, StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias import disturbances

@@ -17,12 +17,10 @@ from pathlib import Path
 
 import psutil
 
-from gyrobench.bench.fleet.choice import runs_named
-from gyrobench.bench.fleet.cluster import Workers, connected
-from gyrobench.bench.fleet.jobs import JobKind
-from gyrobench.bench.fleet.record import FleetRecord
-from gyrobench.bench.fleet.work import work_through
+from gyrobench.bench.fleet.jobs import FleetRecord, JobKind
+from gyrobench.bench.fleet.workers import Workers, connected, work_through
 from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.runs.index.store import runs_named
 from tests.benchmarks.fleet_runs import make_runs
 
 TABLE = Path(__file__).parents[2] / "docs" / "fleet_benchmark.md"

@@ -36,7 +36,7 @@ def test_links_between_pages_and_to_files_lead_somewhere(built):
 def test_the_reference_has_every_step_and_what_its_keys_mean(built):
     out, _ = built
     text = (out / "reference/procedure.html").read_text(encoding="utf-8")
-    for word in ("go_to", "until_gyro_rate_below_c_per_h", "bias_sigma_below_dph", "most_repeats_in_all"):
+    for word in ("go_to", "until_gyro_rate_below_c_per_h", "bias_sigma_below_dph", "max_repeats_total"):
         assert word in text
     assert "how often a failed exchange with an instrument is tried again" in text
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from tests.bench.command_line import gyrobench
 from tests.docs.pages import DOCS, blocks, pages
 
@@ -35,6 +35,14 @@ def test_the_tutorial_s_hidden_effect_is_found_under_its_name(tmp_path_factory):
     page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
     assert "thermal_hysteresis" in page
     assert "The search names hysteresis" in page
+
+
+def test_the_session_of_the_python_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(block.text for block in blocks(DOCS / "python.md") if block.language == "python")
+    exec(compile(code, "python.md", "exec"), {})  # noqa: S102 - our own page
+    assert "deg/h" in capsys.readouterr().out
+    assert (tmp_path / "temperature.png").stat().st_size > 10_000
 
 
 def test_the_effect_of_the_page_is_one(tmp_path):

@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.bias import dwell_table
+from gyrobench.bench.bias.allan import AllanVariance, RateNoise
 from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.bias.joint.vertical_pairs import Finding
-from gyrobench.bench.bias.noise.allan import AllanVariance, RateNoise
-from gyrobench.bench.bias.noise.estimate import ChannelNoise, NoiseEstimate
+from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
-from gyrobench.bench.dwells.comparison import ComparisonRow
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.tables import verification_table
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
+from gyrobench.bench.runs.tables import calibration_check_table as verification_table
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow
+from gyrobench.bench.verification.comparison import ComparisonRow
 from tests.bench.report.made_up_closure import explained
 
 TEXT = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
@@ -45,7 +45,7 @@ def values_of_findings():
     [
         ("dwells.csv", set(dwell_table.COLUMNS)),
         ("bias_bins.csv", names(BiasBin)),
-        ("joint.csv", names(JointStopRow) | {"finding"} | values_of_findings()),
+        ("joint.csv", names(JointPlateauRow) | {"finding"} | values_of_findings()),
         ("joint_biases.csv", names(JointBiasRow)),
         ("verification.csv", set(verification_table.COLUMNS)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),

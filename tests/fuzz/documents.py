@@ -9,11 +9,12 @@ from typing import Any
 import cantools
 import numpy as np
 
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.engine.session import Job, prepare_job
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document, read_document
-from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.checks import StationLimits
 from gyrobench.bench.procedure.steps import GoTo, Turn
 from gyrobench.bench.procedure.timeline import timeline_rows
 from gyrobench.bench.runs.compensation_file import read_compensation

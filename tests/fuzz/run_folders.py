@@ -15,12 +15,12 @@ import numpy as np
 from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.files import read_held_out_cycles
-from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.dwells.closure_inputs import read_campaign
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
 from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
 from gyrobench.bench.engine.verify import new_emulation
-from gyrobench.bench.monitor.terminal import PatientConsole
+from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.report.calibration_check import verification_section
@@ -28,10 +28,10 @@ from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops
+from gyrobench.bench.runs.tables.calibration_check_table import COLUMNS as VERIFICATION_COLUMNS
+from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
 from gyrobench.bench.runs.tables.noise_file import read_noise
-from gyrobench.bench.runs.tables.verification_table import COLUMNS as VERIFICATION_COLUMNS
-from gyrobench.bench.runs.tables.verification_table import read_verification
 from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
 from gyrobench.bench.station.instruments import Emulation
 from tests.fuzz.checks import WrongResultError, cells_of, check_cell, written
@@ -53,7 +53,7 @@ def finished_run(shared: Path, calibration: bytes) -> Path:
 
 
 def _unseen(nowhere: TextIO, plan: Plan) -> LinesView:
-    return LinesView(PatientConsole(file=nowhere), plan)
+    return LinesView(RunConsole(file=nowhere), plan)
 
 
 def _copied(run: Path, folder: Path) -> Path:
@@ -201,7 +201,7 @@ def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
         copy = RunFolder(_copied(run, folder))
         copy.verification.write_bytes(data)
         read_run(copy)
-        rows = read_verification(copy.verification)
+        rows = read_calibration_check(copy.verification)
         cells = cells_of(data)
         if len(rows) != len(cells):
             raise WrongResultError(f"{len(rows)} rows instead of {len(cells)}")
@@ -221,7 +221,7 @@ def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
         copy = RunFolder(_copied(run, folder))
         copy.calibration.write_bytes(data)
         measure_again(copy.path)
-        for row in read_verification(copy.verification):
+        for row in read_calibration_check(copy.verification):
             difference_dph = row.bias_dph - row.calibrated_dph
             if row.is_compared and not math.isclose(
                 row.difference_dph, difference_dph, rel_tol=1e-6, abs_tol=1e-8
@@ -247,7 +247,7 @@ def use_noise(run: Path) -> Callable[[Path, bytes], None]:
         copy.noise.write_bytes(data)
         for path, read in (
             (copy.bias_bins, read_bins),
-            (copy.joint, read_joint_stops),
+            (copy.joint, read_joint_plateaus),
             (copy.joint_biases, read_joint_biases),
         ):
             read(path)

@@ -12,10 +12,11 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import Job
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
-from gyrobench.drivers.emulators.world.document import load_world
-from gyrobench.drivers.emulators.world.sensor_errors import DPH, gyro_errors
+from gyrobench.drivers.emulators.world.sensor_errors import gyro_errors
+from gyrobench.drivers.emulators.world.world_file import load_world
 
 WORLD = Path(__file__).with_name("world.yaml")
 #: A result that is off by more than this many of its sigma, and not flagged, is wrong.
@@ -28,7 +29,7 @@ def true_bias_dph(gyro_c: Iterable[float], world: Path = WORLD) -> np.ndarray:
     """Biases of a world's gyros at these temperatures, shape (3,)."""
     file = load_world(world)
     biases, _ = gyro_errors(file.gyro).at(np.array(list(gyro_c)) - file.reference_temperature_c)
-    return biases / DPH
+    return biases / DPH_TO_RADPS
 
 
 def errors_in_sigmas(row: DwellRow, true_dph: np.ndarray) -> np.ndarray:
@@ -104,7 +105,7 @@ class TruthWatcher(Progress):
         self.bench = emulated_bench(address)
         if self.step == "navigate":
             world = self.bench.world
-            self._seen.append((world.true_gyro_bias() / DPH, world.thermal.optics_c.copy()))
+            self._seen.append((world.true_gyro_bias() / DPH_TO_RADPS, world.thermal.optics_c.copy()))
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Keep the truth of this dwell."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.text import listed, spoken
-from gyrobench.bench.messages.secret import read_secret
+from gyrobench.bench.foundations.text import listed, plain_name
+from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.station.check import Check
-from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 
 
@@ -23,5 +23,5 @@ def _check(receiver: Receiver) -> Check:
         return Check.of(
             "messages", what, False, str(error), "Put the secret there, or leave the receiver out."
         )
-    events = listed([spoken(event) for event in receiver.on])
+    events = listed([plain_name(event) for event in receiver.on])
     return Check.of("messages", what, True, f"{receiver.address} is told of: {events}", "")

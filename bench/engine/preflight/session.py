@@ -8,14 +8,14 @@ from pathlib import Path
 from gyrobench.bench.engine.preflight.messages import message_checks
 from gyrobench.bench.engine.preflight.preflight import preflight
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import hours_minutes
-from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.check import Check
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns
 

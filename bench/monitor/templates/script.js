@@ -1,5 +1,5 @@
 "use strict";
-// Fetches the page's content anew and swaps in what has changed; says so when nobody answers.
+// Fetches the page's content every two seconds, replaces what has changed, and warns when the monitor is silent.
 const EVERY_MS = 2000, EVERY_WHEN_OVER_MS = 20000, PATIENCE_MS = 10000, LOST_AFTER_S = 5;
 const sent = new Map();
 let answeredAt = performance.now(), lostAt = 0, whyLost = "";
@@ -37,7 +37,7 @@ function show(text) {
   const parts = [...fresh.querySelectorAll("[data-live]")];
   if (parts.some(part => !document.getElementById(part.id)) ||
       [...live.querySelectorAll("[data-live]")].some(part => !fresh.querySelector("#" + part.id))) {
-    location.reload();  // another kind of page: a run has begun, or can be read again
+    location.reload();  // another kind of page: a run has started, or its folder is readable again
     return;
   }
   for (const part of parts) {
@@ -50,23 +50,23 @@ function show(text) {
   answeredAt = performance.now();
 }
 
-function tellAge() {
+function showAge() {
   const now = performance.now(), live = document.getElementById("live").dataset;
   const lost = lostAt ? (now - lostAt) / 1000 : 0, age = Number(live.ageS) + (now - answeredAt) / 1000;
   if (lost > LOST_AFTER_S) {
-    say(`▲ No answer from the monitor for ${Math.round(lost)} s (${whyLost}). What stands below is old.`);
+    say(`▲ No answer from the monitor for ${Math.round(lost)} s (${whyLost}). The page below is out of date.`);
     document.title = `▲ no answer: ${live.title}`;
   } else {
     say("");
   }
   const place = document.getElementById("age");
-  if (place) place.textContent = live.over === "yes" ? "" : `Picture ${Math.round(age)} s old.`;
+  if (place) place.textContent = live.over === "yes" ? "" : `Snapshot ${Math.round(age)} s old.`;
 }
 
 async function look() {
   try {
     const reply = await fetch("fragment", {cache: "no-store", signal: AbortSignal.timeout(PATIENCE_MS)});
-    if (!reply.ok) throw new Error(`it says ${reply.status} ${reply.statusText}`);
+    if (!reply.ok) throw new Error(`status ${reply.status} ${reply.statusText}`);
     show(await reply.text());
     lostAt = 0;
   } catch (error) {
@@ -80,5 +80,5 @@ async function look() {
 for (const part of document.querySelectorAll("[data-live]")) sent.set(part.id, part.outerHTML);
 showLocalTimes(document);
 document.title = document.getElementById("live").dataset.title;
-setInterval(tellAge, 1000);
+setInterval(showAge, 1000);
 setTimeout(look, EVERY_MS);

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure.residuals import noise_dph, residuals_dph, rms, scale_of_errors
 from gyrobench.bench.report.closure.style import BAND_COLOUR, draw_dwells
@@ -50,7 +50,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
         _draw(axes, parts[axis], left_dph[:, axis], noise, scale, closure.searched, gyro)
     all_axes[0].set_ylabel(f"bias less all else / ({scale.unit})")
     first = all_axes[min(parts)]
-    figure.suptitle(spoken(found.candidate.effect.name).capitalize(), fontsize=9)
+    figure.suptitle(plain_name(found.candidate.effect.name).capitalize(), fontsize=9)
     figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 

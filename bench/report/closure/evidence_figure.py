@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from gyrobench.bench.closure.loop import Closure, Evidence
 from gyrobench.bench.closure.search import SIGNIFICANCE
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.report.closure.residuals import rests_on_noise
 from gyrobench.bench.report.closure.style import FOUND_COLOUR, NOTE_COLOUR, OTHER_COLOUR, TIED_COLOUR
 from gyrobench.bench.report.closure.wording import p_phrase, share_text
@@ -42,7 +42,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
             _note(axes, length, place, p_phrase(each.p_value) if by_chance else _told(each))
         else:
             _note(axes, 0.0, place, f"not tried: lacks {each.lacks}")
-    axes.set_yticks(range(len(closure.evidence)), [spoken(each.effect.name) for each in closure.evidence])
+    axes.set_yticks(range(len(closure.evidence)), [plain_name(each.effect.name) for each in closure.evidence])
     for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
         label.set_color(NOTE_COLOUR if each.lacks else "black")
     axes.set_ylim(len(closure.evidence) - 0.4, -0.6)

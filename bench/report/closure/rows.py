@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.text import listed, spoken
+from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.report.closure.residuals import rests_on_noise, scale_of_errors
 from gyrobench.bench.report.closure.wording import gains_text, odds_text, share_text
 from gyrobench.bench.report.number_format import p_text
@@ -15,9 +15,9 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
     head = ["effect", "gyros", "tied with", "confirmed in cycle", "size", "p"]
     rows = [
         [
-            spoken(each.candidate.effect.name),
+            plain_name(each.candidate.effect.name),
             listed(each.axes),
-            listed([spoken(name) for name in each.tied_with]) or "nothing",
+            listed([plain_name(name) for name in each.tied_with]) or "nothing",
             gains_text(each.gains) or "none",
             scale.text(each.rms_dph),
             p_text(each.p_value),
@@ -43,7 +43,7 @@ def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
         if each.lacks is None:
             name = each.effect.name
             cells = {
-                "effect": spoken(name),
+                "effect": plain_name(name),
                 "": "found" if name in found else "tied" if name in tied else "",
                 "share": share_text(each.share),
                 "p": p_text(each.p_value),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrobench.bench.closure.loop import Closure, whereabouts
-from gyrobench.bench.foundations.text import spoken
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure import wording
 from gyrobench.bench.report.closure.effect_figure import closure_effect_figure
@@ -78,7 +78,7 @@ def _cause(closure: Closure) -> Section | None:
     figures = []
     for each in closure.effects:
         name = each.candidate.effect.name
-        caption = _EFFECT.format(spoken(name).capitalize())
+        caption = _EFFECT.format(plain_name(name).capitalize())
         figures.append(SectionFigure(f"effect_{name}", caption, closure_effect_figure(closure, each)))
     effects = SectionTable(
         f"Size: rms in the dwells searched, without its mean, in {scale_of_errors(closure).unit}. Confirmed: "
@@ -92,7 +92,7 @@ def _cause(closure: Closure) -> Section | None:
 def _sizes(closure: Closure) -> SectionTable:
     scale = scale_of_errors(closure)
     rows = [
-        [spoken(each.candidate.effect.name), term, *map(_size, scale.factor * sizes_dph)]
+        [plain_name(each.candidate.effect.name), term, *map(_size, scale.factor * sizes_dph)]
         for each in closure.effects
         for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
     ]

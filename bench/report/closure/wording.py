@@ -13,7 +13,7 @@ from gyrobench.bench.closure.loop import (
     statement,
     whereabouts,
 )
-from gyrobench.bench.foundations.text import counted, listed, spoken
+from gyrobench.bench.foundations.text import counted, listed, plain_name
 from gyrobench.bench.report.closure.residuals import (
     held_out_cycles,
     noise_dph,
@@ -53,7 +53,7 @@ def p_phrase(p_value: float) -> str:
 
 def found_names(closure: Closure) -> str:
     """Labels of the effects found, as one."""
-    return listed([spoken(each.candidate.effect.name) for each in closure.effects])
+    return listed([plain_name(each.candidate.effect.name) for each in closure.effects])
 
 
 def verdict_sentence(closure: Closure) -> str:
@@ -117,15 +117,15 @@ def runner_up_sentence(closure: Closure) -> str:
     if not names and rests_on_noise(closure):
         best = min(others, key=lambda each: each.p_value)
         return (
-            f"The best of the effects tried is {spoken(best.effect.name)}; chance gives as much as it "
+            f"The best of the effects tried is {plain_name(best.effect.name)}; chance gives as much as it "
             f"explains, alone, with {p_phrase(best.p_value)}."
         )
     if not names:
         return (
-            f"The best of the effects tried, {spoken(best.effect.name)}, takes away "
+            f"The best of the effects tried, {plain_name(best.effect.name)}, takes away "
             f"{share_text(best.share)} of what is beyond the noise, alone."
         )
-    nearest = f"Of the effects not chosen {spoken(best.effect.name)} alone comes nearest"
+    nearest = f"Of the effects not chosen {plain_name(best.effect.name)} alone comes nearest"
     odds = odds_text(best.score_behind).replace(">", "more than ")
     if best.score_behind < _EVEN:
         return f"{nearest}{_share_of(best, closure)}; the data do not prefer {found_names(closure)} to it."
@@ -137,7 +137,7 @@ def lacks_sentences(closure: Closure) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for each in closure.evidence:
         if each.lacks is not None:
-            reasons.setdefault(each.lacks, []).append(spoken(each.effect.name))
+            reasons.setdefault(each.lacks, []).append(plain_name(each.effect.name))
     return [f"Not tried: {listed(names)}, for want of {reason}." for reason, names in reasons.items()]
 
 
@@ -145,8 +145,8 @@ def tie_sentences(closure: Closure) -> list[str]:
     """Say what else it could be and how to find out; or that the data tell."""
     separating = separating_measurement(closure)
     ties = [
-        f"In the place of {spoken(each.candidate.effect.name)}, "
-        f"{listed([spoken(name) for name in each.tied_with])} would do nearly as well: the data prefer "
+        f"In the place of {plain_name(each.candidate.effect.name)}, "
+        f"{listed([plain_name(name) for name in each.tied_with])} would do nearly as well: the data prefer "
         "it by less than 100 to 1."
         for each in closure.effects
         if each.tied_with
@@ -237,10 +237,10 @@ def gains_text(gains: dict[int, float]) -> str:
 
 
 def _either(found: FoundEffect) -> str:
-    name = spoken(found.candidate.effect.name)
+    name = plain_name(found.candidate.effect.name)
     if not found.tied_with:
         return f"{name} for certain"
-    return f"{name} fits best, {listed([spoken(each) for each in found.tied_with])} nearly as well"
+    return f"{name} fits best, {listed([plain_name(each) for each in found.tied_with])} nearly as well"
 
 
 def _evidence_of(found: FoundEffect) -> str:

@@ -16,15 +16,14 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
-from gyrobench.bench.bias.equality import PositionComparison
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
     house_style,
-    mark_paper_limit,
+    mark_temperatures,
     new_figure,
     say_empty,
 )
@@ -50,7 +49,11 @@ class _Panel:
 
 @house_style
 def bias_figure(
-    gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin], span_dph: float = 0.0
+    gyro: str,
+    dwells: Iterable[DwellRow],
+    bins: Iterable[BiasBin],
+    span_dph: float = 0.0,
+    marked_c: Sequence[float] = (),
 ) -> Figure:
     """Draw one gyro's bias against its own temperature, a line for each position.
 
@@ -69,6 +72,8 @@ def bias_figure(
     span_dph : float
         What the axis spans at least: figures with the same span have the same scale; see
         :func:`bias_span_dph`.
+    marked_c : sequence of float
+        Temperatures in degC to mark with a line.
     """
     both = _both_panels(gyro, dwells, bins)
     panels = both[:1] if both[1].is_empty else both
@@ -76,7 +81,7 @@ def bias_figure(
     figure = new_figure(4.2)
     all_axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, panel in zip(all_axes, panels, strict=True):
-        _draw_panel(axes, AXES.index(gyro), panel, scale)
+        _draw_panel(axes, AXES.index(gyro), panel, scale, marked_c)
         axes.set(xlabel="temperature of the gyro / °C")
     all_axes[0].set(ylabel=f"bias / ({scale.unit})")
     _widen(all_axes[0], span_dph * scale.factor)
@@ -131,13 +136,13 @@ def _scale(axis: int, panels: Iterable[_Panel]) -> BiasScale:
     return BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
 
 
-def _draw_panel(axes: Axes, axis: int, panel: _Panel, scale: BiasScale) -> None:
+def _draw_panel(axes: Axes, axis: int, panel: _Panel, scale: BiasScale, marked_c: Sequence[float]) -> None:
     axes.set_title(panel.estimator)
     for position in POSITIONS:
         _draw_dwells(axes, axis, [row for row in panel.dwells if row.position == position], scale)
         draw_bins(axes, [each for each in panel.bins if each.position == position], scale)
     if not panel.is_empty:
-        mark_paper_limit(axes, along="x")
+        mark_temperatures(axes, "x", marked_c)
 
 
 def _draw_dwells(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> None:
@@ -178,7 +183,9 @@ def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
 
 
 @house_style
-def before_after_figure(gyro: str, before: Sequence[BiasBin], after: Sequence[BiasBin]) -> Figure:
+def before_after_figure(
+    gyro: str, before: Sequence[BiasBin], after: Sequence[BiasBin], marked_c: Sequence[float] = ()
+) -> Figure:
     """Draw one gyro's bias against its temperature, a line for each position, a panel for each run.
 
     Parameters
@@ -187,6 +194,8 @@ def before_after_figure(gyro: str, before: Sequence[BiasBin], after: Sequence[Bi
         Which gyro.
     before, after : sequence of BiasBin
         Of the two runs; those of other gyros are left out.
+    marked_c : sequence of float
+        Temperatures in degC to mark with a line.
     """
     runs = [[each for each in bins if each.gyro == gyro and not each.is_empty] for bins in (before, after)]
     scale = scale_of_bins([each for bins in runs for each in bins])
@@ -202,7 +211,7 @@ def before_after_figure(gyro: str, before: Sequence[BiasBin], after: Sequence[Bi
     handles: dict[str, Artist] = {}
     for axes in panels:
         if any(runs):
-            mark_paper_limit(axes, along="x")
+            mark_temperatures(axes, "x", marked_c)
         lines, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
     if handles:
@@ -215,7 +224,9 @@ _LIMIT_COLOUR = "#b3261e"
 
 @house_style
 def position_difference_figure(
-    comparisons: Sequence[PositionComparison], limit_dph: float | None = None
+    comparisons: Sequence[PositionComparison],
+    limit_dph: float | None = None,
+    marked_c: Sequence[float] = (),
 ) -> Figure:
     """Draw the largest difference between positions in every bin of the three gyros.
 
@@ -242,7 +253,7 @@ def position_difference_figure(
         axes.set_ylim(bottom=0.0)
         if limit_dph is not None:
             _mark_limit(axes, limit_dph * scale.factor)
-        mark_paper_limit(axes, along="x")
+        mark_temperatures(axes, "x", marked_c)
         figure.legend(loc="outside upper center", ncols=len(AXES))
     else:
         say_empty(axes, "no bin holds dwells of two positions")

@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
 from gyrobench.bench.report.number_format import BiasScale, p_text
-from gyrobench.bench.runs.index_trend import Trend, months_since_first
+from gyrobench.bench.runs.index.run_biases import Trend, months_since_first
 
 _BRIGHT_ABOVE = 0.6
 _INCH_A_ROW = 0.42

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
-from gyrobench.bench.bias.uniformity import uniformity_band
+from gyrobench.bench.bias.statistics import uniformity_band
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     POSITION_STYLES,
     house_style,
-    mark_paper_limit,
+    mark_temperatures,
     new_figure,
     say_empty,
 )
@@ -27,7 +27,7 @@ _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 
 
 @house_style
-def estimators_figure(dwells: Iterable[DwellRow]) -> Figure:
+def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()) -> Figure:
     """Draw the difference of the two estimates of every dwell against the gyro's temperature.
 
     Bars are the uncertainties of both combined. Both come from the same data, so noise alone
@@ -37,6 +37,8 @@ def estimators_figure(dwells: Iterable[DwellRow]) -> Figure:
     ----------
     dwells : iterable of DwellRow
         Dwells with flags, or without the paper's estimate, are left out.
+    marked_c : sequence of float
+        Temperatures in degC to mark with a line.
     """
     both = with_both(dwells)
     pairs = [pair for row in both for pair in differences_dph(row)]
@@ -46,7 +48,7 @@ def estimators_figure(dwells: Iterable[DwellRow]) -> Figure:
     for axis, (gyro, axes) in enumerate(zip(AXES, panels, strict=True)):
         axes.set_title(gyro_label(gyro))
         axes.axhline(0.0, color="#444444", linewidth=0.9)
-        _draw_estimator_differences(axes, axis, both, scale)
+        _draw_estimator_differences(axes, axis, both, scale, marked_c)
     panels[0].set_ylabel(f"{PAPER} less\n{STATE_SPACE} / ({scale.unit})")
     panels[1].set_xlabel("temperature of the gyro / °C")
     if both:
@@ -68,7 +70,9 @@ def differences_dph(row: DwellRow) -> list[tuple[float, float]]:
     return [(paper - bias, math.hypot(sigma, paper_sigma)) for bias, sigma, paper, paper_sigma in both]
 
 
-def _draw_estimator_differences(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> None:
+def _draw_estimator_differences(
+    axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale, marked_c: Sequence[float]
+) -> None:
     temperatures = [row.gyro_c[axis] for row in rows]
     dodge_c = _DODGE * (max(temperatures, default=0.0) - min(temperatures, default=0.0))
     for place, (position, style) in enumerate(POSITION_STYLES.items()):
@@ -89,7 +93,7 @@ def _draw_estimator_differences(axes: Axes, axis: int, rows: Sequence[DwellRow],
             )
             bars[0].set_alpha(0.4)
     if rows:
-        mark_paper_limit(axes, along="x")
+        mark_temperatures(axes, "x", marked_c)
 
 
 #: The band that leaves out as much as the test of the text rejects.

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from gyrobench.bench.bias.noise.estimate import ChannelNoise, NoiseEstimate, NoiseParameter
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate, NoiseParameter
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure, say_empty

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -18,8 +18,6 @@ from gyrobench.bench.foundations.files import write_whole
 
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2
-#: Below this temperature of the gyros the paper's positions part.
-PAPER_LIMIT_C = 50.0
 
 #: Decorator for all that draws, so that neither a matplotlibrc nor other code has a say.
 house_style = matplotlib.style.context(
@@ -96,24 +94,23 @@ def say_empty(axes: Axes, message: str) -> None:
     axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", va="center", color="#666666")
 
 
-def mark_paper_limit(axes: Axes, along: Literal["x", "y"]) -> None:
-    """Mark 50 degC on a temperature axis; one that is far from it is not stretched for that."""
-    low, high = axes.get_xlim() if along == "x" else axes.get_ylim()
-    if not low < PAPER_LIMIT_C < high:
-        return
-    line = axes.axvline(PAPER_LIMIT_C) if along == "x" else axes.axhline(PAPER_LIMIT_C)
-    line.set(color="#444444", linewidth=0.9, linestyle=(0, (6, 3)), zorder=1.5)
-    at, offset = ((PAPER_LIMIT_C, 1.0), (2, -8)) if along == "x" else ((1.0, PAPER_LIMIT_C), (-2, 2))
-    axes.annotate(
-        f"{PAPER_LIMIT_C:g} °C",
-        at,
-        offset,
-        xycoords=axes.get_xaxis_transform() if along == "x" else axes.get_yaxis_transform(),
-        textcoords="offset points",
-        horizontalalignment="left" if along == "x" else "right",
-        color="#444444",
-        fontsize=7,
-    )
+def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[float]) -> None:
+    """Draw lines at temperatures in degC that lie inside the limits of a temperature axis."""
+    is_x = along == "x"
+    low, high = axes.get_xlim() if is_x else axes.get_ylim()
+    for temperature_c in (each for each in marked_c if low < each < high):
+        line = (axes.axvline if is_x else axes.axhline)(temperature_c)
+        line.set(color="#444444", linewidth=0.9, linestyle=(0, (6, 3)), zorder=1.5)
+        axes.annotate(
+            f"{temperature_c:g} °C",
+            (temperature_c, 1.0) if is_x else (1.0, temperature_c),
+            (2, -8) if is_x else (-2, 2),
+            xycoords=axes.get_xaxis_transform() if is_x else axes.get_yaxis_transform(),
+            textcoords="offset points",
+            horizontalalignment="left" if is_x else "right",
+            color="#444444",
+            fontsize=7,
+        )
 
 
 @house_style

@@ -28,7 +28,7 @@ from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
     house_style,
-    mark_paper_limit,
+    mark_temperatures,
     new_figure,
     say_empty,
 )
@@ -51,7 +51,9 @@ class _Stay:
 
 
 @house_style
-def temperature_figure(telemetry: Readings, dwells: Iterable[DwellRow]) -> Figure:
+def temperature_figure(
+    telemetry: Readings, dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
+) -> Figure:
     """Draw the temperatures of a run over time, and its dwells: what the paper's Fig. 7 plans, measured.
 
     Parameters
@@ -61,6 +63,8 @@ def temperature_figure(telemetry: Readings, dwells: Iterable[DwellRow]) -> Figur
     dwells : iterable of DwellRow
         Where the bands are; dwells with flags are drawn hollow in the lower panel. Without any there
         is no lower panel.
+    marked_c : sequence of float
+        Temperatures in degC to mark with a line.
     """
     stays = [_Stay(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
     time_s = telemetry.get("time_s", np.empty(0))
@@ -83,7 +87,7 @@ def temperature_figure(telemetry: Readings, dwells: Iterable[DwellRow]) -> Figur
         draw(
             f"board_{gyro}_c", f"{gyro_label(gyro)}, electronics", color=colour, linestyle=line, linewidth=0.5
         )
-    _finish_temperatures(figure, axes)
+    _finish_temperatures(figure, axes, marked_c)
     return figure
 
 
@@ -96,7 +100,7 @@ def plan_figure(plan: Plan) -> Figure:
     _draw_stays(figure, [_Stay(*span) for span in position_spans(plan)], unit_s)
     axes.plot(time_s / unit_s, chamber_c, label="chamber, ramped set point", color="#777777", linewidth=1.6)
     axes.plot(time_s / unit_s, gyro_c, label="gyros, predicted", color=GYRO_STYLES["x"][0])
-    _finish_temperatures(figure, axes)
+    _finish_temperatures(figure, axes, plan.procedure.marked_temperatures_c)
     return figure
 
 
@@ -137,9 +141,9 @@ def _draw_stays(figure: Figure, stays: Iterable[_Stay], unit_s: float) -> None:
         )
 
 
-def _finish_temperatures(figure: Figure, axes: Axes) -> None:
+def _finish_temperatures(figure: Figure, axes: Axes, marked_c: Sequence[float]) -> None:
     if axes.lines:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
-        mark_paper_limit(axes, along="y")
+        mark_temperatures(axes, "y", marked_c)
     else:
         say_empty(axes, "no temperatures recorded")

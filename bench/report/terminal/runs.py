@@ -11,8 +11,8 @@ from rich.text import Text
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.report.number_format import BiasScale, p_text
 from gyrobench.bench.report.terminal.tables import plain_table
-from gyrobench.bench.runs.index import QueryResult
-from gyrobench.bench.runs.index_trend import FALSE_ALARM, Trend
+from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, Trend
+from gyrobench.bench.runs.index.run_index import QueryResult
 
 _FINISHED = "finished"
 _CELL_CHARACTERS = 40

@@ -10,8 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
@@ -75,7 +74,7 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
     bins : sequence of BiasBin
         Of one unit.
     comparisons : sequence of PositionComparison
-        What :func:`gyrobench.bench.bias.equality.compare_positions` makes of them.
+        What :func:`gyrobench.bench.bias.bins.compare_positions` makes of them.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))

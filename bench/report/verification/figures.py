@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, ComparisonRow
 from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
 from gyrobench.bench.report.verification.wording import LABELS
+from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, ComparisonRow
 
 #: Colour and line of each compensation.
 STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.closure.wording import verdict_sentence
@@ -19,6 +18,7 @@ from gyrobench.bench.report.verification.wording import (
     outcome,
     outcome_sentence,
 )
+from gyrobench.bench.verification.comparison import Comparison
 
 #: Colours of the template's box, by judgement.
 _COLOURS = {CONFIRMED: "finished", BETTER: "stopped", NOT_CONFIRMED: "failed", NOTHING_TO_TELL: "stopped"}

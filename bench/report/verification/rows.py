@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gyrobench.bench.dwells.comparison import Comparison, ComparisonRow
 from gyrobench.bench.report.verification.wording import LABELS
+from gyrobench.bench.verification.comparison import Comparison, ComparisonRow
 
 #: Sizes of a row, with the units of :data:`UNITS`.
 SIZES = ("bias", "varying", "spread", "V_E", "24 h")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.verification import wording
 from gyrobench.bench.report.verification.figures import day_figure, leftovers_figure
 from gyrobench.bench.report.verification.rows import SIZES, UNITS, stop_rows, total_rows
+from gyrobench.bench.verification.comparison import Comparison
 
 _LEFTOVERS = (
     "What each compensation leaves at each stop of the chamber. The black lines are what the noise alone "

@@ -10,7 +10,6 @@ from rich.text import Text
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.closure.wording import verdict_sentence
@@ -24,6 +23,7 @@ from gyrobench.bench.report.verification.wording import (
     outcome_sentence,
     reading_sentences,
 )
+from gyrobench.bench.verification.comparison import Comparison
 
 
 def verify_plan(

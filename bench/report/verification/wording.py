@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import LEFT_OVER_P, Closure
-from gyrobench.bench.dwells.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
-from gyrobench.bench.foundations.text import listed, spoken
+from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.report.closure.wording import found_names, p_phrase, size_text
+from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, Leftover
 
 #: The compensations as people read them.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
@@ -47,7 +47,7 @@ def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> li
     lows, highs = declared.low_c.min(), declared.high_c.max()
     limits = f"Temperatures outside the fitted ones, {lows:.0f} to {highs:.0f} °C, are held at these."
     if EFFECT in models:
-        effects = listed([spoken(name) for name in models[EFFECT].effects])
+        effects = listed([plain_name(name) for name in models[EFFECT].effects])
         what = f"Two compensations: the declared model, a polynomial for each gyro, and one with {effects}."
     elif closure.effects:
         what = f"One compensation, the declared model: of {found_names(closure)} there is nothing to load."

@@ -1,19 +1,54 @@
-"""What an emulated INS puts on the bus and understands there, one module a set of frames."""
+"""The sets of CAN frames of an emulated INS, one module a set, and what they have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from types import MappingProxyType
+from typing import Protocol
 
-from gyrobench.drivers.emulators.can_formats.can_format import CanFormat
-from gyrobench.drivers.emulators.can_formats.canaerospace import CanaerospaceFormat
-from gyrobench.drivers.emulators.can_formats.gyrobench_ins import GyrobenchFormat
-from gyrobench.drivers.emulators.can_formats.sbg import SbgFormat
-from gyrobench.drivers.emulators.world.world import World
+import can
 
-#: Makes each set of frames, by the name of its DBC file: given the world, and calendar time at its zero.
-CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
-    {"gyrobench_ins": GyrobenchFormat, "sbg": SbgFormat, "canaerospace": CanaerospaceFormat}
-)
+from gyrobench.drivers.emulators.world.inertial_unit import Epochs, InertialUnit
 
-__all__ = ["CAN_FORMATS", "CanFormat"]
+#: Time that a frame takes on the bus.
+FRAME_S = 0.00025
+
+
+class CanFormat(Protocol):
+    """A set of frames; made from the world, whose unit is the INS, and the calendar time at its time zero."""
+
+    def frames(self, epochs: Epochs) -> list[can.Message]:
+        """Encode the output of the INS at these epochs, in order of sending."""
+        ...
+
+    def receive(self, message: can.Message) -> None:
+        """Take a standard data frame; unknown ones are ignored."""
+        ...
+
+    def reset_counters(self) -> None:
+        """Reset all counters, as at power-on."""
+        ...
+
+    def skip_epochs(self, count: int) -> None:
+        """Make the epoch counter jump, if there is one."""
+        ...
+
+
+def execute_command(unit: InertialUnit, command: int, argument: int = 0) -> None:
+    """Execute a numbered command of the bench; unknown ones are ignored."""
+    match command:
+        case 1:
+            unit.standby()
+        case 2:
+            unit.align()
+        case 3:
+            unit.navigate()
+        case 4 if argument in (0, 1):
+            unit.pitch_first = argument == 1
+        case 5:
+            unit.clear_compensation()
+        case 6:
+            unit.apply_compensation()
+
+
+def frame(time_s: float, identifier: int, data: bytes) -> can.Message:
+    """Make a standard data frame."""
+    return can.Message(timestamp=time_s, arbitration_id=identifier, data=data, is_extended_id=False)

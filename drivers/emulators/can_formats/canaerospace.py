@@ -1,8 +1,8 @@
-"""CANaerospace frames, version 1.7: big-endian, one number a frame, with a counter of its own.
+"""CANaerospace frames, version 1.7: big-endian, one number a frame, with a separate counter.
 
 Byte 0 is the node, byte 1 the type of data, byte 2 the service, byte 3 the message code: a counter, 0 to
 255, that shows lost frames; the number follows. Mode, gyro temperatures and the bench's command have
-identifiers that the standard leaves to the user.
+user-defined identifiers.
 
 References
 ----------
@@ -16,7 +16,7 @@ import struct
 import can
 import numpy as np
 
-from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
+from gyrobench.drivers.emulators.can_formats import FRAME_S, execute_command, frame
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs
 from gyrobench.drivers.emulators.world.strapdown import euler_output
 from gyrobench.drivers.emulators.world.world import World
@@ -33,28 +33,28 @@ _ZERO_C_IN_K = 273.15
 
 
 class CanaerospaceFormat:
-    """Packs and understands them; a :class:`gyrobench.drivers.emulators.can_formats.can_format.CanFormat`."""
+    """Encodes and decodes them; a :class:`gyrobench.drivers.emulators.can_formats.CanFormat`."""
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
-        self.count_anew()
+        self.reset_counters()
 
-    def count_anew(self) -> None:
-        """Begin all message codes at zero, as switching on does."""
+    def reset_counters(self) -> None:
+        """Reset all message codes, as at power-on."""
         self._codes: dict[int, int] = {}
 
     def skip_epochs(self, count: int) -> None:
-        """Let the message codes jump."""
+        """Make the message codes jump."""
         self._codes = {identifier: code + count for identifier, code in self._codes.items()}
 
     def receive(self, message: can.Message) -> None:
         """Take a command of the bench."""
         if message.arbitration_id == BENCH_COMMAND and len(message.data) == 8:
-            obey(self._world.unit, message.data[7])
+            execute_command(self._world.unit, message.data[7])
 
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Pack the epochs, and before those of a whole second the slow frames."""
+        """Encode the epochs, and at each whole second first the slow frames."""
         messages: list[can.Message] = []
         output = euler_output(epochs.states, pitch_first=False)
         for sample, (north, east, roll, pitch, heading) in zip(

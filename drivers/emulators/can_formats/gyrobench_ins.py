@@ -1,8 +1,8 @@
 """The frames of gyrobench_ins.dbc.
 
 Each navigation epoch is three frames (velocity, roll and pitch, heading with the epoch counter);
-each whole second begins with the time, status and temperature frames. They are packed here by
-hand, in the byte layout that the DBC describes.
+each whole second starts with the time, status and temperature frames. They are encoded here without the
+DBC, as an independent check of its layout.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import struct
 import can
 import numpy as np
 
-from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
-from gyrobench.drivers.emulators.world.compensation import NUMBERS, checksum
+from gyrobench.drivers.emulators.can_formats import FRAME_S, execute_command, frame
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
 from gyrobench.drivers.emulators.world.world import World
 
@@ -38,43 +38,33 @@ _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
 
 class GyrobenchFormat:
-    """Packs and understands them.
-
-    Parameters
-    ----------
-    world : World
-        Its unit is this INS.
-    epoch_unix_s : float
-        Calendar time at world time zero, for the frames' time stamps.
-    """
+    """Encodes and decodes them; a :class:`gyrobench.drivers.emulators.can_formats.CanFormat`."""
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
-        self.count_anew()
+        self.reset_counters()
 
-    def count_anew(self) -> None:
-        """Begin all counters at zero, as switching on does."""
+    def reset_counters(self) -> None:
+        """Reset all counters, as at power-on."""
         self._epoch_counter = self._status_counter = 0
 
     def skip_epochs(self, count: int) -> None:
-        """Let the epoch counter jump."""
+        """Make the epoch counter jump."""
         self._epoch_counter = (self._epoch_counter + count) & 0xFFFF
 
     def receive(self, message: can.Message) -> None:
-        """Take a command, or a number of the compensation."""
+        """Take a command, or a coefficient of the compensation."""
         data = bytes(message.data)
         if message.arbitration_id == INS_COMMAND and len(data) >= 2:
-            obey(self._world.unit, data[0], data[1])
+            execute_command(self._world.unit, data[0], data[1])
         elif message.arbitration_id == COMPENSATION_NUMBER and len(data) == 8:
-            self._number(*struct.unpack("<BBxxf", data))
-
-    def _number(self, axis: int, index: int, value: float) -> None:
-        if axis < 3 and index < NUMBERS and np.isfinite(value):
-            self._world.unit.loaded[axis, index] = value
+            axis, index, value = struct.unpack("<BBxxf", data)
+            if axis < 3 and index < COEFFICIENTS and np.isfinite(value):
+                self._world.unit.loaded_table[axis, index] = value
 
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Pack the epochs, and before those of a whole second the slow frames."""
+        """Encode the epochs, and at each whole second first the slow frames."""
         scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
         scaled = scaled.clip(_INT32_MIN, _INT32_MAX)
         valid = 1 if epochs.mode is Mode.NAVIGATE or epochs.alignment else 0
@@ -103,9 +93,9 @@ class GyrobenchFormat:
         self._status_counter = (counter + 1) & 0xFFFF
         height = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
         align_s = min(int(unit.align_time_s), 0xFFFF)
-        in_use = unit.compensation
-        status = (epochs.mode, int(unit.pitch_first), align_s, 0 if in_use is None else 1, 0, counter)
-        checksums = (0 if in_use is None else in_use.checksum, checksum(unit.loaded))
+        applied = unit.compensation
+        status = (epochs.mode, int(unit.pitch_first), align_s, 0 if applied is None else 1, 0, counter)
+        checksums = (0 if applied is None else applied.checksum, checksum(unit.loaded_table))
         slow = (
             (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),
             (HEIGHT_VELOCITY_D, _TWO_INTS.pack(height, 0)),

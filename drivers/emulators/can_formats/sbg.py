@@ -1,6 +1,6 @@
 """The frames of sbg.dbc: those of SBG Systems' Ellipse, Ekinox and Quanta, little-endian.
 
-Each navigation epoch is EKF_INFO with the time, EKF_QUAT and EKF_VEL_NED; each whole second begins with
+Each navigation epoch is EKF_INFO with the time, EKF_QUAT and EKF_VEL_NED; each whole second starts with
 the status and the temperature. A real one takes no commands on CAN: a gateway beside it does, with
 BENCH_COMMAND, and so does this one.
 
@@ -17,7 +17,7 @@ import can
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.emulators.can_formats.can_format import FRAME_S, frame, obey
+from gyrobench.drivers.emulators.can_formats import FRAME_S, execute_command, frame
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
 
@@ -33,29 +33,29 @@ _INT16_MAX = 32767
 _US_PER_SAMPLE = 1_000_000 // SAMPLE_RATE_HZ
 _UNINITIALISED, _AHRS, _NAV_VELOCITY = 0, 2, 3
 _ATTITUDE_VALID, _HEADING_VALID, _VELOCITY_VALID, _ALIGN_VALID = 1 << 4, 1 << 5, 1 << 6, 1 << 27
-_IMU_IS_WELL = 0x3FF
+_IMU_OK = 0x3FF
 
 
 class SbgFormat:
-    """Packs and understands them; a :class:`gyrobench.drivers.emulators.can_formats.can_format.CanFormat`."""
+    """Encodes and decodes them; a :class:`gyrobench.drivers.emulators.can_formats.CanFormat`."""
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
 
-    def count_anew(self) -> None:
+    def reset_counters(self) -> None:
         """There are no counters."""
 
     def skip_epochs(self, count: int) -> None:
-        """There is no counter that could jump."""
+        """There are no counters."""
 
     def receive(self, message: can.Message) -> None:
         """Take a command of the gateway."""
         if message.arbitration_id == BENCH_COMMAND and len(message.data) >= 1:
-            obey(self._world.unit, message.data[0])
+            execute_command(self._world.unit, message.data[0])
 
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Pack the epochs, and before those of a whole second the slow frames."""
+        """Encode the epochs, and at each whole second first the slow frames."""
         quaternions = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX).astype(int)
         north_east = np.rint(100.0 * epochs.states[:, [5, 4]]).clip(-_INT16_MAX, _INT16_MAX).astype(int)
         messages: list[can.Message] = []
@@ -77,7 +77,7 @@ class SbgFormat:
     def _imu_info(self, stamp_us: int) -> bytes:
         optics_c = self._world.temperatures_c()[1:4]
         centidegrees = int(np.rint(100.0 * optics_c.mean()).clip(-_INT16_MAX, _INT16_MAX))
-        return _IMU_INFO.pack(stamp_us, _IMU_IS_WELL, centidegrees)
+        return _IMU_INFO.pack(stamp_us, _IMU_OK, centidegrees)
 
 
 def _forward_right_down(quaternions: FloatArray) -> FloatArray:
@@ -87,7 +87,7 @@ def _forward_right_down(quaternions: FloatArray) -> FloatArray:
 
 
 def _solution(epochs: Epochs) -> int:
-    """Solution status: mode in bits 0 to 3, what is valid above."""
+    """Solution status: mode in bits 0 to 3, validity flags above."""
     mode = {Mode.ALIGN: _AHRS, Mode.NAVIGATE: _NAV_VELOCITY}.get(epochs.mode, _UNINITIALISED)
     if epochs.mode is Mode.NAVIGATE:
         mode |= _ATTITUDE_VALID | _HEADING_VALID | _VELOCITY_VALID

@@ -1,6 +1,6 @@
-"""Faults that the emulators inject: what, when, for how long, how often.
+"""Faults that the emulators inject from a list: what fails, when, for how long and how often.
 
-A list of faults (:mod:`document`) is one entry a fault. Its :class:`~.timing.Timing` says when, a
-:class:`~.schedule.Schedule` works that out, and the :class:`~.injector.Injector` carries it out on
-the emulated bench, through wrappers around the real emulators. Without a list no wrapper exists.
+A :class:`~.fault_list.FaultList` has one entry a fault. The :class:`~.injector.Injector` schedules the
+entries and carries them out on the emulated bench, through wrappers around the real emulators
+(:mod:`~.faulty_lines`). Without a list no wrapper exists.
 """

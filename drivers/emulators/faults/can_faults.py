@@ -1,7 +1,7 @@
 """Faults of the CAN bus.
 
-A disturbance of frames touches the next ``frames`` that have one of the ``ids``, or with ``for_s`` the
-``share`` of them that come in that time.
+A disturbance affects the next ``frames`` that have one of the ``ids``, or with ``for_s`` the ``share`` of
+them in that time.
 """
 
 from __future__ import annotations
@@ -16,17 +16,16 @@ from pydantic import Field
 from typing_extensions import override
 
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
-from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from gyrobench.drivers.emulators.faults.faulty_can import FaultyCan, FrameFilter
-from gyrobench.drivers.emulators.faults.timing import Count, Lasting
+from gyrobench.drivers.emulators.faults.fault import BenchParts, Count, End, Fault, Occurrence, Persistence
+from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FrameFilter
 
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
-#: Bits of a data frame with eight bytes, stuff bits and the gap after it among them.
+#: Bits of a data frame with eight bytes, with stuff bits and interframe space.
 _FRAME_BITS = 130.0
 
 
 def filter_while(bus: FaultyCan, frame_filter: FrameFilter) -> End:
-    """Let the frames go through a filter until the fault ends."""
+    """Filter the frames until the fault ends."""
     bus.filters.append(frame_filter)
     return partial(bus.filters.remove, frame_filter)
 
@@ -34,31 +33,31 @@ def filter_while(bus: FaultyCan, frame_filter: FrameFilter) -> End:
 class FrameFault(Fault):
     """A disturbance of some frames."""
 
-    lasting: ClassVar[Lasting] = Lasting.UNTIL_USED
+    persistence: ClassVar[Persistence] = Persistence.UNTIL_USED
 
-    frames: Count = Field(1, description="without for_s: how many frames it touches")
-    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="with for_s: the share of frames")
-    ids: Annotated[list[Identifier], Field(min_length=1)] | None = Field(None, description="these ids alone")
+    frames: Count = Field(1, description="without for_s: number of affected frames")
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="with for_s: share of frames")
+    ids: Annotated[list[Identifier], Field(min_length=1)] | None = Field(None, description="only these ids")
 
     def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
-        """Add to what has arrived in this stretch of time what arrives of this frame."""
+        """Append what arrives of this frame to the frames that have arrived so far."""
         raise NotImplementedError
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        left = self.frames
+        remaining = self.frames
 
         def frame_filter(messages: list[can.Message]) -> list[can.Message]:
-            nonlocal left
+            nonlocal remaining
             arrived: list[can.Message] = []
             for message in messages:
-                if (left > 0 or self.for_s is not None) and self._picks(message, occurrence.random):
-                    left -= 1
+                if (remaining > 0 or self.for_s is not None) and self._picks(message, occurrence.random):
+                    remaining -= 1
                     occurrence.record()
                     self.arrive(arrived, message, occurrence.random)
                 else:
                     arrived.append(message)
-            if left == 0 and self.for_s is None:
+            if remaining == 0 and self.for_s is None:
                 bench.bus.filters.remove(frame_filter)
             return arrived
 
@@ -105,7 +104,7 @@ class FramesCorrupted(FrameFault):
     """Bits of the data are wrong."""
 
     fault: Literal["frames_corrupted"]
-    bits: int = Field(default=1, ge=1, le=8, description="how many bits of the data are wrong")
+    bits: int = Field(default=1, ge=1, le=8, description="number of wrong bits")
 
     @override
     def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
@@ -120,10 +119,10 @@ class FramesCorrupted(FrameFault):
 class CounterJump(Fault):
     """The INS's epoch counter jumps; no epoch is lost."""
 
-    lasting: ClassVar[Lasting] = Lasting.MOMENT
+    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
 
     fault: Literal["counter_jump"]
-    by: int = Field(ge=1, le=65535, description="how far the epoch counter jumps")
+    by: int = Field(ge=1, le=65535, description="size of the jump, epochs")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -133,10 +132,10 @@ class CounterJump(Fault):
 
 
 class TimeStampJump(Fault):
-    """The time stamps that the receiver gives to frames are wrong."""
+    """The receiver's time stamps of the frames are wrong."""
 
     fault: Literal["time_stamp_jump"]
-    by_s: float = Field(description="how wrong the time stamps are, s")
+    by_s: float = Field(description="error of the time stamps, s")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -150,19 +149,19 @@ class TimeStampJump(Fault):
 
 
 class BusOff(Fault):
-    """The bench's CAN controller leaves the bus; after ``for_s`` it can be opened anew."""
+    """The bench's CAN controller goes bus-off; after ``for_s`` it can be reopened."""
 
     fault: Literal["bus_off"]
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.bus.connection.cut()
+        bench.bus.connection.disconnect()
         occurrence.record()
-        return bench.bus.connection.mend
+        return bench.bus.connection.reconnect
 
 
 class SecondNode(Fault):
-    """Another INS with the same ids is on the bus: it repeats what it once sent, with counters of its own."""
+    """Another INS with the same ids is on the bus: it repeats old data with its own counters."""
 
     fault: Literal["second_node"]
 
@@ -189,13 +188,13 @@ class SecondNode(Fault):
 
 
 class ForeignFrames(Fault):
-    """Frames of other nodes fill the bus, as many as its bit rate carries beside the INS's own."""
+    """Frames of other nodes load the bus, as many as its bit rate allows beside the INS's frames."""
 
     fault: Literal["foreign_frames"]
-    load: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="share of the bus that is in use")
-    bitrate: int = Field(default=500_000, ge=10_000, le=1_000_000, description="of the bus, bit/s")
+    load: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="bus load, 1 for a full bus")
+    bitrate: int = Field(default=500_000, ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")
     first_id: int = Field(default=0x300, ge=0, le=0x700, description="lowest identifier of their frames")
-    nodes: Annotated[int, Field(ge=1, le=256)] = Field(64, description="how many ids, from first_id on")
+    nodes: Annotated[int, Field(ge=1, le=256)] = Field(64, description="number of ids, from first_id on")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -207,7 +206,7 @@ class ForeignFrames(Fault):
             nonlocal free_from_s, sent
             arriving: list[can.Message] = []
             for message in messages:
-                # After a silence of the INS the others are taken up from its next frame on.
+                # After a silence of the INS the other frames resume one second before its next frame.
                 free_from_s = max(free_from_s, message.timestamp - 1.0)
                 while free_from_s + frame_s < message.timestamp:
                     identifier = self.first_id + sent % self.nodes

@@ -10,16 +10,15 @@ from pydantic import Field
 from typing_extensions import override
 
 from gyrobench.drivers.emulators.dialect import WithAlarms, WithSensor
-from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from gyrobench.drivers.emulators.faults.timing import Lasting
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
-from gyrobench.drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
 
 class ControlFault(Fault):
-    """The air is held beside its set point."""
+    """The air is held off its set point."""
 
-    by_c: Positive = Field(description="by how much the set point is missed, K")
+    by_c: Positive = Field(description="offset from the set point, K")
 
     def direction(self, air: ChamberAir) -> float:
         """Sign of the error."""
@@ -30,11 +29,7 @@ class ControlFault(Fault):
         faults = bench.world.air.faults
         faults.error_c = math.copysign(self.by_c, self.direction(bench.world.air))
         occurrence.record()
-
-        def end() -> None:
-            faults.error_c = 0.0
-
-        return end
+        return partial(setattr, faults, "error_c", 0.0)
 
 
 class TemperatureNotReached(ControlFault):
@@ -48,7 +43,7 @@ class TemperatureNotReached(ControlFault):
 
 
 class TemperatureOvershoots(ControlFault):
-    """The air goes ``by_c`` beyond its set point, in the direction in which it is on its way."""
+    """The air goes ``by_c`` beyond its set point, in the direction of its approach."""
 
     fault: Literal["temperature_overshoots"]
 
@@ -58,49 +53,47 @@ class TemperatureOvershoots(ControlFault):
 
 
 class ChamberSensorError(Fault):
-    """The controller's sensor fails for ``for_s`` and it stops; the error is latched until it is cleared."""
+    """The controller's sensor fails for ``for_s`` and control stops; the error is latched until cleared."""
 
     fault: Literal["chamber_sensor_error"]
     error: Annotated[int, Field(ge=1, le=10)] = Field(1, description="number in register 101")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("chamber", WithSensor)
+        bench.capable("chamber", WithSensor)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.able("chamber", WithSensor)
+        chamber = bench.capable("chamber", WithSensor)
         chamber.break_sensor(self.error)
         occurrence.record()
-        return chamber.mend_sensor
+        return chamber.repair_sensor
 
 
 class ChamberAlarm(Fault):
-    """An alarm of the controller; its cause lasts ``for_s``, the alarm until it is cleared after that."""
+    """An alarm of the controller; its condition lasts ``for_s``, the alarm until it is cleared after that."""
 
     fault: Literal["chamber_alarm"]
     alarm: Literal[1, 2] = Field(default=1, description="number of the alarm")
-    state: Literal["high", "low"] = Field(default="high", description="which limit it tells of")
+    state: Literal["high", "low"] = Field(default="high", description="the violated limit")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("chamber", WithAlarms)
+        bench.capable("chamber", WithAlarms)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.able("chamber", WithAlarms)
+        chamber = bench.capable("chamber", WithAlarms)
         chamber.raise_alarm(self.alarm, self.state == "high")
         occurrence.record()
         return partial(chamber.end_alarm, self.alarm)
 
 
 class DoorOpened(Fault):
-    """The door is opened for ``for_s``: the air jumps towards the room's temperature and drifts there."""
+    """The door is opened for ``for_s``: the air jumps towards the room's temperature and drifts to it."""
 
     fault: Literal["door_opened"]
-    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
-        0.3, description="part of the way it jumps at once"
-    )
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(0.3, description="share of the jump at once")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -108,15 +101,11 @@ class DoorOpened(Fault):
         air.disturb(self.share * (air.parameters.ambient_c - air.air_c))
         air.faults.door_open = True
         occurrence.record()
-
-        def end() -> None:
-            air.faults.door_open = False
-
-        return end
+        return partial(setattr, air.faults, "door_open", False)
 
 
 class SwitchedOffAtPanel(Fault):
-    """Somebody switches the machinery off at the chamber; the controller goes on as if it ran."""
+    """An operator switches heater and compressor off at the chamber; the controller keeps running."""
 
     fault: Literal["switched_off_at_panel"]
 
@@ -125,17 +114,13 @@ class SwitchedOffAtPanel(Fault):
         faults = bench.world.air.faults
         faults.stopped = True
         occurrence.record()
-
-        def end() -> None:
-            faults.stopped = False
-
-        return end
+        return partial(setattr, faults, "stopped", False)
 
 
 class SetPointChangedAtPanel(Fault):
-    """Somebody enters another set point at the chamber's controller."""
+    """An operator enters another set point at the chamber's controller."""
 
-    lasting: ClassVar[Lasting] = Lasting.MOMENT
+    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
 
     fault: Literal["set_point_changed_at_panel"]
     to_c: float = Field(ge=-60.0, le=100.0, description="the new set point, degC")

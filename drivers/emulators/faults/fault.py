@@ -1,28 +1,91 @@
-"""What all faults have in common, and the parts of the bench that they act on."""
+"""What all faults have in common: their timing keys, and the parts of the bench that they act on."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from enum import Enum
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
+from pydantic import Field, model_validator
 
+from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.faults.faulty_can import FaultyCan
-from gyrobench.drivers.emulators.faults.faulty_serial import FaultySerial
-from gyrobench.drivers.emulators.faults.timing import Timing
-from gyrobench.drivers.emulators.serial_instrument import SerialInstrument
+from gyrobench.drivers.emulators.dialect import SerialInstrument
+from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
+from gyrobench.drivers.emulators.world.undeclared_effects import NotNegative, Positive
 from gyrobench.drivers.emulators.world.world import World
 
-#: Ends a fault; nothing to do where None stands for it.
+Count = Annotated[int, Field(ge=1)]
+#: Mean spacing in s; the minimum bounds the work of a run.
+Spacing = Annotated[float, Field(ge=1.0)]
+#: Phase of the emulated bench, derived from the world's state.
+Phase = Literal["power_on", "align", "navigate", "turn", "ramp"]
+#: Ends a fault; None where nothing is to be done.
 End = Callable[[], None] | None
 
-AbilityT = TypeVar("AbilityT")
+CapabilityT = TypeVar("CapabilityT")
 
 
-class UnfitError(Exception):
-    """A fault that this bench can't have; never leaves the checks of a list."""
+class Persistence(Enum):
+    """How long a kind of fault lasts without ``for_s``."""
+
+    MOMENTARY = "happens at one moment; for_s is not allowed"
+    UNTIL_USED = "affects the next replies or frames, as many as its own key says"
+    PERMANENT = "lasts until the end of the run"
+
+
+class Timing(StrictModel):
+    """Keys of every entry: exactly one of ``at_s``, ``every_s`` and ``during``, and the duration."""
+
+    persistence: ClassVar[Persistence] = Persistence.PERMANENT
+
+    at_s: NotNegative | None = Field(None, description="time on the bench's clock, s")
+    every_s: Spacing | None = Field(None, description="mean spacing of random times, from the seed, s")
+    from_s: NotNegative = Field(0.0, description="with every_s: not before this time, s")
+    during: Phase | None = Field(None, description="phase of the bench")
+    after_s: NotNegative = Field(0.0, description="with during: delay from the start of the phase, s")
+    nth: Count = Field(1, description="with during: the first such phase that counts")
+    times: Count | None = Field(
+        None, description="maximum number of times; by default, at_s and during once, every_s unlimited"
+    )
+    for_s: Positive | None = Field(None, description="duration, s")
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end; zero for a fault that ends by itself, infinite for a permanent one."""
+        if self.for_s is not None:
+            return self.for_s
+        return math.inf if self.persistence is Persistence.PERMANENT else 0.0
+
+    @property
+    def max_times(self) -> float:
+        """Maximum number of times."""
+        if self.times is not None:
+            return self.times
+        return math.inf if self.every_s is not None else 1
+
+    @model_validator(mode="after")
+    def _check_timing(self) -> Timing:
+        given = [key for key in ("at_s", "every_s", "during") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError("an entry has exactly one of the keys at_s, every_s and during")
+        for key, needs in {"from_s": "every_s", "after_s": "during", "nth": "during"}.items():
+            if key in self.model_fields_set and needs not in given:
+                raise ValueError(f"{key} is allowed only with {needs}")
+        if self.at_s is not None and self.max_times > 1:
+            raise ValueError("at_s is one moment; for more times use every_s or another entry")
+        if self.persistence is Persistence.MOMENTARY and self.for_s is not None:
+            raise ValueError("for_s is not allowed here: this fault happens at one moment")
+        if self.max_times > 1 and math.isinf(self.duration_s):
+            raise ValueError("a fault that repeats must end: add for_s")
+        return self
+
+
+class UnsupportedFaultError(Exception):
+    """A fault that the emulators of this bench don't support; never leaves the checks of a list."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +97,7 @@ class BenchParts:
     lines : mapping of str to FaultySerial
         ``table`` and ``chamber`` at their ports.
     dialects : mapping of str to str
-        What these two speak.
+        Their dialects.
     """
 
     world: World
@@ -45,30 +108,32 @@ class BenchParts:
     bus: FaultyCan
     dialects: Mapping[str, str] = field(default_factory=dict)
 
-    def able(self, name: str, ability: type[AbilityT]) -> AbilityT:
-        """Table or chamber as something that a fault needs.
+    def capable(self, name: str, capability: type[CapabilityT]) -> CapabilityT:
+        """Table or chamber as an instrument with the capability that a fault needs.
 
         Raises
         ------
-        UnfitError
-            An emulator of this dialect is nothing such.
+        UnsupportedFaultError
+            The emulator of this dialect lacks it.
         """
         instrument = self.table if name == "table" else self.chamber
-        if not isinstance(instrument, ability):
-            raise UnfitError(f"an emulated {name} of the dialect {self.dialects.get(name)} can't have it")
+        if not isinstance(instrument, capability):
+            raise UnsupportedFaultError(
+                f"the emulated {name} of the dialect {self.dialects.get(name)} does not support it"
+            )
         return instrument
 
 
 @dataclass(frozen=True)
 class Occurrence:
-    """One time that a fault comes.
+    """One occurrence of a fault.
 
     Attributes
     ----------
     now_s : callable
         The time on the bench's clock.
     random : Generator
-        For what is random in it.
+        Random numbers of the entry.
     record : callable
         To be called when the fault takes effect; only the first call of an occurrence counts.
     """
@@ -87,8 +152,8 @@ class Fault(Timing):
         return str(getattr(self, "fault"))  # noqa: B009
 
     def check(self, bench: BenchParts) -> None:
-        """Raise UnfitError where this bench can't have the fault."""
+        """Raise UnsupportedFaultError where this bench does not support the fault."""
 
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        """Begin on the bench, whose world is at the present; returns what ends it."""
+        """Start the fault on the bench, whose world is at the present; returns what ends it."""
         raise NotImplementedError

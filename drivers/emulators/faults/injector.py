@@ -1,22 +1,147 @@
-"""Carries a list of faults out on an emulated bench while time goes on."""
+"""Carries out a list of faults on an emulated bench: schedule, phases of the bench, injection, log."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from gyrobench.drivers.emulators.faults.phases import phases_now
-from gyrobench.drivers.emulators.faults.record import InjectionRecord
-from gyrobench.drivers.emulators.faults.schedule import Schedule
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Phase, Timing
+from gyrobench.drivers.emulators.world.inertial_unit import Mode
+from gyrobench.drivers.emulators.world.world import World
+
+#: Distance of the air from its set point above which it counts as ramping.
+_RAMP_C = 1.0
+
+
+class Injection(NamedTuple):
+    """One injected fault: time on the bench's clock, and kind."""
+
+    time_s: float
+    kind: str
+
+
+class InjectionLog:
+    """Keeps the injections, and appends each to a log file.
+
+    Parameters
+    ----------
+    injections : list of Injection
+        Where they are kept.
+    path : Path, optional
+        File of JSON lines, created if missing.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be written.
+    """
+
+    def __init__(self, injections: list[Injection], path: Path | None) -> None:
+        self._injections = injections
+        self._path = path
+        self._write("")
+
+    def add(self, time_s: float, kind: str) -> None:
+        """Add one injection."""
+        self._injections.append(Injection(time_s, kind))
+        self._write(json.dumps({"time_s": round(time_s, 3), "fault": kind}) + "\n")
+
+    def _write(self, line: str) -> None:
+        if self._path is None:
+            return
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(line)
+        except OSError as error:
+            raise DocumentError(f"{self._path}: can't write the log of faults: {error.strerror}") from error
+
+
+class Schedule:
+    """Starts and ends of one entry in order of time, computed from its timing alone.
+
+    Parameters
+    ----------
+    timing : Timing
+        The entry.
+    random : Generator
+        For the spacing of ``every_s``: exponential gaps, so the rate is constant.
+    start_s : float
+        Start of the bench. Occurrences that ended before it are skipped; one that still lasts starts there.
+
+    Attributes
+    ----------
+    next_s : float
+        Next time at which something is due; infinite for none.
+    """
+
+    def __init__(self, timing: Timing, random: np.random.Generator, start_s: float = 0.0) -> None:
+        self._timing = timing
+        self._random = random
+        self._remaining = timing.max_times
+        self._phases = 0
+        self._in_phase = False
+        self._begin_s = self._first(start_s)
+        self._end_s: float | None = None
+
+    @property
+    def next_s(self) -> float:
+        """Next time at which something is due."""
+        return self._begin_s if self._end_s is None else self._end_s
+
+    def observe(self, in_phase: bool, now_s: float) -> None:
+        """Take notice whether the bench is in the phase of ``during``."""
+        if in_phase == self._in_phase:
+            return
+        self._in_phase = in_phase
+        if not in_phase:
+            self._begin_s = math.inf  # too short for after_s
+            return
+        self._phases += 1
+        if self._phases >= self._timing.nth and self._remaining > 0 and self._end_s is None:
+            self._begin_s = now_s + self._timing.after_s
+
+    def begins(self, now_s: float) -> bool:
+        """Whether the next occurrence is due; it then counts as started."""
+        if self._end_s is not None or now_s < self._begin_s:
+            return False
+        begin_s, duration_s = self._begin_s, self._timing.duration_s
+        self._remaining -= 1
+        self._end_s = begin_s + duration_s if duration_s > 0.0 else None
+        self._begin_s = math.inf
+        if self._remaining > 0 and self._timing.every_s is not None:
+            self._begin_s = begin_s + max(duration_s, self._gap_s(self._timing.every_s))
+        return True
+
+    def ends(self, now_s: float) -> bool:
+        """Whether the present occurrence is over; it then counts as ended."""
+        if self._end_s is None or now_s < self._end_s:
+            return False
+        self._end_s = None
+        return True
+
+    def _first(self, start_s: float) -> float:
+        timing = self._timing
+        if timing.at_s is not None:
+            over = timing.at_s < start_s and timing.at_s + timing.duration_s <= start_s
+            return math.inf if over else timing.at_s
+        if timing.every_s is not None:
+            return max(start_s, timing.from_s) + self._gap_s(timing.every_s)
+        return math.inf
+
+    def _gap_s(self, mean_s: float) -> float:
+        return float(self._random.exponential(mean_s))
 
 
 class Injector:
-    """Brings the world on in steps that end where a fault begins or ends.
+    """Advances the world in steps that end where a fault starts or ends.
 
-    Phases of the bench are looked at whenever it is brought on, and at least once a second.
+    Phases of the bench are evaluated at each step, and at least once a second.
 
     Parameters
     ----------
@@ -25,76 +150,79 @@ class Injector:
     bench : BenchParts
         What they act on.
     seed : int
-        Seed of all that is random in them.
+        Seed of the faults' random numbers. Each entry has a stream of its own, so its times do not
+        depend on the other entries; another start has other times.
     start_s : float
-        The time at which the bench begins.
-    record : InjectionRecord
-        Told of every fault that takes effect.
+        Time at which the bench starts.
+    log : InjectionLog
+        Receives every fault that takes effect.
     """
 
     def __init__(
-        self, faults: Sequence[Fault], bench: BenchParts, seed: int, start_s: float, record: InjectionRecord
+        self, faults: Sequence[Fault], bench: BenchParts, seed: int, start_s: float, log: InjectionLog
     ) -> None:
         self._bench = bench
         self._now_s = start_s
         self._planned = [
-            _Planned(fault, Schedule(fault, random, start_s), random)
-            for fault, random in zip(faults, _streams(len(faults), seed, start_s), strict=True)
+            _PlannedFault(fault, np.random.default_rng((seed, int(start_s), number)), start_s)
+            for number, fault in enumerate(faults)
         ]
-        self._watched = [planned for planned in self._planned if planned.fault.during is not None]
-        self._record = record
+        self._by_phase = [planned for planned in self._planned if planned.fault.during is not None]
+        self._log = log
 
     def advance(self, now_s: float) -> None:
-        """Bring the world to ``now_s``, and the faults with it."""
-        self._attend()
+        """Advance the world to ``now_s``, and the faults with it."""
+        self._update()
         while self._now_s < now_s:
             next_s = min((planned.schedule.next_s for planned in self._planned), default=math.inf)
-            whole_s = math.floor(self._now_s) + 1.0 if self._watched else math.inf
+            whole_s = math.floor(self._now_s) + 1.0 if self._by_phase else math.inf
             self._now_s = min(now_s, next_s, whole_s)
             self._bench.world.advance(self._now_s)
-            self._attend()
+            self._update()
 
-    def _attend(self) -> None:
-        if self._watched:
-            phases = phases_now(self._bench.world, self._now_s)
-            for planned in self._watched:
+    def _update(self) -> None:
+        if self._by_phase:
+            phases = _active_phases(self._bench.world, self._now_s)
+            for planned in self._by_phase:
                 planned.schedule.observe(planned.fault.during in phases, self._now_s)
         for planned in self._planned:
             while planned.schedule.next_s <= self._now_s:
                 if planned.schedule.ends(self._now_s):
-                    planned.finish()
+                    if planned.end is not None:
+                        planned.end()
                 elif planned.schedule.begins(self._now_s):
-                    planned.begin(self._bench, self._occurrence(planned))
+                    planned.end = planned.fault.begin(self._bench, self._occurrence(planned))
 
-    def _occurrence(self, planned: _Planned) -> Occurrence:
+    def _occurrence(self, planned: _PlannedFault) -> Occurrence:
         recorded = False
 
         def record() -> None:
             nonlocal recorded
             if not recorded:
                 recorded = True
-                self._record.add(self._now_s, planned.fault.kind)
+                self._log.add(self._now_s, planned.fault.kind)
 
         return Occurrence(lambda: self._now_s, planned.random, record)
 
 
-class _Planned:
+class _PlannedFault:
     """One entry of the list, with what ends its present occurrence."""
 
-    def __init__(self, fault: Fault, schedule: Schedule, random: np.random.Generator) -> None:
+    def __init__(self, fault: Fault, random: np.random.Generator, start_s: float) -> None:
         self.fault = fault
-        self.schedule = schedule
         self.random = random
-        self._end: End = None
-
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> None:
-        self._end = self.fault.begin(bench, occurrence)
-
-    def finish(self) -> None:
-        if self._end is not None:
-            self._end()
+        self.schedule = Schedule(fault, random, start_s)
+        self.end: End = None
 
 
-def _streams(count: int, seed: int, start_s: float) -> list[np.random.Generator]:
-    """Random numbers of each entry; another start has others, an entry's do not depend on the rest."""
-    return [np.random.default_rng((seed, int(start_s), number)) for number in range(count)]
+def _active_phases(world: World, now_s: float) -> set[Phase]:
+    """All phases of the bench at ``now_s``, the time of the world."""
+    unit, air = world.unit, world.air
+    active: dict[Phase, bool] = {
+        "power_on": unit.powered,
+        "align": unit.mode is Mode.ALIGN,
+        "navigate": unit.mode is Mode.NAVIGATE,
+        "turn": any(axis.is_moving(now_s) for axis in world.axes.values()),
+        "ramp": air.running and abs(air.set_point_c - air.air_c) > _RAMP_C,
+    }
+    return {phase for phase, is_active in active.items() if is_active}

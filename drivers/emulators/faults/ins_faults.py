@@ -1,12 +1,13 @@
 """Faults of the INS itself.
 
-The shipped DBC has whole numbers alone, so a NaN can't be sent: the lowest number of 32 bits stands
-for an output that does not exist, as receivers of such frames agree.
+The signals of the shipped DBC are integers, so a NaN can't be sent: by convention the lowest 32-bit integer
+stands for an invalid output.
 """
 
 from __future__ import annotations
 
 import struct
+from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import can
@@ -15,8 +16,7 @@ from typing_extensions import override
 
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, ROLL_PITCH, VELOCITY_NE
 from gyrobench.drivers.emulators.faults.can_faults import filter_while
-from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from gyrobench.drivers.emulators.faults.timing import Lasting
+from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
 from gyrobench.drivers.emulators.world.inertial_unit import Mode
 
 Signal = Literal["velocity_north", "velocity_east", "roll", "pitch", "heading"]
@@ -43,9 +43,9 @@ _SENSOR_LIMIT_C = 327.67
 
 
 class InsRestarts(Fault):
-    """The INS's supply drops out for a moment: it boots, its counters begin anew, what was loaded is lost."""
+    """The INS's supply drops out for a moment: it boots, resets its counters and loses its compensation."""
 
-    lasting: ClassVar[Lasting] = Lasting.MOMENT
+    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
 
     fault: Literal["ins_restarts"]
 
@@ -54,15 +54,15 @@ class InsRestarts(Fault):
         if bench.world.unit.powered:
             bench.world.power_unit(False)
             bench.world.power_unit(True)
-            bench.ins.count_anew()
+            bench.ins.reset_counters()
             occurrence.record()
         return None
 
 
 class FallsBackToAlignment(Fault):
-    """The INS begins to align anew although nobody told it to."""
+    """The INS restarts its alignment without a command."""
 
-    lasting: ClassVar[Lasting] = Lasting.MOMENT
+    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
 
     fault: Literal["falls_back_to_alignment"]
 
@@ -75,7 +75,7 @@ class FallsBackToAlignment(Fault):
 
 
 class AlignmentNeverDone(Fault):
-    """Alignment goes on without ever coming to a result."""
+    """Alignment never reaches a result."""
 
     fault: Literal["alignment_never_done"]
 
@@ -84,20 +84,16 @@ class AlignmentNeverDone(Fault):
         unit = bench.world.unit
         unit.never_aligns = True
         occurrence.record()
-
-        def end() -> None:
-            unit.never_aligns = False
-
-        return end
+        return partial(setattr, unit, "never_aligns", False)
 
 
 class OutputFault(Fault):
-    """Signals of the navigation output that say something else, while counters go on."""
+    """Signals of the navigation output are wrong, while counters continue."""
 
-    signals: Signals = Field(_ALL, description="which signals of the navigation output")
+    signals: Signals = Field(_ALL, description="affected signals of the navigation output")
 
-    def value(self, right: bytes, first: bytes) -> bytes:
-        """Give what is sent in place of the right value; ``first`` was right when the fault began."""
+    def value(self, first: bytes) -> bytes:
+        """Value sent in place of the correct one; ``first`` was correct when the fault began."""
         raise NotImplementedError
 
     @override
@@ -109,9 +105,8 @@ class OutputFault(Fault):
                 for signal in self.signals:
                     identifier, place = _PLACES[signal]
                     if message.arbitration_id == identifier:
-                        right = bytes(message.data[place : place + 4])
-                        value = self.value(right, first.setdefault(signal, right))
-                        message.data[place : place + 4] = value
+                        correct = bytes(message.data[place : place + 4])
+                        message.data[place : place + 4] = self.value(first.setdefault(signal, correct))
                         occurrence.record()
             return messages
 
@@ -119,42 +114,42 @@ class OutputFault(Fault):
 
 
 class StuckOutput(OutputFault):
-    """Signals keep the value that they had."""
+    """Signals keep their last value."""
 
     fault: Literal["stuck_output"]
 
     @override
-    def value(self, right: bytes, first: bytes) -> bytes:
+    def value(self, first: bytes) -> bytes:
         return first
 
 
 class InvalidOutput(OutputFault):
-    """Signals hold the number that stands for no value: -2^31."""
+    """Signals hold the number for an invalid value: -2^31."""
 
     fault: Literal["invalid_output"]
 
     @override
-    def value(self, right: bytes, first: bytes) -> bytes:
+    def value(self, first: bytes) -> bytes:
         return _INVALID
 
 
 class SaturatedOutput(OutputFault):
-    """Signals hold the largest number that they can: 2^31 - 1."""
+    """Signals hold the largest number: 2^31 - 1."""
 
     fault: Literal["saturated_output"]
 
     @override
-    def value(self, right: bytes, first: bytes) -> bytes:
+    def value(self, first: bytes) -> bytes:
         return _LARGEST
 
 
 class SensorFault(Fault):
-    """A temperature sensor that does not read its temperature; the INS's own compensation uses it too."""
+    """A temperature sensor reads a wrong value; the INS's own compensation uses it too."""
 
-    sensor: Sensor = Field(description="which temperature sensor")
+    sensor: Sensor = Field(description="faulty temperature sensor")
 
     def reading_c(self, bench: BenchParts) -> float:
-        """What it reads from now on."""
+        """Constant reading during the fault."""
         raise NotImplementedError
 
     @override
@@ -174,7 +169,7 @@ class TemperatureSensorBroken(SensorFault):
     """A temperature sensor reads the end of its range."""
 
     fault: Literal["temperature_sensor_broken"]
-    end: Literal["high", "low"] = Field(default="high", description="which end of its range it reads")
+    end: Literal["high", "low"] = Field(default="high", description="end of its range that it reads")
 
     @override
     def reading_c(self, bench: BenchParts) -> float:
@@ -182,7 +177,7 @@ class TemperatureSensorBroken(SensorFault):
 
 
 class TemperatureSensorFrozen(SensorFault):
-    """A temperature sensor keeps the plausible value that it had."""
+    """A temperature sensor keeps its last, plausible value."""
 
     fault: Literal["temperature_sensor_frozen"]
 

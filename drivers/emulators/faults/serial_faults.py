@@ -1,6 +1,6 @@
-"""Faults of a serial line and of what hangs on it.
+"""Faults of a serial line and of the instrument behind it.
 
-Without ``for_s`` a disturbance touches the next ``replies``, with it all replies in that time.
+Without ``for_s`` a disturbance affects the next ``replies``, with it all replies in that time.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.acl_syntax import ErrorCode
+from gyrobench.drivers.emulators.acl_axis import ErrorCode
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.dialect import Restartable, SpeaksModbus
-from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence
-from gyrobench.drivers.emulators.faults.faulty_serial import Exchange, FaultySerial, Reply
-from gyrobench.drivers.emulators.faults.timing import Count, Lasting
-from gyrobench.drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.faults.fault import BenchParts, Count, End, Fault, Occurrence, Persistence
+from gyrobench.drivers.emulators.faults.faulty_lines import Exchange, FaultySerial, Reply
+from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
 LineName = Literal["table", "chamber"]
 _CRC_BYTES = 2
@@ -27,27 +26,27 @@ _CRC_BYTES = 2
 class LineFault(Fault):
     """A disturbance of exchanges."""
 
-    lasting: ClassVar[Lasting] = Lasting.UNTIL_USED
+    persistence: ClassVar[Persistence] = Persistence.UNTIL_USED
 
-    target: LineName = Field(description="whose line: table or chamber")
-    replies: Count = Field(1, description="without for_s: how many replies it touches")
+    target: LineName = Field(description="affected line: table or chamber")
+    replies: Count = Field(1, description="without for_s: number of affected replies")
 
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
-        """Give what comes in place of the right reply; None leaves the exchange alone."""
+        """Give the reply in place of the correct one; None leaves the exchange unchanged."""
         raise NotImplementedError
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line = bench.lines[self.target]
-        left = self.replies
+        remaining = self.replies
 
         def disturbance(exchange: Exchange) -> Reply | None:
-            nonlocal left
+            nonlocal remaining
             reply = self.disturb(exchange, bench, occurrence.random)
             if reply is not None:
                 occurrence.record()
-                left -= 1
-                if self.for_s is None and left == 0:
+                remaining -= 1
+                if self.for_s is None and remaining == 0:
                     line.disturbances.remove(disturbance)
             return reply
 
@@ -56,7 +55,7 @@ class LineFault(Fault):
 
 
 class LostReply(LineFault):
-    """The instrument does what it was told, and its reply is lost."""
+    """The instrument executes the request, and its reply is lost."""
 
     fault: Literal["lost_reply"]
 
@@ -66,7 +65,7 @@ class LostReply(LineFault):
 
 
 class LostRequest(LineFault):
-    """The request is lost: nothing is done and nothing is answered."""
+    """The request is lost: the instrument neither executes nor answers it."""
 
     fault: Literal["lost_request"]
 
@@ -76,10 +75,10 @@ class LostRequest(LineFault):
 
 
 class LateReply(LineFault):
-    """The reply comes later than usual; what is asked meanwhile is answered after it."""
+    """The reply comes later than usual; later requests are answered after it."""
 
     fault: Literal["late_reply"]
-    delay_s: Positive = Field(description="how much later the reply comes, s")
+    delay_s: Positive = Field(description="additional delay of the reply, s")
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -97,7 +96,7 @@ class HalfReply(LineFault):
 
 
 class EarlierReply(LineFault):
-    """The reply to the request before comes once more, in place of the right one."""
+    """The reply to the previous request is repeated, in place of the correct one."""
 
     fault: Literal["earlier_reply"]
 
@@ -110,8 +109,8 @@ class Garbage(LineFault):
     """Random bytes come before the reply, or in place of it."""
 
     fault: Literal["garbage"]
-    bytes: Count = Field(default=8, description="how many random bytes come")
-    instead: bool = Field(default=False, description="in place of the reply, not before it")
+    bytes: Count = Field(default=8, description="number of random bytes")
+    instead: bool = Field(default=False, description="in place of the reply instead of before it")
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -121,10 +120,10 @@ class Garbage(LineFault):
 
 
 class DamagedReply(LineFault):
-    """One bit is wrong in each of so many bytes of the reply."""
+    """One bit is wrong in each of ``bytes`` bytes of the reply."""
 
     fault: Literal["damaged_reply"]
-    bytes: Count = Field(default=1, description="in how many bytes one bit is wrong")
+    bytes: Count = Field(default=1, description="number of bytes with a wrong bit")
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -137,16 +136,14 @@ class DamagedReply(LineFault):
 
 
 class WrongCrc(LineFault):
-    """The check sum of a Modbus reply is wrong, its content right."""
+    """The CRC of a Modbus reply is wrong, its content correct."""
 
     fault: Literal["wrong_crc"]
-    target: Literal["chamber"] = Field(
-        default="chamber", description="whose line; only the chamber's can have it"
-    )
+    target: Literal["chamber"] = Field(default="chamber", description="affected line: the chamber's")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("chamber", SpeaksModbus)
+        bench.capable("chamber", SpeaksModbus)
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
@@ -155,85 +152,83 @@ class WrongCrc(LineFault):
 
 
 class ExceptionCode(LineFault):
-    """The chamber controller does nothing and answers with a Modbus exception code."""
+    """The chamber controller refuses the request with a Modbus exception code."""
 
     fault: Literal["exception_code"]
-    target: Literal["chamber"] = Field(
-        default="chamber", description="whose line; only the chamber's can have it"
-    )
+    target: Literal["chamber"] = Field(default="chamber", description="affected line: the chamber's")
     code: Annotated[int, Field(ge=1, le=255)] = Field(6, description="4 device failure, 6 busy")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("chamber", SpeaksModbus)
+        bench.capable("chamber", SpeaksModbus)
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         if len(exchange.request) <= _CRC_BYTES:
             return None
-        return Reply(bench.able("chamber", SpeaksModbus).refusal(exchange.request[1], self.code))
+        return Reply(bench.capable("chamber", SpeaksModbus).refusal(exchange.request[1], self.code))
 
 
 class ErrorWord(LineFault):
-    """The table controller does nothing and answers with an error word and its text."""
+    """The table controller refuses the request with an error word and its text."""
 
     fault: Literal["error_word"]
-    target: Literal["table"] = Field(default="table", description="whose line; only the table's can have it")
+    target: Literal["table"] = Field(default="table", description="affected line: the table's")
     error: Literal["syntax", "unknown_command", "parameter_out_of_range", "not_available"] = Field(
-        default="not_available", description="what the table answers"
+        default="not_available", description="error word of the answer"
     )
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("table", Acutrol3000Emulator)
+        bench.capable("table", Acutrol3000Emulator)
 
     @override
     def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
-        return Reply(bench.able("table", Acutrol3000Emulator).refusal(ErrorCode[self.error.upper()]))
+        return Reply(bench.capable("table", Acutrol3000Emulator).refusal(ErrorCode[self.error.upper()]))
 
 
 class PortGone(Fault):
-    """The port is unplugged; whoever had it open has to open it anew after it is back."""
+    """The port is unplugged; clients must reopen it when it is back."""
 
     fault: Literal["port_gone"]
-    target: LineName = Field(description="whose line: table or chamber")
+    target: LineName = Field(description="affected line: table or chamber")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         connection = bench.lines[self.target].connection
-        connection.cut()
+        connection.disconnect()
         occurrence.record()
-        return connection.mend
+        return connection.reconnect
 
 
 class InstrumentRestarts(Fault):
-    """The instrument loses power, is silent for ``for_s``, and comes back with its defaults.
+    """The instrument loses power, is silent for ``for_s``, and restarts with its defaults.
 
     The table's brakes stop it and its servos are open, limits and modes reset. The chamber's outputs
     are off (and with them the INS, where an event output feeds it), settings as last saved.
     """
 
     fault: Literal["instrument_restarts"]
-    target: LineName = Field(description="whose line: table or chamber")
-    for_s: Positive = Field(10.0, description="time that it takes to boot")
+    target: LineName = Field(description="affected line: table or chamber")
+    for_s: Positive = Field(10.0, description="boot time, s")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able(self.target, Restartable)
+        bench.capable(self.target, Restartable)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line: FaultySerial = bench.lines[self.target]
-        instrument = bench.able(self.target, Restartable)
+        instrument = bench.capable(self.target, Restartable)
         line.powered = False
         occurrence.record()
         instrument.power_off(occurrence.now_s())
 
-        def come_back() -> None:
+        def restart() -> None:
             line.powered = True
             instrument.power_on(occurrence.now_s())
 
-        return come_back
+        return restart
 
 
 SerialFault = (

@@ -10,10 +10,16 @@ from typing_extensions import override
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.dialect import Servoed
-from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, UnfitError
-from gyrobench.drivers.emulators.faults.timing import Lasting
-from gyrobench.drivers.emulators.world.quantities import Positive
+from gyrobench.drivers.emulators.faults.fault import (
+    BenchParts,
+    End,
+    Fault,
+    Occurrence,
+    Persistence,
+    UnsupportedFaultError,
+)
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]
@@ -22,7 +28,7 @@ Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss"
 class AxisFault(Fault):
     """A fault of one axis."""
 
-    axis: Literal["outer", "inner"] = Field(default="inner", description="which axis")
+    axis: Literal["outer", "inner"] = Field(default="inner", description="affected axis")
 
     @property
     def number(self) -> int:
@@ -34,19 +40,19 @@ class AxisFault(Fault):
         try:
             self.is_servoed(bench)
         except KeyError:
-            raise UnfitError(f"this table has no {self.axis} axis") from None
+            raise UnsupportedFaultError(f"this table has no {self.axis} axis") from None
 
     def physics(self, bench: BenchParts) -> TableAxis:
-        """The axis itself."""
+        """The physical axis."""
         return bench.world.axes[self.number]
 
     def is_servoed(self, bench: BenchParts) -> bool:
-        """Whether the controller holds the axis at this moment."""
-        return bench.able("table", Servoed).is_servoed(self.number)
+        """Whether the servo of the axis is closed."""
+        return bench.capable("table", Servoed).is_servoed(self.number)
 
 
 class TableStalls(AxisFault):
-    """The axis stands still whatever it is told; the controller trips on the tracking error."""
+    """The axis ignores all commands; the controller trips on the tracking error."""
 
     fault: Literal["table_stalls"]
 
@@ -62,7 +68,7 @@ class PositionNotReached(AxisFault):
     """Moves end before their target; beyond a degree the controller trips on the tracking error."""
 
     fault: Literal["position_not_reached"]
-    short_by_deg: Positive = Field(default=0.05, description="how far before its target it stops, deg")
+    short_by_deg: Positive = Field(default=0.05, description="distance from the target, deg")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -78,15 +84,15 @@ class PositionNotReached(AxisFault):
 
 
 class MovedByHand(AxisFault):
-    """Somebody turns the axis against its servo, and lets go after ``for_s``.
+    """The axis is turned by hand against its servo, and released after ``for_s``.
 
-    Beyond a degree the controller trips on the tracking error. Let go, the axis goes back if it is
+    Beyond a degree the controller trips on the tracking error. Released, the axis returns if it is
     still servoed, unless ``back`` is false.
     """
 
     fault: Literal["moved_by_hand"]
-    by_deg: float = Field(ge=-180.0, le=180.0, description="how far it is moved, deg")
-    back: bool = Field(default=True, description="whether it is moved back at the end")
+    by_deg: float = Field(ge=-180.0, le=180.0, description="angle by which it is moved, deg")
+    back: bool = Field(default=True, description="whether it returns at the end")
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
@@ -97,20 +103,20 @@ class MovedByHand(AxisFault):
 
 
 class TableTrips(AxisFault):
-    """The controller finds a fault and opens the servo; latched until a reset."""
+    """The controller detects a fault and opens the servo; latched until a reset."""
 
-    lasting: ClassVar[Lasting] = Lasting.MOMENT
+    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
 
     fault: Literal["table_trips"]
-    trip: Trip = Field(default="rate_trip", description="what trips")
+    trip: Trip = Field(default="rate_trip", description="the detected fault")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("table", Acutrol3000Emulator)
+        bench.capable("table", Acutrol3000Emulator)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.able("table", Acutrol3000Emulator).trip(
+        bench.capable("table", Acutrol3000Emulator).trip(
             self.number, SoftwareFault[self.trip.upper()], occurrence.now_s()
         )
         occurrence.record()
@@ -118,18 +124,18 @@ class TableTrips(AxisFault):
 
 
 class InterlockOpens(AxisFault):
-    """A hardware interlock opens for ``for_s``; the servo is lost, latched until a reset after that."""
+    """A hardware interlock opens for ``for_s``; the servo opens, latched until a reset after that."""
 
     fault: Literal["interlock_opens"]
     bit: Annotated[int, Field(ge=0, le=15)] = Field(0, description="bit of the interlock register")
 
     @override
     def check(self, bench: BenchParts) -> None:
-        bench.able("table", Acutrol3000Emulator)
+        bench.capable("table", Acutrol3000Emulator)
 
     @override
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        table = bench.able("table", Acutrol3000Emulator)
+        table = bench.capable("table", Acutrol3000Emulator)
         table.open_interlock(self.number, occurrence.now_s(), self.bit)
         occurrence.record()
         return lambda: table.close_interlock(self.number, self.bit)

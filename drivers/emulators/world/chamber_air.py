@@ -1,30 +1,30 @@
-"""The air of the thermal chamber, its control loop, and the machinery that moves the heat."""
+"""The air of the thermal chamber, its control loop, heater and compressor."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-#: Least cooling, as a share of full power, at which the compressor runs without a pause.
-_LEAST_STEADY_COOLING = 0.3
-#: How fast the room's air comes in by an open door.
+#: Share of full cooling power above which the compressor runs continuously.
+_MIN_STEADY_COOLING = 0.3
+#: Time constant of the air while the door is open.
 _DOOR_TIME_CONSTANT_S = 300.0
 
 
 @dataclass(frozen=True)
 class ChamberParameters:
-    """What the chamber can do, and the room around it.
+    """Limits of the chamber, and the room around it.
 
     Attributes
     ----------
     heating_limit_c_per_min, cooling_limit_c_per_min : float
-        Fastest change of the air at full power, above zero.
+        Rate of change of the air at full power, above zero.
     control_time_constant_s : float
         Lag of the air behind the working set point.
     ambient_c, ambient_time_constant_s : float
-        Room temperature, and how fast the air drifts there by itself.
+        Room temperature, and time constant of the uncontrolled air's drift to it.
     low_c, high_c : float
-        Temperatures that the machinery can reach.
+        Temperatures that the chamber can reach.
     """
 
     heating_limit_c_per_min: float = 5.0
@@ -38,18 +38,18 @@ class ChamberParameters:
 
 @dataclass
 class AirFaults:
-    """What keeps the air from its set point.
+    """Active faults of the chamber.
 
     Attributes
     ----------
     stopped : bool
-        The machinery stands still although it is told to run.
+        Heater and compressor are off although the controller runs.
     blind : bool
-        The controller has no reading to control by.
+        The controller has no temperature reading.
     error_c : float
-        The control holds the air so far from its set point.
+        Offset of the controlled air from its set point.
     door_open : bool
-        The room's air comes in, faster than the machinery works.
+        The room's air comes in.
     """
 
     stopped: bool = False
@@ -59,27 +59,24 @@ class AirFaults:
 
 
 class ChamberAir:
-    """Air temperature of a chamber under control, or left alone.
+    """Air temperature of a chamber, controlled or drifting.
 
     Attributes
     ----------
     air_c : float
         Temperature of the air.
     set_point_c : float
-        Where the air is to go.
+        Final set point.
     ramp_rate_c_per_min : float or None
-        How fast the working set point goes there; None means at once.
+        Rate of the working set point towards it; None for a step.
     running : bool
         Whether the air is controlled; otherwise it drifts to the room's temperature.
     working_set_point_c : float
-        The set point as ramped so far.
+        The ramped set point.
     power : float
         Share of full power: 1 heats, -1 cools.
     faults : AirFaults
-        What keeps the machinery from its work.
-    compressor_duty : float
-        Share of the time that the compressor runs: it can't be throttled at will, so it works in
-        bursts where little heat has to be taken out.
+        Active faults.
     """
 
     def __init__(self, parameters: ChamberParameters | None = None) -> None:
@@ -94,11 +91,11 @@ class ChamberAir:
 
     @property
     def compressor_duty(self) -> float:
-        """Share of the time that the compressor runs."""
-        return _within(-self.power / _LEAST_STEADY_COOLING, 0.0, 1.0)
+        """Share of the time that the compressor runs: it cycles where little cooling is needed."""
+        return _within(-self.power / _MIN_STEADY_COOLING, 0.0, 1.0)
 
     def step(self, dt_s: float) -> None:
-        """Go on by ``dt_s``."""
+        """Advance by ``dt_s``."""
         if self.faults.door_open:
             self._drift(dt_s, _DOOR_TIME_CONSTANT_S)
         elif self.running and not (self.faults.stopped or self.faults.blind):
@@ -107,7 +104,7 @@ class ChamberAir:
             self._drift(dt_s, self.parameters.ambient_time_constant_s)
 
     def disturb(self, delta_c: float) -> None:
-        """Change the air's temperature at once, as an opened door does."""
+        """Step the air's temperature, as an opened door does."""
         self.air_c += delta_c
 
     def _control(self, dt_s: float) -> None:
@@ -118,15 +115,11 @@ class ChamberAir:
             target_c = _within(target_c, self.working_set_point_c - span_c, self.working_set_point_c + span_c)
         self.working_set_point_c = target_c
         gap_c = _within(target_c + self.faults.error_c, limits.low_c, limits.high_c) - self.air_c
-        wanted_c_per_min = -gap_c * math.expm1(-dt_s / limits.control_time_constant_s) * 60.0 / dt_s
+        approach_c_per_min = -gap_c * math.expm1(-dt_s / limits.control_time_constant_s) * 60.0 / dt_s
         rate_c_per_min = _within(
-            wanted_c_per_min, -limits.cooling_limit_c_per_min, limits.heating_limit_c_per_min
+            approach_c_per_min, -limits.cooling_limit_c_per_min, limits.heating_limit_c_per_min
         )
         self.air_c += rate_c_per_min * dt_s / 60.0
-        self._drive_machinery(rate_c_per_min)
-
-    def _drive_machinery(self, rate_c_per_min: float) -> None:
-        limits = self.parameters
         lost_c_per_min = (self.air_c - limits.ambient_c) * 60.0 / limits.ambient_time_constant_s
         demand_c_per_min = rate_c_per_min + lost_c_per_min
         full_c_per_min = (
@@ -137,7 +130,7 @@ class ChamberAir:
     def _drift(self, dt_s: float, time_constant_s: float) -> None:
         share = -math.expm1(-dt_s / time_constant_s)
         self.air_c += (self.parameters.ambient_c - self.air_c) * share
-        # Control that is switched on later ramps from where the air is by then.
+        # A ramp that starts later starts from the air's temperature then.
         self.working_set_point_c = self.air_c
         self.power = 0.0
 

@@ -1,9 +1,9 @@
 """The simulated INS: boots, levels, gyrocompasses, navigates, applies a compensation.
 
-Self-alignment lets the first seconds at rest pass, then averages the sensors' output: the mean
-specific force is Up and the part of the mean rotation across it is North. So it starts with the
-attitude errors that its own sensor errors cause (tilt from accelerometer bias, heading from the
-east gyro). It looks at what it summed up once a second, so nothing depends on how the samples are cut.
+Self-alignment skips the first seconds at rest, then averages the sensors' output: the mean specific
+force is Up and the part of the mean rotation across it is North. So navigation starts with the attitude
+errors that follow from the INS's own sensor errors (tilt from accelerometer bias, heading from the east
+gyro). The sums are evaluated once a second, so the result does not depend on how the samples are split.
 """
 
 from __future__ import annotations
@@ -14,20 +14,24 @@ from enum import IntEnum
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.drivers.emulators.world.compensation import Compensation, ThermalSense, unloaded_numbers
-from gyrobench.drivers.emulators.world.document import InsBehaviour
+from gyrobench.drivers.emulators.world.ins_compensation import (
+    InsCompensation,
+    TemperatureHistory,
+    empty_table,
+)
 from gyrobench.drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, matrix_of, navigate
+from gyrobench.drivers.emulators.world.world_file import InsBehaviour
 
 #: Samples of the inertial sensors in a second.
 SAMPLE_RATE_HZ = 100
 _DT_S = 1.0 / SAMPLE_RATE_HZ
-#: Rotation that counts as motion: this rate over a second, beyond a few pulses.
+#: Rotation that counts as motion: this rate over a second, plus a few pulses.
 _MOTION_RADPS = np.radians(0.02)
 _PULSES_RAD = np.radians(2.0 / 3600.0)
 
 
 class Mode(IntEnum):
-    """What the INS is doing."""
+    """Operating mode of the INS."""
 
     OFF = 0
     STANDBY = 1
@@ -36,7 +40,7 @@ class Mode(IntEnum):
 
 
 class Alignment(IntEnum):
-    """How far self-alignment has come."""
+    """Quality of the alignment so far."""
 
     INVALID = 0
     COARSE = 1
@@ -73,12 +77,12 @@ class InertialUnit:
 
     Attributes
     ----------
-    loaded : ndarray, shape (3, 28)
-        The compensation's numbers as loaded so far.
-    compensation : Compensation or None
-        What is subtracted from the gyros' output.
+    loaded_table : ndarray, shape (3, 28)
+        The compensation table as loaded so far.
+    compensation : InsCompensation or None
+        The applied compensation, subtracted from the gyros' output.
     never_aligns : bool
-        Alignment goes on without ever coming to a result.
+        Alignment never reaches a result.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
@@ -88,11 +92,11 @@ class InertialUnit:
         self._every = round(behaviour.epoch_period_s * SAMPLE_RATE_HZ)
         self._state = np.zeros(STATE_SIZE)
         self._sums = np.zeros((2, 3))
-        self._second = np.zeros((2, 3))
+        self._second_sums = np.zeros((2, 3))
         self._second_samples = 0
         self._aligned_samples = 0
         self._boot_samples = 0
-        self._temperatures = ThermalSense()
+        self._temperatures = TemperatureHistory()
         self.powered = False
         self.mode = Mode.OFF
         self.alignment = Alignment.INVALID
@@ -102,23 +106,23 @@ class InertialUnit:
         self._reset_state()
 
     @property
-    def senses(self) -> bool:
+    def uses_sensors(self) -> bool:
         """Whether the inertial sensors' output is used at present."""
         return self.mode in (Mode.ALIGN, Mode.NAVIGATE)
 
     @property
     def align_time_s(self) -> float:
-        """Time at rest that the present alignment has used."""
+        """Time at rest used by the present alignment."""
         return self._aligned_samples * _DT_S
 
     def power(self, on: bool) -> None:
-        """Switch the unit on (it boots) or off; what was loaded is lost."""
+        """Switch the unit on (it boots) or off; the loaded table is lost."""
         if on != self.powered:
             self.powered = on
             self._boot_samples = round(self._behaviour.boot_s * SAMPLE_RATE_HZ)
             self.mode = Mode.OFF
             self.pitch_first = False
-            self._temperatures = ThermalSense()
+            self._temperatures = TemperatureHistory()
             self.clear_compensation()
             self._reset_state()
 
@@ -129,36 +133,36 @@ class InertialUnit:
             self._reset_state()
 
     def align(self) -> None:
-        """Begin self-alignment afresh."""
+        """Restart self-alignment."""
         if self.mode is not Mode.OFF:
             self.mode = Mode.ALIGN
             self._reset_state()
 
     def navigate(self) -> None:
-        """Go from alignment to navigation; nothing happens before coarse alignment is done."""
+        """Switch from alignment to navigation; ignored before coarse alignment is complete."""
         if self.mode is Mode.ALIGN and self.alignment >= Alignment.COARSE:
             self.mode = Mode.NAVIGATE
 
     def clear_compensation(self) -> None:
-        """Forget what was loaded, and compensate nothing."""
-        self.loaded = unloaded_numbers()
-        self.compensation: Compensation | None = None
+        """Clear the loaded table and compensate nothing."""
+        self.loaded_table = empty_table()
+        self.compensation: InsCompensation | None = None
 
     def apply_compensation(self) -> None:
-        """Use what is loaded now; what is loaded later waits for the next call."""
-        self.compensation = Compensation(self.loaded, self._temperatures, self._up_body)
+        """Apply the table as loaded now; later changes wait for the next call."""
+        self.compensation = InsCompensation(self.loaded_table, self._temperatures, self._up_body)
 
     def sense_temperatures(self, optics_c: FloatArray, electronics_c: FloatArray) -> None:
         """Take the readings of the gyros' temperature sensors, shape (3,), at each whole second.
 
-        The compensation goes by them and by where Up is in the body: as navigated, or in
-        alignment as the accelerometers showed it in the last second.
+        The compensation depends on them and on Up in the body: as navigated, or during alignment
+        from the accelerometers in the last second.
         """
         self._temperatures.read(optics_c, electronics_c)
         if self.mode is Mode.NAVIGATE:
             self._up_body = matrix_of(self._state[:4])[2]
         elif self._second_samples:
-            self._up_body = self._second[1] / np.linalg.norm(self._second[1])
+            self._up_body = self._second_sums[1] / np.linalg.norm(self._second_sums[1])
         if self.compensation is not None:
             self.compensation.update(self._temperatures, self._up_body)
 
@@ -178,7 +182,7 @@ class InertialUnit:
             The epochs that ended within these samples; None while the unit is off or boots.
         """
         if first_sample % SAMPLE_RATE_HZ == 0:
-            self._judge_last_second()
+            self._evaluate_last_second()
         n = len(rotation)
         if self.mode is Mode.OFF:
             self._boot_samples -= n
@@ -189,8 +193,8 @@ class InertialUnit:
             states = navigate(self._state, rotation, velocity, _DT_S, self._height, first, self._every)
         else:
             if self.mode is Mode.ALIGN:
-                add_up(rotation, self._second[0])
-                add_up(velocity, self._second[1])
+                add_up(rotation, self._second_sums[0])
+                add_up(velocity, self._second_sums[1])
                 self._second_samples += n
             states = np.repeat(self._state[None], len(samples), axis=0)
         return Epochs(samples, states, self.mode, self.alignment)
@@ -200,33 +204,33 @@ class InertialUnit:
         self._aligned_samples = 0
         self._levelling_samples = round(self._behaviour.levelling_s * SAMPLE_RATE_HZ)
         self._up_body = np.zeros(3)
-        self._forget_second()
+        self._reset_second()
         self.alignment = Alignment.INVALID
         self._state[:] = 0.0
         self._state[0] = 1.0
         self._state[6] = self._latitude
 
-    def _forget_second(self) -> None:
-        self._second[:] = 0.0
+    def _reset_second(self) -> None:
+        self._second_sums[:] = 0.0
         self._second_samples = 0
 
-    def _judge_last_second(self) -> None:
+    def _evaluate_last_second(self) -> None:
         if self.mode is Mode.OFF:
             if self.powered and self._boot_samples <= 0:
                 self.mode = Mode.STANDBY
         elif self.mode is Mode.ALIGN:
             limit = _MOTION_RADPS * _DT_S * self._second_samples + _PULSES_RAD
-            if np.abs(self._second[0]).max() > limit:
+            if np.abs(self._second_sums[0]).max() > limit:
                 self._reset_state()
             else:
-                self._use_second()
-                self._forget_second()
+                self._add_second()
+                self._reset_second()
 
-    def _use_second(self) -> None:
+    def _add_second(self) -> None:
         if self._levelling_samples > 0:
             self._levelling_samples -= self._second_samples
             return
-        self._sums += self._second
+        self._sums += self._second_sums
         self._aligned_samples += self._second_samples
         if self.align_time_s >= self._behaviour.coarse_alignment_s and not self.never_aligns:
             fine = self.align_time_s >= self._behaviour.fine_alignment_s

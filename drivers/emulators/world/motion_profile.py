@@ -1,7 +1,7 @@
 """Jerk-limited motion along one coordinate, as a function of time alone.
 
-A motion is a row of pieces of constant jerk. It starts from any position, rate and acceleration,
-so that one motion can follow another without a jump in any of the three.
+A motion is a sequence of pieces of constant jerk. It starts from any position, rate and acceleration,
+so motions join without a step in any of the three.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Settling follows x^3 exp(-x), x in time constants: smooth at its start, greatest at x = 3.
 _SETTLING_PEAK = 27.0 * math.exp(-3.0)
-#: After so many time constants settling is below 1e-6 of its size, and over.
+#: After this many time constants settling is below 1e-6 of its size and ends.
 _SETTLING_TIME_CONSTANTS = 25.0
-#: Places closer to each other than this are the same.
-_SAME_PLACE_DEG = 1e-10
+#: Positions closer to each other than this are equal.
+_SAME_POSITION_DEG = 1e-10
 
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """Bounds that a motion keeps; the bounds of position may be infinite."""
+    """Bounds of a motion; those of position may be infinite."""
 
     rate_dps: float
     acceleration_dps2: float
@@ -38,14 +38,14 @@ class AxisLimits:
 
 
 class AxisState(NamedTuple):
-    """Where an axis is and how it moves."""
+    """Position, rate and acceleration of an axis."""
 
     position_deg: float
     rate_dps: float = 0.0
     acceleration_dps2: float = 0.0
 
     def after(self, jerk_dps3: float, duration_s: float) -> AxisState:
-        """State at the end of a time of constant jerk."""
+        """State after a piece of constant jerk."""
         position, rate, acceleration = self
         t = duration_s
         return AxisState(
@@ -56,7 +56,7 @@ class AxisState(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A time of constant jerk; the last piece of a motion may last for ever."""
+    """A piece of constant jerk; the last piece of a motion may be endless."""
 
     jerk_dps3: float
     duration_s: float
@@ -80,12 +80,12 @@ class Settling:
         return scale * x**3
 
     def rate_dps(self, time_s: FloatArray) -> FloatArray:
-        """Return its time derivative."""
+        """Time derivative of :meth:`position_deg`."""
         x, scale = self._scaled(time_s)
         return scale * (3.0 - x) * x**2 / self.time_constant_s
 
     def acceleration_dps2(self, time_s: FloatArray) -> FloatArray:
-        """Return its second time derivative."""
+        """Second time derivative of :meth:`position_deg`."""
         x, scale = self._scaled(time_s)
         return scale * (6.0 - 6.0 * x + x**2) * x / self.time_constant_s**2
 
@@ -95,9 +95,9 @@ class Settling:
 
 
 def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[Piece]:
-    """Quickest way to a constant rate: build acceleration up, hold it, take it away."""
+    """Fastest profile to a constant rate: build up acceleration, hold it, reduce it to zero."""
     jerk = limits.jerk_dps3
-    # what the rate becomes if the present acceleration is only taken away
+    # the final rate if the present acceleration is only reduced to zero
     natural_dps = start.rate_dps + start.acceleration_dps2 * abs(start.acceleration_dps2) / (2.0 * jerk)
     sign = 1.0 if rate_dps >= natural_dps else -1.0
     first = sign * start.acceleration_dps2
@@ -116,16 +116,16 @@ def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[P
 
 
 def rest_position(start: AxisState, limits: AxisLimits) -> float:
-    """Where the axis comes to rest if it stops at once."""
+    """Position of rest after an immediate stop."""
     return _end(start, change_rate(start, 0.0, limits)).position_deg
 
 
 def move(
     start: AxisState, target_deg: float, limits: AxisLimits
 ) -> tuple[list[Piece], list[Piece], list[Piece]]:
-    """Quickest way to rest at a target: pieces up to the peak rate, along it, and down to rest.
+    """Fastest profile to rest at a target: pieces up to the peak rate, at that rate, and down to rest.
 
-    An infinite target has a way along that never ends and none down.
+    For an infinite target the second part is endless and the third empty.
     """
     if math.isinf(target_deg):
         rate_dps = math.copysign(limits.rate_dps, target_deg)
@@ -136,7 +136,7 @@ def move(
         down = change_rate(AxisState(0.0, peak_dps), 0.0, limits)
         return _end(start, up + down).position_deg - target_deg
 
-    if abs(beyond_deg(0.0)) < _SAME_PLACE_DEG:
+    if abs(beyond_deg(0.0)) < _SAME_POSITION_DEG:
         return [], [], change_rate(start, 0.0, limits)
     peak_dps = math.copysign(limits.rate_dps, -beyond_deg(0.0))
     along_s = -beyond_deg(peak_dps) / peak_dps
@@ -148,23 +148,23 @@ def move(
 
 
 class Motion:
-    """A motion from a moment on, with what remains of it for ever after.
+    """A motion from its start on, without end.
 
     Parameters
     ----------
     start_s, start
-        When and from which state.
+        Start time and state.
     pieces : sequence of Piece
-        What follows; after them the axis is at rest, unless the last one is endless.
+        After them the axis is at rest, unless the last one is endless.
     settling : Settling
-        What the end of the pieces excites.
+        Overshoot after the last piece.
     target_deg : float, optional
-        Place of rest, free of the rounding of the pieces.
+        Position of rest, free of the rounding of the pieces.
 
     Attributes
     ----------
     end_s, still_from_s : float
-        End of the pieces; end of settling, from which on the position is constant.
+        End of the pieces; end of settling, after which the position is constant.
     """
 
     def __init__(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.emulators.world.document import (
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
+from gyrobench.drivers.emulators.world.world_file import (
     AccelerometerErrors,
     GyroErrors,
     OverTemperature,
@@ -17,7 +17,6 @@ from gyrobench.drivers.emulators.world.document import (
     PerPair,
 )
 
-DPH = math.radians(1.0) / 3600.0
 ARCSEC = math.radians(1.0) / 3600.0
 MICRO_G = 9.80665e-6
 PPM = 1e-6
@@ -51,7 +50,7 @@ class TriadErrors:
 def gyro_errors(errors: GyroErrors) -> TriadErrors:
     """The gyros' errors: biases in rad/s, noise in rad/sqrt(s)."""
     return TriadErrors(
-        _polynomials(errors.bias_dph, DPH, errors.scale_factor_ppm, errors.misalignment_arcsec),
+        _polynomials(errors.bias_dph, DPH_TO_RADPS, errors.scale_factor_ppm, errors.misalignment_arcsec),
         math.radians(errors.angle_random_walk_deg_per_sqrt_h) / 60.0,
         errors.pulse_arcsec * ARCSEC,
     )

@@ -1,4 +1,4 @@
-"""Numba kernels of the simulated INS: what the sensors feel, and strapdown navigation with it.
+"""Numba kernels of the simulated INS: the Earth, ideal sensors, and strapdown navigation.
 
 The mechanisation is the full nonlinear one in the local-level frame (attitude quaternion,
 transport rate and Earth rate, Coriolis, ellipsoid, gravity over latitude) with fixed altitude:
@@ -14,11 +14,34 @@ import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity, principal_radii
 
+#: Rotation rate of the Earth, rad/s.
+EARTH_RATE = 7.292115e-5
+#: Semi-major axis of the WGS-84 ellipsoid, m.
+SEMI_MAJOR_AXIS = 6378137.0
+#: First eccentricity squared of the ellipsoid.
+ECCENTRICITY_SQUARED = 6.69437999014e-3
+_EQUATOR_GRAVITY = 9.7803253359
+_SOMIGLIANA_K = 1.93185265241e-3
 #: Layout of the navigation state: quaternion body to ENU (w, x, y, z), velocity east and north
 #: in m/s, latitude and longitude in rad.
 STATE_SIZE = 8
+
+
+@numba.njit(cache=True)
+def normal_gravity(latitude: float, height: float) -> float:
+    """Gravity in m/s2 at geodetic latitude (rad) and height (m), Somigliana with free air term."""
+    sin2 = math.sin(latitude) ** 2
+    surface = _EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA_K * sin2) / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
+    return surface * (1.0 - 2.0 * height / SEMI_MAJOR_AXIS)
+
+
+@numba.njit(cache=True)
+def principal_radii(latitude: float) -> tuple[float, float]:
+    """Radii of curvature in m at a latitude in rad: along the meridian, and across it."""
+    root = 1.0 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
+    across = SEMI_MAJOR_AXIS / math.sqrt(root)
+    return across * (1.0 - ECCENTRICITY_SQUARED) / root, across
 
 
 @numba.njit(cache=True)
@@ -57,7 +80,7 @@ def true_increments(
     inner: FloatArray,
     latitude: float, height: float, dt: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """What ideal sensors at the table's centre feel.
+    """Output of ideal sensors at the table's centre.
 
     Parameters
     ----------
@@ -115,7 +138,7 @@ def sense(
     bias : ndarray, shape (3,)
         Bias, unit of the increment per second.
     pulse : float
-        Size of one output pulse; 0 for none. What is left over stays in ``remainder`` (3,).
+        Size of one output pulse; 0 for none. The remainder stays in ``remainder`` (3,).
     """
     n = true.shape[0]
     out = np.empty((n, 3))
@@ -171,7 +194,7 @@ def matrix_of(q: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True)
 def add_up(increments: FloatArray, total: FloatArray) -> None:
-    """Add increments (n, 3) to their ``total`` (3,), one by one: equal to the bit however they are cut."""
+    """Add increments (n, 3) to ``total`` (3,) one by one: the sum does not depend on how they are split."""
     for k in range(increments.shape[0]):
         for i in range(3):
             total[i] += increments[k, i]
@@ -179,7 +202,7 @@ def add_up(increments: FloatArray, total: FloatArray) -> None:
 
 @numba.njit(cache=True)
 def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Attitude from rotation and velocity summed up at rest.
+    """Attitude from rotation and velocity increments summed at rest.
 
     Parameters
     ----------
@@ -219,7 +242,7 @@ def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
         )
     )
     q = np.empty(4)
-    largest = int(np.argmax(squares))  # the component that loses no digits
+    largest = int(np.argmax(squares))  # the numerically best conditioned component
     if largest == 0:
         q[:] = squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
     else:

@@ -1,7 +1,7 @@
-"""One axis of a rate table: what it can do, how it moves, and what its encoder makes of it.
+"""One axis of a rate table: limits, motion and encoder.
 
-The servo brings the *encoder* to where the command says; the true angle differs from it by the
-encoder's error, which is the same each time at the same angle.
+The servo brings the *encoder* to the commanded position; the true angle differs from it by the
+encoder's error, which is repeatable over angle.
 """
 
 from __future__ import annotations
@@ -25,25 +25,24 @@ from gyrobench.drivers.emulators.world.motion_profile import (
 )
 
 _ARCSEC_DEG = 1.0 / 3600.0
-#: How much harder than the servo an obstacle brakes.
+#: Deceleration at an obstacle, relative to the axis's limit.
 _JAM = 50.0
-#: How long before the last command the past can still be asked for.
+#: Time before the last command for which positions are kept.
 _MEMORY_S = 1.0
 
 
 @dataclass(frozen=True)
 class AxisParameters:
-    """What one axis can do and how well.
+    """Limits and errors of one axis.
 
     Attributes
     ----------
     position_error_arcsec : float
-        Bound of the encoder's error: a harmonic of the angle and one of twice the angle, the
-        second of half the size.
+        Bound of the encoder's error: a first harmonic of the angle and a second of half its size.
     position_error_phases_deg : tuple of float
-        Phases of the two.
+        Phases of the two harmonics.
     settling_amplitude_arcsec : float
-        Overshoot after braking at the acceleration limit; in proportion less after less.
+        Overshoot after braking at the acceleration limit; proportional to deceleration.
     """
 
     rate_limit_dps: float = 30.0
@@ -58,7 +57,7 @@ class AxisParameters:
 
     @property
     def limits(self) -> AxisLimits:
-        """Widest limits that the axis may be set to."""
+        """Limits that the axis can't exceed."""
         return AxisLimits(
             self.rate_limit_dps,
             self.acceleration_limit_dps2,
@@ -69,17 +68,17 @@ class AxisParameters:
 
 
 class TableAxis:
-    """One axis, at rest until it is told to move.
+    """One axis, at rest until the first command.
 
-    Commands come in the order of time. Position and rate may be asked for from one second
-    before the last command on.
+    Commands come in order of time. Position and rate are available from one second before the last
+    command on.
 
     Attributes
     ----------
     limits : AxisLimits
-        Bounds for the commands from now on; may be set, and does not change a motion under way.
+        Limits of later commands; a motion under way keeps its own.
     friction_deg : float
-        How far before the target a move ends, because the servo is too weak for the last bit.
+        Distance from the target at which a move ends, because the servo is too weak.
     """
 
     def __init__(self, parameters: AxisParameters, position_deg: float = 0.0) -> None:
@@ -93,17 +92,17 @@ class TableAxis:
         self._rest_angle_deg = self._true_angle(np.asarray(position_deg))
 
     def move_to(self, position_deg: float, now_s: float) -> None:
-        """Move to a position of the encoder and stay; beyond a position limit means that limit."""
+        """Move to an encoder position, clipped to the position limits, and hold it."""
         target_deg = min(max(position_deg, self.limits.low_deg), self.limits.high_deg)
-        way_deg = target_deg - self.encoder(now_s).position_deg
-        missed_deg = math.copysign(min(self.friction_deg, abs(way_deg)), way_deg)
+        distance_deg = target_deg - self.encoder(now_s).position_deg
+        missed_deg = math.copysign(min(self.friction_deg, abs(distance_deg)), distance_deg)
         reached_deg = target_deg - missed_deg
         up, along, down = move(self.encoder(now_s), reached_deg, self.limits)
         self._start(now_s, [*up, *along, *down], self._settling(down), reached_deg)
         self._missed_deg = missed_deg
 
     def turn_at(self, rate_dps: float, now_s: float) -> None:
-        """Turn at a rate until the next command; at a position limit the axis stops by itself."""
+        """Turn at a rate until the next command; at a position limit the axis stops."""
         rate_dps = min(max(rate_dps, -self.limits.rate_dps), self.limits.rate_dps)
         end_deg = self.limits.high_deg if rate_dps > 0.0 else self.limits.low_deg
         start = self.encoder(now_s)
@@ -116,19 +115,19 @@ class TableAxis:
         self._complete_until_s = self._complete_from_s + sum(piece.duration_s for piece in along)
 
     def stop(self, now_s: float) -> None:
-        """Come to rest within the limits and stay there."""
+        """Stop within the limits and hold the position."""
         pieces = change_rate(self.encoder(now_s), 0.0, self.limits)
         self._start(now_s, pieces, self._settling(pieces))
 
     def release(self, now_s: float) -> None:
-        """Open the servo: the brake brings the axis to rest, and nothing settles."""
+        """Open the servo: the brake stops the axis, without settling."""
         pieces = change_rate(self.encoder(now_s), 0.0, self.limits)
         self._start(now_s, pieces, self._settling([]))
 
     def overcome(self, now_s: float, by_deg: float = 0.0) -> None:
-        """Let something stronger than the servo take the axis so far from where it is, and keep it there.
+        """Move the axis against its servo by an external force and hold it there.
 
-        What is commanded from now on moves the command alone, until :meth:`let_go`.
+        Until :meth:`let_go`, commands change the commanded profile but not the axis.
         """
         start, limits = self.encoder(now_s), self.parameters.limits
         if by_deg:
@@ -148,28 +147,28 @@ class TableAxis:
         self._commanded = commanded
 
     def let_go(self, now_s: float, *, servo: bool) -> None:
-        """End what :meth:`overcome` and :attr:`friction_deg` did; the servo, if any, follows its command."""
+        """End :meth:`overcome` and the effect of :attr:`friction_deg`; a closed servo follows its command."""
         commanded, self._commanded = self._commanded, None
         target_deg = self.rest_position_deg + self._missed_deg
         self._missed_deg = 0.0
         if commanded is not None:
             target_deg = commanded.last_state.position_deg
         if servo and math.isfinite(self._complete_until_s):
-            self.stop(now_s)  # a rate that was not kept is not made up for
+            self.stop(now_s)  # a missed rotation is not made up
         elif servo and target_deg != self.rest_position_deg:
             self.move_to(target_deg, now_s)
 
     def encoder(self, now_s: float) -> AxisState:
-        """Return what the encoder reads at a time not before the last command."""
+        """Encoder reading at a time not before the last command."""
         return self._motions[-1].at(now_s)
 
     @property
     def rest_position_deg(self) -> float:
-        """Where the encoder will rest when the present move or stop is over."""
+        """Encoder position after the present move or stop."""
         return self._motions[-1].last_state.position_deg
 
     def following_error_deg(self, now_s: float) -> float:
-        """Return encoder minus commanded profile: the overshoot while the axis settles, or what it misses."""
+        """Encoder minus commanded profile: the overshoot while the axis settles, or the missed distance."""
         motion = self._motions[-1]
         if self._commanded is not None:
             return self.encoder(now_s).position_deg - self._commanded.at(now_s).position_deg
@@ -180,23 +179,23 @@ class TableAxis:
         return 0.0
 
     def position_deg(self, time_s: FloatArray) -> FloatArray:
-        """Return the true angle at each time, not wrapped; any shape."""
+        """True angle at each time, not wrapped; any shape."""
         if time_s.size and time_s.min() >= self._motions[-1].still_from_s:
             return np.full(time_s.shape, self._rest_angle_deg)
         return self._true_angle(self._select(Motion.positions_deg, time_s))
 
     def rate_dps(self, time_s: FloatArray) -> FloatArray:
-        """Return the true rate at each time; any shape."""
+        """True rate at each time; any shape."""
         first, second = self._error_arguments(self._select(Motion.positions_deg, time_s))
         slope = math.radians(self._error_deg) * (np.cos(first) + np.cos(second))
         return self._select(Motion.rates_dps, time_s) * (1.0 + slope)
 
     def profile_complete(self, now_s: float) -> bool:
-        """Whether the commanded position or rate is reached, and still held."""
+        """Whether the commanded position or rate is reached and held."""
         return self._complete_from_s <= now_s < self._complete_until_s
 
     def is_moving(self, now_s: float) -> bool:
-        """Whether the angle can still change; if not, it stays exactly what it is."""
+        """Whether the angle still changes; otherwise it is exactly constant."""
         return now_s < self._motions[-1].still_from_s
 
     def _start(
@@ -212,14 +211,14 @@ class TableAxis:
 
     def _follow(self, motion: Motion) -> None:
         now_s = motion.start_s
-        # a motion is remembered as long as its end, the start of the next one, is recent
+        # a motion is kept while its end, the start of the next one, is recent
         ends_s = [later.start_s for later in self._motions[1:]] + [now_s]
         recent = [m for m, end_s in zip(self._motions, ends_s, strict=True) if end_s > now_s - _MEMORY_S]
         self._motions = [*recent, motion]
         self._rest_angle_deg = self._true_angle(np.asarray(motion.last_state.position_deg))
 
     def _settling(self, braking: list[Piece]) -> Settling:
-        """Overshoot that a braking of three pieces leaves behind: its deceleration decides."""
+        """Overshoot after braking in three pieces, in proportion to the deceleration."""
         deceleration_dps2 = braking[-1].jerk_dps3 * braking[-1].duration_s if braking else 0.0
         share = deceleration_dps2 / self.parameters.acceleration_limit_dps2
         return Settling(
@@ -228,7 +227,7 @@ class TableAxis:
         )
 
     def _select(self, evaluate: Callable[[Motion, FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
-        """Evaluate for each time the motion that was under way then."""
+        """Evaluate for each time the motion that was under way."""
         values = evaluate(self._motions[-1], time_s)
         for earlier, later in zip(self._motions[-2::-1], self._motions[:0:-1], strict=True):
             before = time_s < later.start_s

@@ -1,7 +1,7 @@
 """Lumped thermal network of the unit: case, and for each gyro its electronics and optics.
 
-Heat flows by conduction, and by convection that gravity helps or hinders: a conductance
-``g (1 + s u)``, where ``u`` is the upward part of the direction from electronics to optics.
+Heat flows by conduction and by convection that depends on gravity: a conductance ``g (1 + s u)``,
+where ``u`` is the upward part of the direction from electronics to optics.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.emulators.world.document import GyroThermal, Thermal
+from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 
 
 class ThermalNetwork:
@@ -59,7 +59,7 @@ class ThermalNetwork:
         return self.nodes_c[4:7]
 
     def step(self, dt_s: float, air_c: float, up_body: FloatArray) -> None:
-        """Go on by ``dt_s`` (a second or so) in air of that temperature; ``up_body`` (3,) is Up."""
+        """Advance by ``dt_s`` (about a second) in air of that temperature; ``up_body`` (3,) is Up."""
         before_c = self.optics_c.copy()
         _step(self.nodes_c, self.convected_w, self._case, self._gyro, self._paths, up_body, air_c,
               1.0 if self.powered else 0.0, dt_s)  # fmt: skip
@@ -83,8 +83,7 @@ def _row(gyro: GyroThermal) -> list[float]:
 @numba.njit(cache=True)
 def _step(
     nodes: FloatArray, convected: FloatArray, case: FloatArray, gyro: FloatArray, paths: FloatArray,
-    up: FloatArray,
-    air_c: float, power: float, dt: float,
+    up: FloatArray, air_c: float, power: float, dt: float,
 ) -> None:  # fmt: skip
     case_c = nodes[0]
     into_case = case[1] * (air_c - case_c)

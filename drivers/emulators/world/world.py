@@ -1,4 +1,4 @@
-"""The simulated bench as a whole, brought to any later time on request."""
+"""The simulated bench as a whole, advanced to any later time on request."""
 
 from __future__ import annotations
 
@@ -8,15 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
-from gyrobench.drivers.emulators.world.document import TableGeometry, WorldFile
-from gyrobench.drivers.emulators.world.effects.effect import Conditions
-from gyrobench.drivers.emulators.world.effects.undeclared_bias import UndeclaredBias
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
 from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
-    DPH,
     TriadErrors,
     accelerometer_errors,
     gyro_errors,
@@ -24,6 +20,8 @@ from gyrobench.drivers.emulators.world.sensor_errors import (
 from gyrobench.drivers.emulators.world.strapdown import sense, table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
+from gyrobench.drivers.emulators.world.undeclared_effects import Conditions, UndeclaredBias
+from gyrobench.drivers.emulators.world.world_file import TableGeometry, WorldFile
 
 OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
@@ -32,17 +30,17 @@ _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
 
 
 class World:
-    """The one truth behind the emulated instruments.
+    """The simulated physics behind the emulated instruments.
 
     Parameters
     ----------
     file : WorldFile
-        What the bench is like.
+        Properties of the bench.
     seed : int
-        Everything random comes from it, and from the start.
+        Seed of all random numbers, together with the start.
     start_s : int
-        Whole second at which this world begins: at room temperature, the unit off, the table at
-        zero. What depends on time itself goes by the time since zero.
+        Whole second at which this world starts: at room temperature, the unit off, the table at
+        zero. Effects that depend on time count it from zero.
 
     Attributes
     ----------
@@ -53,16 +51,16 @@ class World:
     unit : InertialUnit
         The INS.
     on_epochs : callable
-        Called with the navigation epochs as they come about.
+        Called with the navigation epochs in order of time.
     broken_sensors : dict of int to float
-        What faulty temperature sensors read, by their place in :meth:`temperatures_c`.
+        Readings of faulty temperature sensors, by their index in :meth:`temperatures_c`.
     """
 
     def __init__(self, file: WorldFile, seed: int, start_s: int = 0) -> None:
         self.file = file
-        # A bench that is made anew in the middle of a run must not repeat the noise of its beginning.
+        # A bench that starts in the middle of a run must not repeat the noise of the run's start.
         self._random = np.random.default_rng((seed, 0, start_s) if start_s else seed)
-        # Its own, so that what else is random does not depend on it.
+        # A separate stream: the unit's own readings do not change the other random numbers.
         self._unit_random = np.random.default_rng((seed, 1, start_s) if start_s else (seed, 1))
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _Geometry(file.table)
@@ -86,18 +84,18 @@ class World:
         self._powered_on_sample = self._sample
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
-        self._errors_now: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]] | None = None
+        self._sensor_errors: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
         self._undeclared_dph = self._undeclared.added_dph(self._conditions(self.attitude()[2]))
 
     def power_unit(self, on: bool) -> None:
-        """Switch the unit's supply; each power-on has gyro biases a little different."""
+        """Switch the unit's supply; each power-on draws another repeatability error of the gyro biases."""
         if on and not self.thermal.powered:
-            spread = self.file.gyro.power_on_repeatability_dph * DPH
+            spread = self.file.gyro.power_on_repeatability_dph * DPH_TO_RADPS
             self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
             self._powered_on_sample = self._sample
         self.thermal.powered = on
-        self._feel(self.attitude()[2])
+        self._update_undeclared(self.attitude()[2])
         self.unit.power(on)
 
     def temperatures_c(self) -> FloatArray:
@@ -106,12 +104,12 @@ class World:
         return self._as_read(self.thermal.nodes_c + self.file.thermal.sensor_noise_c * noise)
 
     def true_gyro_bias(self) -> FloatArray:
-        """The gyro biases at this moment in rad/s, shape (3,): the truth that tests compare with."""
-        return self._gyro_bias()[0]
+        """The true gyro biases at this moment, rad/s, shape (3,)."""
+        return self._gyro_errors()[0]
 
     def undeclared_bias(self) -> FloatArray:
         """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
-        return self._undeclared_dph * DPH
+        return self._undeclared_dph * DPH_TO_RADPS
 
     def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
@@ -123,21 +121,22 @@ class World:
         )
 
     def advance(self, time_s: float) -> None:
-        """Bring everything to ``time_s``; an earlier time changes nothing."""
+        """Advance to ``time_s``; an earlier time changes nothing."""
         end = math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
         while self._sample < end:
             into_second = self._sample % SAMPLE_RATE_HZ
             count = min(end - self._sample, SAMPLE_RATE_HZ - into_second)
             if into_second == 0:
-                self._slow_second()
-            self._fast_samples(count)
+                self._step_second()
+            self._step_samples(count)
 
-    def _slow_second(self) -> None:
+    def _step_second(self) -> None:
+        """Step chamber, temperatures and undeclared effects by one second."""
         self.air.step(1.0)
         resting = self._at_rest()
         up_body = self.attitude()[2] if resting is None else resting[2]
         self.thermal.step(1.0, self.air.air_c, up_body)
-        self._feel(up_body)
+        self._update_undeclared(up_body)
         if self.unit.powered:
             noise_c = self.file.thermal.sensor_noise_c * self._unit_random.standard_normal(6)
             read_c = self.thermal.nodes_c.copy()
@@ -150,10 +149,10 @@ class World:
             nodes_c[place] = reading_c
         return nodes_c
 
-    def _feel(self, up_body: FloatArray) -> None:
-        """Let the undeclared effects act for the second that begins; the sensors' errors are new then."""
+    def _update_undeclared(self, up_body: FloatArray) -> None:
+        """Evaluate the undeclared effects for the next second; the sensor errors are recalculated."""
         self._undeclared_dph = self._undeclared.added_dph(self._conditions(up_body))
-        self._errors_now = None
+        self._sensor_errors = None
 
     def _conditions(self, up_body: FloatArray) -> Conditions:
         on_s = (self._sample - self._powered_on_sample) * _DT_S
@@ -168,42 +167,45 @@ class World:
             compressor_duty=self.air.compressor_duty,
         )
 
-    def _fast_samples(self, count: int) -> None:
+    def _step_samples(self, count: int) -> None:
+        """Step the inertial sensors and the INS by samples of one second at most."""
         rotation = velocity = np.empty((count, 3))
         resting = self._at_rest()
-        if self.unit.senses:
-            rotation, velocity = self._measured(count, resting)
+        if self.unit.uses_sensors:
+            rotation, velocity = self._measured_increments(count, resting)
         first = self._sample
         self._sample += count
         epochs = self.unit.advance(first, rotation, velocity)
         if epochs is not None and len(epochs.sample) and self.on_epochs:
             self.on_epochs(epochs)
 
-    def _measured(
+    def _measured_increments(
         self, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> tuple[FloatArray, FloatArray]:
-        rotation, velocity = self._felt(count) if resting is None else (each[:count] for each in resting[:2])
-        # Drawn sample by sample, so that a stretch of time has the same noise however it is cut.
+        ideal = self._ideal_increments(count) if resting is None else (each[:count] for each in resting[:2])
+        rotation, velocity = ideal
+        # Drawn sample by sample: the noise does not depend on how the time is split.
         noise = self._random.standard_normal((count, 2, 3)) * math.sqrt(_DT_S)
-        if self._errors_now is None:
-            self._errors_now = self._sensor_errors()
-        (gyro_bias, gyro_matrix), accelerometer = self._errors_now
+        if self._sensor_errors is None:
+            case_c = np.full(3, self.thermal.case_c - self.file.reference_temperature_c)
+            self._sensor_errors = self._gyro_errors(), self._accelerometer.at(case_c)
+        (gyro_bias, gyro_matrix), accelerometer = self._sensor_errors
         if self.unit.compensation is not None:
-            gyro_bias = gyro_bias - self.unit.compensation.bias_dph * DPH
+            gyro_bias = gyro_bias - self.unit.compensation.bias_dph * DPH_TO_RADPS
         return (
             _sensed(rotation, (gyro_bias, gyro_matrix), noise[:, 0], self._gyro, self._remainders[0]),
             _sensed(velocity, accelerometer, noise[:, 1], self._accelerometer, self._remainders[1]),
         )
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """What is felt in a second, and Up in body axes, while the table rests; None while it moves."""
+        """Ideal increments of a second and Up in body axes while the table rests; None while it moves."""
         if any(axis.is_moving(self._sample * _DT_S) for axis in self.axes.values()):
             self._resting = None
         elif self._resting is None:
-            self._resting = (*self._felt(SAMPLE_RATE_HZ), self.attitude()[2])
+            self._resting = (*self._ideal_increments(SAMPLE_RATE_HZ), self.attitude()[2])
         return self._resting
 
-    def _felt(self, count: int) -> tuple[FloatArray, FloatArray]:
+    def _ideal_increments(self, count: int) -> tuple[FloatArray, FloatArray]:
         edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
         outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
         geometry = self._geometry
@@ -213,17 +215,13 @@ class World:
         )  # fmt: skip
         return rotation, velocity
 
-    def _sensor_errors(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-        case_c = np.full(3, self.thermal.case_c - self.file.reference_temperature_c)
-        return self._gyro_bias(), self._accelerometer.at(case_c)
-
-    def _gyro_bias(self) -> tuple[FloatArray, FloatArray]:
+    def _gyro_errors(self) -> tuple[FloatArray, FloatArray]:
         bias, matrix = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
         return bias + self._power_on_bias + self.undeclared_bias(), matrix
 
 
 class _Geometry:
-    """True axes of the table in ENU, and the unit's mounting, with their small errors."""
+    """True table axes in ENU and mounting of the unit, with their errors."""
 
     def __init__(self, table: TableGeometry) -> None:
         tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()

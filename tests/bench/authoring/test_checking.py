@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.authoring.checking import check_file
-from gyrobench.bench.authoring.kinds import KINDS, PROCEDURE
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.bench.foundations.shipped import shipped_names
+from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE
+from gyrobench.bench.foundations.shipped import find_document, shipped_names
 from gyrobench.bench.station.station import Station
 
 #: The emulators' files are checked by a process of their own; one of each shows that.

@@ -1,50 +1,46 @@
-"""The shipped schemas: up to date, true of every shipped file, and false of typical mistakes."""
+"""The schemas: every shipped file fits them, typical mistakes do not."""
 
 import copy
 import json
+from functools import cache
 from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
 
-from gyrobench.bench.authoring.kinds import KINDS, PROCEDURE, STATION, kind_of
-from gyrobench.bench.authoring.schemas import editor_line
+from gyrobench.bench.authoring import file_kinds
+from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE, STATION, editor_line, kind_of, schema_of
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import shipped_folders
 from tests.bench.command_line import gyrobench
 
 ROOT = Path(__file__).parents[3]
-SCHEMAS = ROOT / "schemas"
 SHIPPED = sorted(
     path for kind in KINDS.values() if kind.folder for path in (ROOT / kind.folder).glob("*.yaml")
 )
 
 
+@cache
 def validator(kind):
-    return Draft202012Validator(json.loads((SCHEMAS / kind.schema_name).read_text()))
+    return Draft202012Validator(schema_of(kind))
 
 
 def shipped(kind, name):
     return copy.deepcopy(read_document(ROOT / kind.folder / f"{name}.yaml").data)
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Schemas as the command writes them from the models."""
-    folder = tmp_path_factory.mktemp("made")
-    assert gyrobench("schema", "--out", folder, cwd=folder).returncode == 0
-    return folder
-
-
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_the_shipped_schema_is_what_the_models_say(kind, made):
-    text = (made / kind.schema_name).read_text()
-    assert (SCHEMAS / kind.schema_name).read_text() == text, "write them anew: gyrobench schema --out schemas"
-
-
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_the_shipped_schema_is_a_schema(kind):
+def test_the_schema_of_a_kind_is_a_schema(kind):
     Draft202012Validator.check_schema(validator(kind).schema)
+
+
+def test_the_command_writes_and_prints_the_schemas(tmp_path):
+    assert gyrobench("schema", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    assert {path.name for path in tmp_path.iterdir()} == {kind.schema_name for kind in KINDS.values()}
+    for kind in KINDS.values():
+        assert json.loads((tmp_path / kind.schema_name).read_text()) == validator(kind).schema
+    printed = gyrobench("schema", "procedure", cwd=tmp_path).stdout
+    assert printed == (tmp_path / "procedure.schema.json").read_text()
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: f"{path.parent.name}/{path.stem}")
@@ -54,7 +50,7 @@ def test_a_shipped_file_fits_its_schema_and_names_it(path):
     assert [error.message for error in validator(kind).iter_errors(document.data)] == []
     first = document.text.splitlines()[0]
     assert first == f"# yaml-language-server: $schema=../schemas/{kind.schema_name}"
-    assert (path.parent / first.partition("=")[2]).is_file()
+    assert f"{first}\n" == editor_line(kind, path)
 
 
 def without(document, *keys):
@@ -180,6 +176,18 @@ def test_every_key_says_what_it_means(kind):
         if not each.get("description") and "const" not in each
     ]
     assert silent == []
+
+
+def test_schemas_that_a_checkout_lacks_are_written_when_a_file_names_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_kinds, "shipped_folders", lambda name: [tmp_path / name])
+    line = editor_line(STATION, Path("/elsewhere/mine.yaml"))
+    assert line == f"# yaml-language-server: $schema={tmp_path}/schemas/station.schema.json\n"
+    assert json.loads((tmp_path / "schemas" / "station.schema.json").read_text()) == validator(STATION).schema
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(file_kinds, "shipped_folders", lambda name: [tmp_path / "file" / name])
+    assert editor_line(STATION, Path("/elsewhere/mine.yaml")) == ""
+    monkeypatch.setattr(file_kinds, "shipped_folders", lambda name: [])
+    assert editor_line(STATION, Path("/elsewhere/mine.yaml")) == ""
 
 
 def test_a_file_elsewhere_names_the_schema_by_its_whole_path(tmp_path):

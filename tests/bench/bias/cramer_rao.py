@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,

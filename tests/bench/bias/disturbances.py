@@ -1,6 +1,6 @@
 """What may happen to the gyros in a dwell besides a constant bias, as a change of the bias over time.
 
-Each function gives a ``gyro_bias_change`` of :class:`gyrobench.drivers.emulators.world.dwell.Sensors`: time
+Each function gives a ``gyro_bias_change`` of :class:`tests.bench.bias.simulated_dwell.Sensors`: time
 since the end of the alignment (n,) to rad/s in body axes (n, 3).
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.earth import EARTH_RATE
+from gyrobench.drivers.emulators.world.strapdown import EARTH_RATE
 from tests.bench.bias.emulated_dwells import DPH, LATITUDE_DEG
 
 Change = Callable[[FloatArray], FloatArray]

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.noise.model import NoiseModel
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.drivers.emulators.world.dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
+from tests.bench.bias.simulated_dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
 
 DPH = np.pi / 180.0 / 3600.0
 UG = 9.80665e-6

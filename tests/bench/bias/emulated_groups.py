@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gyrobench.bench.bias.joint.solution import JointDwell
-from gyrobench.bench.bias.prior import PriorKnowledge
-from gyrobench.bench.bias.state_space.bias_filter import estimate_state_space
+from gyrobench.bench.bias.bias_filter import estimate_state_space
+from gyrobench.bench.bias.joint_solution import JointDwell
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site

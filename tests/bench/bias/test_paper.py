@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError

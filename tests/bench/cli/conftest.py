@@ -1,8 +1,8 @@
 import pytest
 
-from tests.bench.exchange.made_up_log import MadeUpLog
+from tests.bench.exchange.sample_log import SampleLog
 
 
 @pytest.fixture
 def log(tmp_path):
-    return MadeUpLog(tmp_path)
+    return SampleLog(tmp_path)

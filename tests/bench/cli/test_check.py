@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 
 from gyrobench.bench.cli import app
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 
 
 @pytest.fixture

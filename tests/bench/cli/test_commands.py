@@ -36,7 +36,7 @@ def test_a_run_ends_by_printing_biases_and_where_report_and_figures_are(finished
     assert max(map(len, result.stdout.splitlines())) <= 80
 
 
-def test_bins_measures_a_run_anew(finished):
+def test_bins_measures_a_run_again(finished):
     cwd, _ = finished
     folder = cwd / "runs/ten_minute_check-001"
     tables = [folder / name for name in ("dwells.csv", "bias_bins.csv", "joint_biases.csv", "joint.csv")]
@@ -65,7 +65,7 @@ def test_close_prints_the_verdict_and_leaves_page_figures_and_tables(table):
     assert left == {"closure.html", "figures", *tables}
 
 
-def test_close_holds_out_the_cycles_that_it_is_told(table, tmp_path):
+def test_close_holds_out_the_cycles_that_it_is_reported(table, tmp_path):
     arguments = ("close", table, "--out", "found", "--hold-out-cycle", 1)
     result = gyrobench(*arguments, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
@@ -77,12 +77,12 @@ def test_close_holds_out_the_cycles_that_it_is_told(table, tmp_path):
     ("arguments", "message"),
     [
         (("nowhere.csv",), "nowhere.csv"),
-        ((".",), "is no run folder"),
+        ((".",), "is not a run folder"),
         (("TABLE", "--hold-out-cycle", 9), "no cycle 9"),
         (("TABLE", "--hold-out-cycle", "last"), "integer"),
     ],
 )
-def test_close_tells_what_is_wrong_with_its_input(table, tmp_path, arguments, message):
+def test_close_reports_what_is_wrong_with_its_input(table, tmp_path, arguments, message):
     words = [table if word == "TABLE" else word for word in arguments]
     result = gyrobench("close", *words, cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
@@ -133,7 +133,7 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
     assert max(map(len, result.stdout.splitlines())) <= 80
 
 
-def test_plan_tells_which_effects_its_dwells_tell_apart(tmp_path):
+def test_plan_reports_which_effects_its_dwells_report_apart(tmp_path):
     result = gyrobench("plan", "six_position_fig7", "--separability", "--target-dph", "0.05", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "A search sees 30 of 60 dwells" in result.stdout
@@ -141,7 +141,7 @@ def test_plan_tells_which_effects_its_dwells_tell_apart(tmp_path):
     assert (tmp_path / "separability_six_position_fig7.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_plan_of_a_verification_has_no_effects_to_tell_apart(tmp_path):
+def test_plan_of_a_verification_has_no_effects_to_report_apart(tmp_path):
     result = gyrobench("plan", "verification", "--separability", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "verification has no dwell that measures a bias" in result.stdout
@@ -168,7 +168,7 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
         (("run", "ten_minute_check", "--world", "mars"), EXIT_WRONG_INPUT, "gyro_a"),
         (("run", "ten_minute_check", "--station", "mars"), EXIT_WRONG_INPUT, "emulated"),
         (("run", "ten_minute_check", "--seed", "-1"), EXIT_WRONG_INPUT, "seed"),
-        (("bins", "."), EXIT_NOT_FINISHED, "is no run folder"),
+        (("bins", "."), EXIT_NOT_FINISHED, "is not a run folder"),
     ],
 )
 def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code, message):
@@ -206,7 +206,7 @@ def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
     assert "Report" in printed
 
 
-def test_a_compensation_that_is_no_compensation_file_is_told_before_anything_moves(tmp_path):
+def test_a_compensation_that_is_no_compensation_file_is_printed_before_anything_moves(tmp_path):
     (tmp_path / "wrong.yaml").write_text("low_c: [0, 0, 0]\n")
     result = gyrobench("run", "ten_minute_check", "--compensation", "wrong.yaml", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT

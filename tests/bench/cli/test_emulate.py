@@ -58,7 +58,9 @@ def test_the_station_written_reaches_the_bench_at_its_speed(emulate, tmp_path):
     assert (process.returncode, complaints) == (0, "")
 
 
-def test_people_are_told_where_it_is_and_the_emulators_end_with_it_even_if_it_is_killed(emulate, tmp_path):
+def test_operators_are_reported_where_it_is_and_the_emulators_end_with_it_even_if_it_is_killed(
+    emulate, tmp_path
+):
     link = tmp_path / "table"
     process, line = emulate("--table-port", link)
     assert line == "The emulated bench runs in real time until Ctrl-C.\n"
@@ -73,14 +75,14 @@ def test_people_are_told_where_it_is_and_the_emulators_end_with_it_even_if_it_is
         time.sleep(0.05)
 
 
-def test_what_the_emulators_find_wrong_is_told_with_its_exit_code(tmp_path):
+def test_what_the_emulators_find_wrong_is_shown_with_its_exit_code(tmp_path):
     result = gyrobench_process("emulate", "--for-s", "1", "--world", "atlantis", cwd=tmp_path)
     assert result.returncode == 2
     assert result.stderr.startswith("gyrobench emulate: atlantis: no shipped file of that name")
     assert "Traceback" not in result.stderr
 
 
-def test_a_station_that_is_wrong_is_told_before_anything_starts(tmp_path):
+def test_a_station_that_is_wrong_is_printed_before_anything_starts(tmp_path):
     result = gyrobench("emulate", "--station", "atlantis", cwd=tmp_path)
     assert result.returncode == 2
     assert "atlantis: no shipped file" in result.stderr

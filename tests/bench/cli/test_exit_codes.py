@@ -5,8 +5,8 @@ import os
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock
 from gyrobench.bench.station.station import Station
 from tests.bench.command_line import gyrobench
 
@@ -19,7 +19,9 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_bench_that_somebody_else_holds_is_not_touched_and_ends_with_three(command, tmp_path, monkeypatch):
+def test_a_bench_that_a_receiver_else_holds_is_not_touched_and_ends_with_three(
+    command, tmp_path, monkeypatch
+):
     monkeypatch.setenv(LOCK_DIR_VARIABLE, str(tmp_path))
     text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
     path = tmp_path / "real.yaml"

@@ -21,7 +21,7 @@ def test_files_and_their_sizes_are_listed(run_folder, tmp_path):
     assert (tmp_path / "x" / "dwells.csv").read_bytes() == (run_folder / "dwells.csv").read_bytes()
 
 
-def test_files_that_are_there_are_kept_and_that_is_told(run_folder, tmp_path):
+def test_files_that_are_there_are_kept_and_that_is_reported(run_folder, tmp_path):
     arguments = ("export", run_folder, "--what", "dwells", "--out", "x")
     assert gyrobench(*arguments, cwd=tmp_path).returncode == 0
     refused = gyrobench(*arguments, cwd=tmp_path)
@@ -39,7 +39,7 @@ def test_files_that_are_there_are_kept_and_that_is_told(run_folder, tmp_path):
         (("--dwell", "1"), "--what navigation"),
     ],
 )
-def test_a_wrong_option_is_told(run_folder, tmp_path, options, told):
+def test_a_wrong_option_is_reported(run_folder, tmp_path, options, told):
     ended = gyrobench("export", run_folder, *options, cwd=tmp_path)
     assert ended.returncode == 2
     assert told in " ".join(ended.stderr.replace("│", " ").split())

@@ -23,7 +23,7 @@ def place(tmp_path, tmp_path_factory):
 def test_only_what_failed_is_done_again(place):
     first = gyrobench("fleet", "bins", "runs", "--threads", "--workers", 1, cwd=place)
     assert first.returncode == EXIT_NOT_FINISHED
-    assert "fleet bins: 3 of 3 runs to do, 1 thread" in first.stdout
+    assert "fleet bins: 3 of 3 runs, 1 thread" in first.stdout
     assert f"failed: {place / 'runs' / 'broken'}" in first.stdout
     assert "2 done, 1 failed" in first.stdout
     (place / "runs" / "broken" / "station.yaml").write_bytes(
@@ -31,7 +31,7 @@ def test_only_what_failed_is_done_again(place):
     )
     second = gyrobench("fleet", "bins", "runs", "--threads", "--json", cwd=place)
     assert second.returncode == 0, second.stderr
-    assert "1 of 3 runs to do" in second.stderr
+    assert "1 of 3 runs" in second.stderr
     assert {run["state"] for run in json.loads(second.stdout)["runs"].values()} == {"done"}
     third = gyrobench("fleet", "bins", "runs", cwd=place)
     assert third.returncode == 0
@@ -47,7 +47,7 @@ def test_runs_of_an_index_are_chosen_by_what_they_are(place):
     assert (place / "runs" / "b" / "report.html").exists()
 
 
-def test_mistakes_are_told(place):
+def test_mistakes_are_reported(place):
     for wrong in (
         ["bins"],
         ["bins", "runs", "--unit", "1001"],
@@ -56,11 +56,11 @@ def test_mistakes_are_told(place):
         assert gyrobench("fleet", *wrong, cwd=place).returncode == EXIT_WRONG_INPUT
     nothing = gyrobench("fleet", "bins", "nowhere", cwd=place)
     assert nothing.returncode == EXIT_NOT_FINISHED
-    assert "there is no run folder" in nothing.stderr
+    assert "no run folder found" in nothing.stderr
 
 
 @pytest.mark.long
-def test_the_unit_that_stands_out_of_an_emulated_batch_is_named(tmp_path):
+def test_the_outlier_of_an_emulated_batch_is_named(tmp_path):
     make_runs(tmp_path / "runs", OUTLIER + 1, OUTLIER + 1, outlying_dph=0.05)
     lines = "".join(f"{2000 + unit},B7\n" for unit in range(OUTLIER + 1))
     (tmp_path / "runs" / "units.csv").write_text(f"unit,batch\n{lines}")
@@ -80,4 +80,4 @@ def test_units_of_several_batches_and_too_few_units_are_no_batch(place):
     assert "Give --batch" in several.stderr
     few = gyrobench("fleet", "batch", "--batch", "B7", cwd=place)
     assert few.returncode == EXIT_NOT_FINISHED
-    assert "4 units or more" in few.stderr
+    assert "at least 4 units" in few.stderr

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, gyrobench
 
 

@@ -44,7 +44,7 @@ def test_a_plan(tmp_path):
     assert (tmp_path / found["figure"]).is_file()
 
 
-def test_separability_is_not_told_as_json(tmp_path):
+def test_separability_is_not_reported_as_json(tmp_path):
     answer = gyrobench("plan", "ten_minute_check", "--json", "--separability", cwd=tmp_path)
     assert (answer.returncode, answer.stdout) == (2, "")
     assert "--separability" in answer.stderr

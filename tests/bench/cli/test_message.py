@@ -1,6 +1,6 @@
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import gyrobench
 from tests.bench.messages.servers import Server, free_port
 
@@ -26,14 +26,14 @@ def station(tmp_path):
     return write
 
 
-def test_what_the_receiver_answers_is_told(server, station, tmp_path):
+def test_what_the_receiver_answers_is_reported(server, station, tmp_path):
     ended = gyrobench("message", station(server.url), "Hello, bench.", cwd=tmp_path)
     assert ended.returncode == 0
     assert ended.stdout == f"sent     ntfy {server.url}/bench: 200 OK\n"
     assert server.received[0][2].decode().startswith("Hello, bench.")
 
 
-def test_a_receiver_that_can_not_be_reached_is_told_and_the_others_get_it(server, station, tmp_path):
+def test_a_receiver_that_can_not_be_reached_is_reported_and_the_others_get_it(server, station, tmp_path):
     down = f"http://127.0.0.1:{free_port()}"
     ended = gyrobench("message", station(down, server.url), cwd=tmp_path)
     assert ended.returncode == 3

@@ -5,11 +5,11 @@ import signal
 import subprocess
 
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
-from tests.bench.monitor.served_run import served, write_picture
+from tests.bench.monitor.served_run import served, write_snapshot
 
 
 def test_it_says_where_to_look_and_how_from_the_office_and_ends_in_time(tmp_path):
-    write_picture(tmp_path / "mine")
+    write_snapshot(tmp_path / "mine")
     ended = gyrobench("monitor", tmp_path / "mine", "--port", "0", "--for-s", "0.1", cwd=tmp_path)
     port = re.search(r"http://127\.0\.0\.1:(\d+)/", ended.stdout)[1]
     assert ended.returncode == 0
@@ -17,7 +17,7 @@ def test_it_says_where_to_look_and_how_from_the_office_and_ends_in_time(tmp_path
 
 
 def test_it_serves_until_ctrl_c_and_then_ends_quietly(tmp_path):
-    write_picture(tmp_path / "mine")
+    write_snapshot(tmp_path / "mine")
     command = [*PROCESS, "monitor", "mine", "--port", "0"]
     with subprocess.Popen(
         command,
@@ -37,14 +37,14 @@ def test_it_serves_until_ctrl_c_and_then_ends_quietly(tmp_path):
     assert (monitor.returncode, complaints) == (0, "")
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path):
+def test_a_folder_that_is_not_there_is_reported(tmp_path):
     ended = gyrobench("monitor", "nowhere", cwd=tmp_path)
     assert ended.returncode == 1
     assert "nowhere: there is no such folder" in ended.stderr
 
 
-def test_a_port_in_use_is_told(tmp_path):
-    write_picture(tmp_path / "mine")
+def test_a_port_in_use_is_reported(tmp_path):
+    write_snapshot(tmp_path / "mine")
     with served(tmp_path / "mine") as server:
         ended = gyrobench("monitor", "mine", "--port", server.server_port, "--for-s", "1", cwd=tmp_path)
     assert ended.returncode == 1

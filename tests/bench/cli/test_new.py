@@ -21,7 +21,7 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
     assert path.read_text() == "precious"
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path):
+def test_a_folder_that_is_not_there_is_reported(tmp_path):
     made = gyrobench("new", "station", "mine", "--out", "nowhere/mine.yaml", cwd=tmp_path)
     assert made.returncode == 2
     assert "No such file or directory" in made.stderr
@@ -33,7 +33,7 @@ def test_a_new_file_can_go_to_standard_output(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unknown_template_is_told_with_the_shipped_ones(tmp_path):
+def test_an_unknown_template_is_shown_with_the_shipped_ones(tmp_path):
     made = gyrobench("new", "procedure", "mine", "--like", "nothing", cwd=tmp_path)
     assert made.returncode == 2
     assert "ten_minute_check" in made.stderr
@@ -50,7 +50,7 @@ def test_right_files_are_named_for_what_they_are(tmp_path):
     )
 
 
-def test_wrong_files_are_told_with_places_and_exit_code_2(tmp_path):
+def test_wrong_files_are_shown_with_places_and_exit_code_2(tmp_path):
     (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n  - sok\n")
     answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
     assert answer.returncode == 2

@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.recording.recording_file import read_recording
 from tests.bench.command_line import gyrobench
 

@@ -2,11 +2,10 @@
 
 import pytest
 
-from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.tables.acceptance_file import write_acceptance
 from tests.bench.command_line import gyrobench
 
 
@@ -22,7 +21,7 @@ def run(tmp_path):
     return folder
 
 
-def test_the_report_is_written_anew_with_the_name_and_the_verdict(run, tmp_path):
+def test_the_report_is_written_again_with_the_name_and_the_verdict(run, tmp_path):
     done = gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Unit not judged. The procedure states no acceptance limits." in done.stdout
@@ -30,7 +29,7 @@ def test_the_report_is_written_anew_with_the_name_and_the_verdict(run, tmp_path)
     assert "A. Smith" in run.report.read_text()
 
 
-def test_who_prepares_it_stays_when_it_is_written_anew(run, tmp_path):
+def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
     run.provenance.write_text('{"gyrobench": "0.1.0"}')
     gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
     gyrobench("report", run.path, cwd=tmp_path)
@@ -54,4 +53,4 @@ def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
 def test_what_is_no_run_is_refused(tmp_path):
     done = gyrobench("report", tmp_path, cwd=tmp_path)
     assert done.returncode == 1
-    assert "is no run folder" in done.stderr
+    assert "is not a run folder" in done.stderr

@@ -32,7 +32,7 @@ def test_runs_are_listed_newest_first_within_80_columns(place):
     assert "The newest 3 are shown" in gyrobench("runs", "--most", 3, cwd=place).stdout
 
 
-def test_runs_are_found_and_told_to_programs(place):
+def test_runs_are_selected_and_printed_as_json(place):
     result = gyrobench("runs", "runs", "--batch", "B7", "--since", "2026-06-01", "--json", cwd=place)
     content = json.loads(result.stdout)
     assert [run["path"] for run in content["runs"]] == ["of-7", "of-6"]
@@ -61,7 +61,7 @@ def test_groups_fit_the_terminal(place, by):
     assert result.stdout.splitlines()[2].startswith(first[by])
 
 
-def test_a_query_is_answered_and_a_wrong_one_told(place):
+def test_a_query_is_answered_and_a_wrong_one_reported(place):
     asked = gyrobench(
         "runs", "--sql", "SELECT unit, count(*) AS n FROM runs GROUP BY 1 ORDER BY 1", cwd=place
     )
@@ -71,7 +71,7 @@ def test_a_query_is_answered_and_a_wrong_one_told(place):
     assert "read-only" in wrong.stderr
 
 
-def test_a_run_that_cannot_be_read_is_told_below_the_others(place):
+def test_a_run_that_cannot_be_read_is_reported_below_the_others(place):
     broken = place / "runs" / "zz-broken"
     broken.mkdir()
     (broken / "journal.jsonl").write_text("{}\n")

@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.drivers import dialects
+from gyrobench.bench.foundations import entry_points
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
 
 DIALECT = '''
@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import RefusedError, ReplyError
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.chamber import ChamberDialect
-from gyrobench.drivers.dialects import LineDefaults
+from gyrobench.drivers.serial_line import LineDefaults
 from gyrobench.drivers.text_line import TextLine
 
 
@@ -158,9 +158,9 @@ def acme_station(tmp_path):
 def installed(site, monkeypatch):
     """The package as if it had been installed before this process began."""
     monkeypatch.syspath_prepend(site)
-    dialects._entries.cache_clear()
+    entry_points._entries.cache_clear()
     yield site
-    dialects._entries.cache_clear()
+    entry_points._entries.cache_clear()
 
 
 def test_a_run_goes_through_a_dialect_of_another_package(acme_station, site, tmp_path):
@@ -179,7 +179,9 @@ def test_a_check_names_the_instrument_of_another_package(acme_station, installed
     assert "Acme Frost, shelf 3" in done.stdout
 
 
-def test_mistakes_in_the_keys_of_another_package_are_told_with_their_place(acme_station, installed, tmp_path):
+def test_mistakes_in_the_keys_of_another_package_are_shown_with_their_place(
+    acme_station, installed, tmp_path
+):
     done = gyrobench("plan", "ten_minute_check", "--station", acme_station(keys=""), cwd=tmp_path)
     assert done.returncode == 2
     assert re.search(r"acme\.yaml:\d+:1: the key 'shelf' is missing: shelf that the unit", done.stderr)

@@ -9,12 +9,13 @@ from rich.console import Console
 
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document, read_document
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
-from gyrobench.drivers.emulators.world.sensor_errors import DPH
 
 PROCEDURE, STATION, WORLD = "quick_campaign", "quick", "quick"
 
@@ -64,7 +65,9 @@ class Truth(LinesView):
     def ticked(self, bench, left_s):
         super().ticked(bench, left_s)
         if self._navigates:
-            self._now.append((self._world.true_gyro_bias() / DPH, self._world.undeclared_bias() / DPH))
+            self._now.append(
+                (self._world.true_gyro_bias() / DPH_TO_RADPS, self._world.undeclared_bias() / DPH_TO_RADPS)
+            )
 
     def dwell_measured(self, row):
         super().dwell_measured(row)

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-from gyrobench.bench.dwells.planned_unit import plan_on
-from gyrobench.bench.foundations.documents import Document, find_document, parse_document
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.dwells.closure_inputs import plan_on
+from gyrobench.bench.foundations.documents import Document, parse_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.station import Station
 
 

@@ -5,11 +5,12 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.planned_campaign import planned_campaign
-from gyrobench.bench.dwells.planned_unit import planned_unit
+from gyrobench.bench.dwells.closure_inputs import planned_unit
 from gyrobench.bench.engine.session import prepare_job
-from gyrobench.bench.foundations.documents import find_document, read_document
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.document import load_world
+from gyrobench.drivers.emulators.world.world_file import load_world
 from tests.bench.closure.campaigns import (
     EFFECTS,
     PROCEDURE,

@@ -7,7 +7,7 @@ import pytest
 
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
 from gyrobench.bench.closure.procedure_changes import CHANGES
-from gyrobench.bench.dwells.planned_unit import plan_on
+from gyrobench.bench.dwells.closure_inputs import plan_on
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.closure.plans import dwell, planned, shipped, station
 

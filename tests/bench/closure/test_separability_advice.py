@@ -9,7 +9,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.procedure_changes import advise
 from gyrobench.bench.closure.separability import searched_dwells, separability
-from gyrobench.bench.dwells.planned_unit import plan_on, planned_unit
+from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
 from gyrobench.bench.foundations.documents import Problem
 from tests.bench.closure.plans import shipped, station
 

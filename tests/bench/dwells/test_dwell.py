@@ -1,4 +1,6 @@
-"""What a dwell of the emulated bench gives, whole and spoilt in every way."""
+"""One dwell, from frames to a row."""
+
+from __future__ import annotations
 
 import dataclasses
 from dataclasses import replace
@@ -6,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.dwell import measure_dwell
+from gyrobench.bench.dwells.dwell import measure_dwell, measurement_setup
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.station import Station
 
 
 def has_no_numbers(row):
@@ -133,7 +138,7 @@ def test_one_wild_velocity_flags_the_dwell(recorded):
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11
     row = measure_dwell(marks, replace(frames, data=data), setup).row
-    assert "times the residual" in row.flags
+    assert "times as large as the noise explains" in row.flags
 
 
 @pytest.mark.parametrize(("factor", "flagged"), [(0.2, True), (5.0, False)])
@@ -154,3 +159,31 @@ def test_noise_that_is_not_declared_is_estimated_but_never_below_the_resolution(
     assert noise.velocity_white == pytest.approx(0.01 / 12**0.5)
     assert noise.heading_white == pytest.approx(1e-5 / 12**0.5)
     assert setup.noise_in(windows) is setup.noise
+
+
+SHIPPED = find_document("stations", "emulated")
+
+
+def test_the_setup_has_place_noise_resolution_and_what_is_known_of_the_station():
+    station = Station(SHIPPED)
+    setup = measurement_setup(station)
+    assert (setup.site, setup.prior, setup.table) == (station.site, station.prior(), station.table)
+    assert setup.velocity_lsb_mps == pytest.approx(1e-4)
+    assert np.degrees(setup.heading_lsb_rad) == pytest.approx(1e-6)
+    assert setup.noise == station.noise(setup.velocity_lsb_mps, setup.heading_lsb_rad)
+    assert all(limit.sufficient for limit in setup.resolution)
+
+
+def test_noise_that_is_left_to_the_dwells_is_none(tmp_path):
+    text = SHIPPED.read_text()
+    begin, end = text.index("  noise:\n"), text.index("unit:\n")
+    path = tmp_path / "station.yaml"
+    path.write_text(f"{text[:begin]}  noise: estimated\n\n{text[end:]}")
+    assert measurement_setup(Station(path)).noise is None
+
+
+def test_a_signal_that_the_dbc_lacks_is_an_error(tmp_path):
+    path = tmp_path / "station.yaml"
+    path.write_text(SHIPPED.read_text().replace("VELOCITY_NE.VELOCITY_EAST", "VELOCITY_NE.VELOCITY_WEST"))
+    with pytest.raises(DocumentError, match="VELOCITY_WEST"):
+        measurement_setup(Station(path))

@@ -6,8 +6,8 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.state_space import causes
-from gyrobench.bench.bias.state_space.whitening import whiten
+from gyrobench.bench.bias import parameters
+from gyrobench.bench.bias.window_filter import whiten
 from gyrobench.bench.dwells.dwell import measure_dwell
 from gyrobench.bench.dwells.live import LiveEstimate, warm_up
 
@@ -62,17 +62,17 @@ def test_at_the_end_it_is_the_estimate_of_the_whole_dwell(recorded, replayed, st
     np.testing.assert_allclose(last.bias_dph, whole.bias_dph, rtol=0.0, atol=0.005 * whole.sigma_dph.min())
     np.testing.assert_allclose(last.sigma_dph, whole.sigma_dph, rtol=1e-3)
     assert last.fit.chi2 == pytest.approx(whole.fit.chi2, rel=0.01)
-    assert last.fit.freedom == whole.fit.freedom
+    assert last.fit.dof == whole.fit.dof
 
 
 def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed):
     whole = measure_dwell(*recorded).estimate.information.bias_at_mean
     begin = recorded[0].windows[1].first_frame
     *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (777,))]
-    mean_k = np.diag(whole[:, causes.GYRO_SLOPE])
+    mean_k = np.diag(whole[:, parameters.GYRO_SLOPE])
     assert (np.abs(mean_k) > 0.1).all()
     np.testing.assert_allclose(
-        np.diag(last.information.bias_at_mean[:, causes.GYRO_SLOPE]), mean_k, atol=0.01
+        np.diag(last.information.bias_at_mean[:, parameters.GYRO_SLOPE]), mean_k, atol=0.01
     )
 
 

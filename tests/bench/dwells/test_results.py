@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.dwells.dwell import misfit_text
+from gyrobench.bench.dwells.dwell import lack_of_fit_text, measurement_setup
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
-from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.joint_table import (
     joint_bias_rows,
-    joint_stop_rows,
+    joint_plateau_rows,
     read_joint_biases,
-    read_joint_stops,
+    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.station.station import Station
@@ -35,7 +34,7 @@ def measured(shift_runs):
 @pytest.fixture(scope="module")
 def results(measured):
     dwells, setup = measured
-    return evaluate(dwells, [], [], setup, 5.0)
+    return evaluate(dwells, setup, 5.0)
 
 
 def flagged(dwell):
@@ -46,7 +45,7 @@ def counted(bins):
     return sum(each.count for each in bins)
 
 
-def test_each_stop_of_the_chamber_is_solved_by_itself(results):
+def test_each_plateau_of_the_chamber_is_solved_by_itself(results):
     assert [[dwell.number for dwell in each.dwells] for each in results.joint] == [
         [1, 2, 3, 4],
         [5, 6, 7, 8],
@@ -71,12 +70,12 @@ def test_every_dwell_counts_once_for_each_gyro(results):
 
 def test_dwells_with_flags_are_left_out(measured, results):
     dwells, setup = measured
-    without = evaluate([flagged(dwells[0]), *dwells[1:]], [], [], setup, 5.0)
+    without = evaluate([flagged(dwells[0]), *dwells[1:]], setup, 5.0)
     assert counted(without.bins) == 3 * 11
     assert [dwell.number for dwell in without.joint[0].dwells] == [2, 3, 4]
     assert without.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
     assert 1 not in without.up_rate.weights
-    # The stops that lost nothing are as they were.
+    # The plateaus that lost nothing are as they were.
     np.testing.assert_array_equal(without.joint[2].together.bias_radps, results.joint[2].together.bias_radps)
 
 
@@ -85,19 +84,19 @@ def test_dwells_without_a_result_are_left_out(measured):
     lost = replace(
         flagged(dwells[0]), estimate=None, paper=None, windows=(),
     )  # fmt: skip
-    assert counted(evaluate([lost, *dwells[1:]], [], [], setup, 5.0).bins) == 3 * 11
+    assert counted(evaluate([lost, *dwells[1:]], setup, 5.0).bins) == 3 * 11
 
 
 def test_a_run_whose_dwells_are_all_flagged_has_no_results(measured):
     dwells, setup = measured
-    nothing = evaluate([flagged(dwell) for dwell in dwells], [], [], setup, 5.0)
+    nothing = evaluate([flagged(dwell) for dwell in dwells], setup, 5.0)
     assert (nothing.bins, nothing.joint, nothing.verification) == ([], [], [])
     assert (nothing.up_rate, nothing.noise) == (None, None)
 
 
 def test_bins_are_as_wide_as_asked(measured):
     dwells, setup = measured
-    (width_c,) = {each.bin_high_c - each.bin_low_c for each in evaluate(dwells, [], [], setup, 20.0).bins}
+    (width_c,) = {each.bin_high_c - each.bin_low_c for each in evaluate(dwells, setup, 20.0).bins}
     assert width_c == 20.0
 
 
@@ -108,12 +107,12 @@ def test_tables_that_were_written_hold_the_results(results, tmp_path):
     assert read_noise(folder.noise).angle_random_walk == results.noise.angle_random_walk
     written = joint_bias_rows(results.joint, results.up_rate)
     for row, read in zip(written, read_joint_biases(folder.joint_biases), strict=True):
-        assert (read.stop, read.dwell, read.position, read.gyro) == (
-            row.stop, row.dwell, row.position, row.gyro,
+        assert (read.plateau, read.dwell, read.position, read.gyro) == (
+            row.plateau, row.dwell, row.position, row.gyro,
         )  # fmt: skip
         assert read.joint_dph == pytest.approx(row.joint_dph, rel=1e-8)
-    stops = joint_stop_rows(results.joint, results.up_rate)
-    assert [row.finding for row in read_joint_stops(folder.joint)] == [row.finding for row in stops]
+    plateaus = joint_plateau_rows(results.joint, results.up_rate)
+    assert [row.finding for row in read_joint_plateaus(folder.joint)] == [row.finding for row in plateaus]
     assert not folder.verification.exists()
 
 
@@ -122,7 +121,7 @@ def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
     write_results(folder, RunResults())
     assert read_bins(folder.bias_bins) == []
     assert read_joint_biases(folder.joint_biases) == []
-    assert read_joint_stops(folder.joint) == []
+    assert read_joint_plateaus(folder.joint) == []
     assert not folder.noise.exists()
 
 
@@ -134,29 +133,29 @@ def test_a_folder_that_can_not_be_written_is_an_error(results, tmp_path):
 def test_dwells_without_a_set_point_are_one_stop(measured):
     dwells, setup = measured
     nowhere = [replace(dwell, row=replace(dwell.row, chamber_set_c=math.nan)) for dwell in dwells[:4]]
-    (stop,) = evaluate(nowhere, [], [], setup, 5.0).joint
-    assert len(stop.dwells) == 4
+    (plateau,) = evaluate(nowhere, setup, 5.0).joint
+    assert len(plateau.dwells) == 4
 
 
 def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
     dwells, setup = measured
-    misfits = [misfit_text(dwell.estimate.fit) for dwell in dwells]
+    misfits = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
         replace(dwell, row=replace(dwell.row, flags=misfit), doubts=(misfit,))
         for dwell, misfit in zip(dwells, misfits, strict=True)
     ]
-    found = evaluate(unexplained, [], [], setup, 5.0)
+    found = evaluate(unexplained, setup, 5.0)
     assert (found.bins, found.joint, found.up_rate) == ([], [], None)
     assert found.noise.angle_random_walk == results.noise.angle_random_walk
     row = replace(dwells[0].row, flags=f"door opened; {unexplained[0].row.flags}")
-    disturbed = evaluate([replace(dwells[0], row=row), *unexplained[1:]], [], [], setup, 5.0)
+    disturbed = evaluate([replace(dwells[0], row=row), *unexplained[1:]], setup, 5.0)
     assert disturbed.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
 
 
 def test_power_ons_are_solved_apart(measured):
     dwells, setup = measured
     restarted = [replace(dwell, row=replace(dwell.row, run="later")) for dwell in dwells[2:4]]
-    found = evaluate([*dwells[:2], *restarted], [], [], setup, 5.0)
+    found = evaluate([*dwells[:2], *restarted], setup, 5.0)
     assert [[dwell.number for dwell in each.dwells] for each in found.joint] == [[1, 2], [3, 4]]
 
 

@@ -3,7 +3,7 @@
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 

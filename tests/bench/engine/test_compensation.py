@@ -7,8 +7,8 @@ import pytest
 
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

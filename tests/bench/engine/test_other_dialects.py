@@ -8,7 +8,7 @@ from rich.console import Console
 
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.station.instruments import Emulation
 

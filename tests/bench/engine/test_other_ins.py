@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
 

@@ -22,8 +22,8 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.station.bench_lock import RunLock
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.locks import RunLock
 from tests.bench.engine.meddler import RefusingOperator
 
 PROCEDURE = """procedure: two_temperatures

@@ -8,7 +8,7 @@ from gyrobench.bench.engine import run_news
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from tests.bench.messages.servers import Server

@@ -5,7 +5,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 
 HEAD = """procedure: short
 steps:

@@ -16,7 +16,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.tables.verification_table import read_verification
+from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 from gyrobench.bench.station.instruments import Emulation
 
 #: Of the world "ideal".
@@ -114,7 +114,7 @@ def test_the_temperatures_are_those_of_each_part(one_run):
 
 def test_the_table_holds_what_was_found(one_run):
     folder, outcome = one_run
-    rows = read_verification(folder.verification)
+    rows = read_calibration_check(folder.verification)
     assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.verification]
     for read, found in zip(rows, outcome.results.verification, strict=True):
         assert read.bias_dph == pytest.approx(found.bias_dph)

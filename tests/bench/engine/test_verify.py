@@ -12,7 +12,7 @@ from rich.console import Console
 
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.dwells.campaign import read_campaign
+from gyrobench.bench.dwells.closure_inputs import read_campaign
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
 from gyrobench.bench.engine.verify import Verification, new_emulation

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
 
@@ -52,7 +52,7 @@ def served_station(tmp_path):
         "--world",
         "ideal",
         "--for-s",
-        "600",
+        "1000",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"

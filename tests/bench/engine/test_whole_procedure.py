@@ -7,10 +7,9 @@ import cantools
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.bias.bins import compare_positions, read_bins
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.bias.equality import compare_positions
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry

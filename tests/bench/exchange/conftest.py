@@ -3,16 +3,16 @@ import pytest
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.exchange.can_export import PlacedLog
+from gyrobench.bench.exchange.can_export import TimedLog
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
-from tests.bench.exchange.made_up_log import MadeUpLog
+from tests.bench.exchange.sample_log import SampleLog
 
 
 @pytest.fixture
 def log(tmp_path):
-    return MadeUpLog(tmp_path)
+    return SampleLog(tmp_path)
 
 
 #: Two dwells, short, with a unit that has effects.
@@ -46,7 +46,7 @@ def two_dwells(tmp_path_factory):
 @pytest.fixture(scope="session")
 def messages(two_dwells):
     """Every frame of that run, with calendar time."""
-    return [message for part in PlacedLog(two_dwells) for message in part.messages]
+    return [message for part in TimedLog(two_dwells) for message in part.messages]
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import can
 import pytest
 
-from gyrobench.bench.exchange.can_export import PlacedPart
+from gyrobench.bench.exchange.can_export import TimedPart
 
 BEGIN_S = 1_700_000_000.0
 
@@ -21,7 +21,7 @@ def strange_frames():
 
 def strange_parts():
     """Two parts of a log with them."""
-    parts = [PlacedPart(1, strange_frames()), PlacedPart(2, strange_frames()[:2])]
+    parts = [TimedPart(1, strange_frames()), TimedPart(2, strange_frames()[:2])]
     for message in parts[1].messages:
         message.timestamp += 10.0
     return parts

@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.setup import measurement_setup
-from gyrobench.bench.exchange.can_export import PlacedLog, write_blf
-from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
+from gyrobench.bench.exchange.can_export import TimedLog, write_blf
+from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
@@ -22,7 +22,7 @@ from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 def test_a_blf_file_holds_every_frame_with_its_calendar_time(two_dwells, messages, tmp_path):
     path = tmp_path / "can.blf"
-    assert write_blf(path, PlacedLog(two_dwells)) == len(messages)
+    assert write_blf(path, TimedLog(two_dwells)) == len(messages)
     with can.BLFReader(path) as reader:
         assert_same(list(reader), messages)
 
@@ -50,17 +50,17 @@ def rewrite(folder, change):
 
 
 def test_parts_with_calendar_times_stay_as_they_are(two_dwells):
-    log = PlacedLog(two_dwells)
+    log = TimedLog(two_dwells)
     placed = {part.number: [m.timestamp for m in part.messages] for part in log}
     logged = {number: [m.timestamp for m in messages] for number, messages in read_can_log(two_dwells.can)}
     assert placed == {number: times for number, times in logged.items() if times}
     assert log.estimated == []
 
 
-def test_a_dwell_tells_the_time_where_the_adapter_has_a_clock_of_its_own(two_dwells, copied):
+def test_a_dwell_reports_the_time_where_the_adapter_has_a_clock_of_its_own(two_dwells, copied):
     began_s = started_utc(two_dwells).timestamp()
     rewrite(copied, lambda number, time_s: time_s - began_s + 100.0 * number)
-    log, good = PlacedLog(copied), list(PlacedLog(two_dwells))
+    log, good = TimedLog(copied), list(TimedLog(two_dwells))
     placed = list(log)
     assert sum(len(part.messages) for part in placed) == sum(len(part.messages) for part in good)
     for part, right in zip(placed, good, strict=True):
@@ -80,18 +80,18 @@ def test_a_part_that_was_never_closed_follows_the_one_before(two_dwells, copied)
     content = bytearray(last.read_bytes())
     content[40:72] = bytes(32)  # begin and end, which are written when a part is closed
     last.write_bytes(content)
-    log = PlacedLog(copied)
+    log = TimedLog(copied)
     *_, before, part = log
     assert log.estimated == [part.number]
     assert part.messages[0].timestamp == before.messages[-1].timestamp
-    *_, right = PlacedLog(two_dwells)
+    *_, right = TimedLog(two_dwells)
     assert abs(part.messages[0].timestamp - right.messages[0].timestamp) < 30.0
 
 
 @pytest.fixture(scope="module")
 def of_run(two_dwells, tmp_path_factory):
     out = tmp_path_factory.mktemp("navigation")
-    export_run(two_dwells, Wanted([What.NAVIGATION]), out)
+    export_run(two_dwells, ExportSelection([DataKind.NAVIGATION]), out)
     return pd.read_parquet(out / "navigation.parquet")
 
 
@@ -132,7 +132,7 @@ def test_temperatures_are_the_last_ones_sent(of_run, decoded):
         assert part["board_z_c"][row] == sent.electronics_c[1, 2]
 
 
-def test_rows_of_a_dwell_can_be_told_from_those_between(of_run, two_dwells):
+def test_rows_of_a_dwell_can_be_distinguished_from_those_between(of_run, two_dwells):
     finished = [entry for entry in read_journal(two_dwells.journal) if entry["event"] == "dwell_finished"]
     for entry in finished:
         marks = DwellMarks.from_json(entry["marks"])
@@ -143,7 +143,7 @@ def test_rows_of_a_dwell_can_be_told_from_those_between(of_run, two_dwells):
 
 
 def test_one_dwell_alone_can_be_had_as_csv(of_run, two_dwells, tmp_path):
-    export_run(two_dwells, Wanted([What.NAVIGATION], [Format.CSV], dwell=2), tmp_path)
+    export_run(two_dwells, ExportSelection([DataKind.NAVIGATION], [Format.CSV], dwell=2), tmp_path)
     table = pd.read_csv(tmp_path / "navigation_dwell_2.csv")
     (part,) = set(of_run.loc[of_run["dwell"] == 2, "part"])
     whole = of_run[of_run["part"] == part]
@@ -151,7 +151,7 @@ def test_one_dwell_alone_can_be_had_as_csv(of_run, two_dwells, tmp_path):
     np.testing.assert_allclose(table["yaw_deg"], whole["yaw_deg"])
 
 
-def test_a_dwell_that_was_not_finished_is_told(two_dwells, tmp_path):
+def test_a_dwell_that_was_not_finished_is_reported(two_dwells, tmp_path):
     with pytest.raises(RunFolderError, match="no finished dwell 7; finished are 1 to 2"):
-        export_run(two_dwells, Wanted([What.NAVIGATION], dwell=7), tmp_path)
+        export_run(two_dwells, ExportSelection([DataKind.NAVIGATION], dwell=7), tmp_path)
     assert not (tmp_path / "navigation_dwell_7.parquet").exists()

@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.exchange.compensation_tables import compensation_files, export_compensation
-from gyrobench.bench.exchange.export_folder import Destination
+from gyrobench.bench.exchange.export_folder import ExportFolder
 from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.report import made_up_closure
 
@@ -16,7 +16,7 @@ def exported(request, tmp_path_factory):
     """A closed campaign, with an effect and without, and the folder that it was written to."""
     closure = getattr(made_up_closure, request.param)()
     out = tmp_path_factory.mktemp(request.param)
-    destination = Destination(out, {"run": "made_up"})
+    destination = ExportFolder(out, {"run": "made_up"})
     export_compensation(closure, [".csv", ".parquet"], destination)
     destination.finish()
     return closure, out
@@ -61,7 +61,7 @@ def test_the_file_is_one_that_a_run_takes(exported):
     assert loaded.terms() == model.terms()
 
 
-def test_verdict_and_what_is_left_out_are_told(exported):
+def test_verdict_and_what_is_left_out_are_reported(exported):
     closure, out = exported
     about = json.loads((out / "export.json").read_text())["files"]["compensation_table.csv"]
     assert about["verdict"] == closure.verdict

@@ -1,6 +1,6 @@
 import pytest
 
-from gyrobench.bench.exchange.dwell_rows import legs
+from gyrobench.bench.exchange.dwell_rows import cycle_numbers
 
 
 @pytest.mark.parametrize(
@@ -14,4 +14,4 @@ from gyrobench.bench.exchange.dwell_rows import legs
     ],
 )
 def test_a_leg_ends_where_the_temperature_turned_by_enough(temperatures_c, expected):
-    assert legs(temperatures_c, 5.0) == expected
+    assert cycle_numbers(temperatures_c, 5.0) == expected

@@ -18,7 +18,7 @@ from gyrobench.bench.exchange.export_folder import type_of, unit_of
         ("position", ""),
     ],
 )
-def test_a_name_tells_its_unit(column, unit):
+def test_a_name_reports_its_unit(column, unit):
     assert unit_of(column) == unit
 
 

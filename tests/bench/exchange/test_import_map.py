@@ -3,14 +3,14 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.exchange.import_map import load_log_map
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 
 SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_the_shipped_mappings_are_right(name):
+def test_the_shipped_import_maps_are_valid(name):
     assert load_log_map(find_document("imports", name)).unit
 
 
@@ -37,6 +37,12 @@ def test_the_shipped_mappings_are_right(name):
         ({"text": "absent", "records": "{fields: [a], type: float}"}, r"<>"),
     ],
 )  # fmt: skip
-def test_mistakes_are_told_with_their_place(log, changes, message):
+def test_mistakes_are_shown_with_their_place(log, changes, message):
     with pytest.raises(DocumentError, match=message):
         load_log_map(Path(log.mapping(**changes)))
+
+
+def test_the_former_key_of_the_temperature_swing_is_accepted(log, caplog):
+    log_map = load_log_map(Path(log.mapping(temperatures="{gyros: t, least_swing_c: 3}")))
+    assert log_map.temperatures.min_swing_c == 3.0
+    assert "'least_swing_c' is an old name. Write 'min_swing_c'" in caplog.text

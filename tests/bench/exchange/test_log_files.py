@@ -61,40 +61,40 @@ def test_a_large_log_comes_in_batches(tmp_path, monkeypatch):
     np.testing.assert_array_equal(np.concatenate([batch["a"] for batch in batches]), np.arange(5000.0))
 
 
-def test_a_missing_column_is_told_with_those_that_exist(tmp_path):
+def test_a_missing_column_is_shown_with_those_that_exist(tmp_path):
     with pytest.raises(DocumentError, match=r"log\.txt: there is no column 'c'. It has 2: a, b"):
         read(tmp_path, "a,b\n1,2\n", numbers=("c",))
     with pytest.raises(DocumentError, match=r"there is no column '3'\. It has 2"):
         read(tmp_path, "a,b\n1,2\n", numbers=(3,))
 
 
-def test_a_name_given_twice_is_told(tmp_path):
+def test_a_name_given_twice_is_reported(tmp_path):
     with pytest.raises(DocumentError, match="the header gives 'a' twice; map it by its number"):
         read(tmp_path, "a,a\n1,2\n", numbers=("a",))
 
 
-def test_a_column_taken_for_a_number_and_for_text_is_told(tmp_path):
-    with pytest.raises(DocumentError, match="takes column b for a number, and for a status or position too"):
+def test_a_column_taken_for_a_number_and_for_text_is_reported(tmp_path):
+    with pytest.raises(DocumentError, match="uses column b as a number and as a status or position"):
         read(tmp_path, "a,b\n1,2\n", texts=(2,))
 
 
 @pytest.mark.parametrize("content", ["", "a,b\n", "\n\n"])
-def test_a_file_without_samples_is_told(tmp_path, content):
+def test_a_file_without_samples_is_reported(tmp_path, content):
     with pytest.raises(DocumentError, match="holds no sample"):
         read(tmp_path, content)
 
 
 def test_binary_records_are_not_taken_for_text(tmp_path):
-    with pytest.raises(DocumentError, match=r"log\.txt: is no text\. For binary records give 'records'"):
+    with pytest.raises(DocumentError, match=r"log\.txt: is not text\. For binary records give 'records'"):
         read(tmp_path, np.arange(10.0).tobytes())
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path):
+def test_a_file_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"none\.csv: can't be read: No such file"):
         TextLog(tmp_path / "none.csv", TextFormat())
 
 
-def test_cells_that_are_no_numbers_are_told_with_line_and_column(tmp_path):
+def test_cells_that_are_no_numbers_are_shown_with_line_and_column(tmp_path):
     content = "# x\na,b\n1,2\n3,4x\n# y\nfive,6\n1_0,2\n"
     with pytest.raises(DocumentError) as caught:
         read(tmp_path, content, comment="#")
@@ -106,12 +106,12 @@ def test_cells_that_are_no_numbers_are_told_with_line_and_column(tmp_path):
     ]
 
 
-def test_lines_with_another_number_of_cells_are_told(tmp_path):
+def test_lines_with_another_number_of_cells_are_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"log\.txt:3: 1 cells instead of 2"):
         read(tmp_path, "a,b\n1,2\n3\n5,6\n")
 
 
-def test_a_last_line_that_was_cut_off_is_left_out_and_told(tmp_path):
+def test_a_last_line_that_was_cut_off_is_left_out_and_reported(tmp_path):
     log, columns = read(tmp_path, "a,b\n1,2\n3,4\n5")
     assert log.truncated
     assert columns["a"].tolist() == [1.0, 3.0]
@@ -136,20 +136,20 @@ def test_records_are_read_behind_the_header_batch_by_batch(tmp_path, monkeypatch
     assert not log.truncated
 
 
-def test_a_record_that_was_cut_off_is_left_out_and_told(tmp_path):
+def test_a_record_that_was_cut_off_is_left_out_and_reported(tmp_path):
     log = RecordLog(written(tmp_path, [[1, 10]], b"\0\0\0\0\0"), LAYOUT)
     assert log.truncated
     assert [batch["rate"].tolist() for batch in log.batches(["rate"], [])] == [[10.0]]
 
 
-def test_a_missing_field_is_told_with_those_that_exist(tmp_path):
+def test_a_missing_field_is_shown_with_those_that_exist(tmp_path):
     log = RecordLog(written(tmp_path, [[1, 10]]), LAYOUT)
     for name in ("speed", 3):
         with pytest.raises(DocumentError, match=f"there is no field '{name}'.*time, rate"):
             list(log.batches([name], []))
 
 
-def test_an_empty_file_and_one_that_is_not_there_are_told(tmp_path):
+def test_an_empty_file_and_one_that_is_not_there_are_reported(tmp_path):
     with pytest.raises(DocumentError, match="holds no record of 8 bytes"):
         RecordLog(written(tmp_path, []), LAYOUT)
     with pytest.raises(DocumentError, match="can't be read"):

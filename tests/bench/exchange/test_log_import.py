@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.exchange.log_import import import_logs, write_import
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
-from tests.bench.exchange.made_up_log import NOISE_DPH, RATE_HZ, bias_dph
+from tests.bench.exchange.sample_log import NOISE_DPH, RATE_HZ, bias_dph
 
 
 def imported(log, **changes):
@@ -53,7 +53,7 @@ def test_a_rate_in_coarse_steps_is_not_known_better_than_its_steps_allow(log):
     assert sigma >= 360.0 / np.sqrt(12.0) / np.sqrt(60.0 * RATE_HZ)
 
 
-def test_axes_signs_and_units_are_those_of_the_mapping(log):
+def test_axes_signs_and_units_are_those_of_the_import_map(log):
     plain = biases(imported(log).rows)
     mapped = biases(imported(log, gyro="{unit: deg/h, x: {column: gy, sign: -1}, y: gx, z: 4}").rows)
     np.testing.assert_allclose(mapped * 3600.0, plain[:, [1, 0, 2]] * [-1.0, 1.0, 1.0], rtol=1e-9)
@@ -78,7 +78,7 @@ def test_the_begin_can_be_skipped(log):
     assert len(rows) == 38
 
 
-def test_samples_of_a_bad_status_are_left_out_and_told(log):
+def test_samples_of_a_bad_status_are_left_out_and_reported(log):
     log.columns["status"] = np.zeros(len(log.time_s))
     log.columns["status"][10:20] = 3.0
     log.columns["gx"][10:20] = 100.0
@@ -108,8 +108,8 @@ def test_what_is_no_number_is_left_out_and_a_window_with_much_of_it_too(log):
     log.columns["gy"][5:10] = np.nan
     log.columns["gz"][2000:2100] = np.inf
     result = imported(log)
-    assert result.left_out == {"too many samples without a good rate": 1}
-    assert any("105 samples left out whose rate is no number" in each for each in result.warnings)
+    assert result.left_out == {"too many samples without a valid rate": 1}
+    assert any("105 samples without a valid rate left out" in each for each in result.warnings)
     assert np.isfinite(biases(result.rows)).all()
 
 
@@ -121,8 +121,8 @@ def test_what_nothing_measures_counts_as_no_number(log, value):
     log.columns["time"][1203] = value
     result = imported(log)
     assert len(result.rows) == len(plain.rows)
-    assert any("1 samples left out whose rate is no number" in each for each in result.warnings)
-    assert any("1 samples left out that have no time" in each for each in result.warnings)
+    assert any("1 samples without a valid rate left out" in each for each in result.warnings)
+    assert any("1 samples without a time left out" in each for each in result.warnings)
     np.testing.assert_allclose(biases(result.rows), biases(plain.rows), atol=NOISE_DPH / 10.0)
     np.testing.assert_allclose(
         [row.gyro_c for row in result.rows], [row.gyro_c for row in plain.rows], atol=0.1
@@ -135,7 +135,7 @@ def test_a_temperature_that_no_gyro_reaches_is_none(log, value_c):
     assert imported(log).left_out == {"no temperature": 1}
 
 
-def test_a_gyro_whose_rate_never_changes_is_told_with_its_log(log):
+def test_a_gyro_whose_rate_never_changes_is_shown_with_its_log(log):
     log.columns["gx"] = np.where(np.arange(len(log.time_s)) % 100 < 60, 0.0, 1e-200)
     with pytest.raises(MeasurementError, match=r"log\.csv: a gyro's rate never changes"):
         imported(log)
@@ -192,7 +192,7 @@ def test_a_temperature_that_is_logged_less_often_than_the_rates_is_used(log):
     assert np.abs(np.array([row.gyro_c for row in imported(log).rows]) - plain).max() < 0.05
 
 
-def test_whole_degrees_are_told_with_what_they_cost(log):
+def test_whole_degrees_are_shown_with_what_they_cost(log):
     log.columns["temp"] = np.round(log.columns["temp"])
     result = imported(log)
     warning = next(each for each in result.warnings if "gyro x" in each)
@@ -211,27 +211,27 @@ def test_too_few_steps_of_temperature_are_refused(log):
 
 def test_a_small_swing_is_refused_unless_it_is_allowed(log):
     log.columns["temp"] = 20.0 + 0.1 * log.columns["temp"]
-    with pytest.raises(MeasurementError, match=r"a swing of 2\.8\d K; 10 K are needed.*least_swing_c"):
+    with pytest.raises(MeasurementError, match=r"a swing of 2\.8\d K; a curve needs 10 K.*min_swing_c"):
         imported(log)
-    assert imported(log, temperatures="{gyros: temp, least_swing_c: 2}").rows
+    assert imported(log, temperatures="{gyros: temp, min_swing_c: 2}").rows
 
 
-def test_time_that_goes_back_is_told_with_its_place(log):
+def test_time_that_goes_back_is_shown_with_its_place(log):
     log.columns["time"][500:] -= 10.0
     with pytest.raises(MeasurementError, match=r"time goes back by 9\.8 s at 90\.000 s.*sample_rate_hz"):
         imported(log)
 
 
-def test_nothing_good_at_all_is_an_error_with_the_reasons(log):
+def test_no_valid_window_is_an_error_with_the_reasons(log):
     log.columns["gz"][:] = 1.0
-    with pytest.raises(MeasurementError, match=r"no window of 60 s is good\. 40: rate of gyro z stuck"):
+    with pytest.raises(MeasurementError, match=r"no window of 60 s is valid. 40: rate of gyro z stuck"):
         imported(log)
 
 
 def test_a_log_shorter_than_a_window_is_an_error(log):
     with pytest.raises(MeasurementError, match="not recorded to the end"):
         imported(log, window_s=7200)
-    with pytest.raises(MeasurementError, match="ends before window and skip are over"):
+    with pytest.raises(MeasurementError, match="is shorter than skip_s and one window"):
         imported(log, skip_s=7200)
 
 
@@ -272,7 +272,7 @@ def test_cycle_and_position_may_be_columns_and_a_window_across_a_change_is_left_
     assert result.left_out == {"position changed": 1}
 
 
-def test_a_position_that_the_mapping_does_not_know_is_told(log):
+def test_a_position_that_the_import_map_does_not_list_is_reported(log):
     log.columns["side"] = np.where(log.time_s < 1230.0, 1.0, 2.0)
     with pytest.raises(DocumentError, match=r"column side holds '2'.*position\.values"):
         imported(log, position="{column: side, values: {'1': x_up}}")
@@ -295,7 +295,7 @@ def test_the_earths_rotation_is_taken_from_the_rates(log):
     np.testing.assert_allclose(plain - freed, np.tile(expected, (40, 1)), atol=1e-5)
 
 
-def test_without_azimuth_the_vertical_gyro_alone_is_freed_and_that_is_told(log):
+def test_without_azimuth_the_vertical_gyro_alone_is_freed_and_that_is_reported(log):
     plain = biases(imported(log, position="x_down").rows)
     result = imported(log, position="x_down", earth_rate="{latitude_deg: 30}")
     np.testing.assert_allclose((plain - biases(result.rows))[0], [-7.5205, 0.0, 0.0], atol=1e-4)
@@ -316,7 +316,7 @@ def test_logs_on_one_clock_keep_it_and_logs_of_several_power_ons_are_laid_end_to
         import_logs([second, first], log.mapping())
 
 
-def test_the_table_can_be_read_back_and_the_record_beside_it_tells_its_origin(log, tmp_path):
+def test_the_table_can_be_read_back_and_the_record_beside_it_reports_its_origin(log, tmp_path):
     log.columns["gy"][5:10] = np.nan
     result = imported(log)
     out = tmp_path / "dwells.csv"
@@ -329,9 +329,9 @@ def test_the_table_can_be_read_back_and_the_record_beside_it_tells_its_origin(lo
     assert record["warnings"] == result.warnings
 
 
-def test_the_summary_tells_what_was_left_out(log):
+def test_the_summary_reports_what_was_left_out(log):
     log.columns["gx"][3000:3600] = log.columns["gx"][3000]
     text = imported(log).summary()
     assert "38 dwells of 60 s, gyros at 10.7 to 39.3 degC" in text
     assert "Left out: rate of gyro x stuck: 2 of 40 windows" in text
-    assert "Warning: all rows are of one cycle" in text
+    assert "Warning: all rows belong to one cycle" in text

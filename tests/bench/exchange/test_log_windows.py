@@ -1,6 +1,6 @@
 import numpy as np
 
-from gyrobench.bench.exchange.log_windows import cut_windows, longest_run
+from gyrobench.bench.exchange.log_windows import cut_windows, max_consecutive
 
 
 def batches(count, size):
@@ -21,7 +21,7 @@ def test_windows_do_not_depend_on_how_the_log_was_cut_into_batches():
         assert [each.start_s for each in parts] == [each.start_s for each in whole]
         for part, one in zip(parts, whole, strict=True):
             np.testing.assert_array_equal(part.rate_dph, one.rate_dph)
-            assert part.widest_step_s == one.widest_step_s
+            assert part.max_step_s == one.max_step_s
             assert part.means == one.means
 
 
@@ -44,6 +44,6 @@ def test_the_slope_is_per_hour():
 
 
 def test_the_longest_run_of_true_values_is_counted():
-    assert longest_run(np.array([True, False, True, True, True, False, True, True])) == 3
-    assert longest_run(np.array([False, False])) == 0
-    assert longest_run(np.array([], dtype=bool)) == 0
+    assert max_consecutive(np.array([True, False, True, True, True, False, True, True])) == 3
+    assert max_consecutive(np.array([False, False])) == 0
+    assert max_consecutive(np.array([], dtype=bool)) == 0

@@ -6,7 +6,7 @@ import can
 import numpy as np
 import pytest
 
-from gyrobench.bench.exchange.can_export import PlacedLog
+from gyrobench.bench.exchange.can_export import TimedLog
 from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
@@ -21,7 +21,7 @@ from gyrobench.bench.exchange.mf4 import write_mf4  # noqa: E402
 @pytest.fixture(scope="module")
 def mf4(two_dwells, dbc, tmp_path_factory):
     path = tmp_path_factory.mktemp("mf4") / "can.mf4"
-    write_mf4(path, PlacedLog(two_dwells), dbc, {"run": "a < b & c"})
+    write_mf4(path, TimedLog(two_dwells), dbc, {"run": "a < b & c"})
     return path
 
 

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.exchange.run_export import Format, Wanted, What, export_run
+from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -20,7 +20,7 @@ from gyrobench.bench.runs.telemetry import read_telemetry
 def usual(two_dwells, tmp_path_factory):
     """Everything usual in the usual formats."""
     out = tmp_path_factory.mktemp("usual")
-    return out, export_run(two_dwells, Wanted(), out)
+    return out, export_run(two_dwells, ExportSelection(), out)
 
 
 def test_without_wishes_all_but_navigation_is_written_as_far_as_it_is_there(usual):
@@ -31,8 +31,8 @@ def test_without_wishes_all_but_navigation_is_written_as_far_as_it_is_there(usua
         *("dwells.parquet", "bias_bins.parquet", "joint.parquet", "joint_biases.parquet"),
         *("telemetry.parquet", "can.blf", "export.json"),
     }
-    assert set(exported.lacks) == {What.VERIFICATION, What.COMPENSATION}
-    assert "gyrobench close" in exported.lacks[What.COMPENSATION]
+    assert set(exported.missing) == {DataKind.VERIFICATION, DataKind.COMPENSATION}
+    assert "gyrobench close" in exported.missing[DataKind.COMPENSATION]
 
 
 def test_dwells_are_read_back_by_pandas_with_types(usual, two_dwells):
@@ -75,7 +75,7 @@ def test_duckdb_queries_several_files_at_once(usual):
 
 @pytest.mark.parametrize("form", [Format.CSV, Format.PARQUET])
 def test_telemetry_holds_every_reading_with_its_calendar_time(two_dwells, form, tmp_path):
-    export_run(two_dwells, Wanted([What.TELEMETRY], [form]), tmp_path)
+    export_run(two_dwells, ExportSelection([DataKind.TELEMETRY], [form]), tmp_path)
     path, readings = tmp_path / f"telemetry.{form}", read_telemetry(two_dwells.telemetry)
     table = pd.read_csv(path) if form is Format.CSV else pd.read_parquet(path)
     for name, values in readings.items():
@@ -86,7 +86,7 @@ def test_telemetry_holds_every_reading_with_its_calendar_time(two_dwells, form, 
 
 
 def test_tables_as_csv_are_those_of_the_run(two_dwells, tmp_path):
-    export_run(two_dwells, Wanted([What.DWELLS, What.BINS], [Format.CSV]), tmp_path)
+    export_run(two_dwells, ExportSelection([DataKind.DWELLS, DataKind.BINS], [Format.CSV]), tmp_path)
     assert (tmp_path / "dwells.csv").read_bytes() == two_dwells.dwells.read_bytes()
     assert (tmp_path / "bias_bins.csv").read_bytes() == two_dwells.bias_bins.read_bytes()
 
@@ -100,24 +100,24 @@ def test_a_run_that_was_cut_off_gives_what_it_holds(two_dwells, tmp_path):
     folder.journal.write_text("".join(lines[:-1]) + lines[-1][:40])
     last = max(folder.can.iterdir())
     last.write_bytes(last.read_bytes()[:-1000])
-    exported = export_run(folder, Wanted(), tmp_path / "out")
+    exported = export_run(folder, ExportSelection(), tmp_path / "out")
     assert {path.name for path in exported.files} == {
         *("dwells.parquet", "telemetry.parquet", "can.blf", "export.json"),
     }
-    assert "gyrobench bins" in exported.lacks[What.BINS]
+    assert "gyrobench bins" in exported.missing[DataKind.BINS]
     assert json.loads((tmp_path / "out" / "export.json").read_text())["origin"]["ended"] is None
 
 
-def test_what_is_not_there_is_told_where_nothing_else_was_wanted(two_dwells, tmp_path):
-    with pytest.raises(RunFolderError, match="verification: the run verified nothing"):
-        export_run(two_dwells, Wanted([What.VERIFICATION]), tmp_path / "out")
+def test_what_is_not_there_is_reported_where_nothing_else_was_wanted(two_dwells, tmp_path):
+    with pytest.raises(RunFolderError, match="verification: the run made no calibration check"):
+        export_run(two_dwells, ExportSelection([DataKind.VERIFICATION]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_files_that_are_there_stay_unless_they_are_to_be_replaced(two_dwells, tmp_path):
-    wanted = Wanted([What.DWELLS, What.BINS], [Format.CSV])
+    wanted = ExportSelection([DataKind.DWELLS, DataKind.BINS], [Format.CSV])
     (tmp_path / "bias_bins.csv").write_text("mine")
-    with pytest.raises(RunFolderError, match=r"holds bias_bins.csv already. Give --force"):
+    with pytest.raises(RunFolderError, match=r"already contains bias_bins.csv. Use --force"):
         export_run(two_dwells, wanted, tmp_path)
     assert not (tmp_path / "dwells.csv").exists()
     assert (tmp_path / "bias_bins.csv").read_text() == "mine"
@@ -126,15 +126,15 @@ def test_files_that_are_there_stay_unless_they_are_to_be_replaced(two_dwells, tm
 
 
 def test_what_is_said_of_files_written_earlier_stays(two_dwells, tmp_path):
-    export_run(two_dwells, Wanted([What.DWELLS]), tmp_path)
-    export_run(two_dwells, Wanted([What.BINS]), tmp_path)
+    export_run(two_dwells, ExportSelection([DataKind.DWELLS]), tmp_path)
+    export_run(two_dwells, ExportSelection([DataKind.BINS]), tmp_path)
     about = json.loads((tmp_path / "export.json").read_text())
     assert set(about["files"]) == {"dwells.parquet", "bias_bins.parquet"}
 
 
 def test_a_format_that_does_not_fit_is_refused():
     with pytest.raises(DocumentError, match=r"--format mf4 does not fit dwells"):
-        Wanted([What.DWELLS, What.CAN], [Format.MF4])
-    assert Wanted([], [Format.MF4]).kinds() == [What.CAN]
+        ExportSelection([DataKind.DWELLS, DataKind.CAN], [Format.MF4])
+    assert ExportSelection([], [Format.MF4]).kinds() == [DataKind.CAN]
     with pytest.raises(DocumentError, match="--what navigation"):
-        Wanted([What.DWELLS], dwell=2)
+        ExportSelection([DataKind.DWELLS], dwell=2)

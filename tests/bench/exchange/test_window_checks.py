@@ -9,7 +9,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 
 @pytest.mark.parametrize("name", POSITIONS)
-def test_the_force_at_rest_tells_the_position_and_the_tilt(name):
+def test_the_force_at_rest_reports_the_position_and_the_tilt(name):
     up = POSITIONS[name].C_nb()[2]
     beside = np.roll(up, 1)
     tilt = np.deg2rad(5.0)
@@ -101,5 +101,5 @@ def test_a_rate_that_never_changes_is_an_error():
 
 
 def test_too_few_windows_are_an_error():
-    with pytest.raises(MeasurementError, match="1 good windows of 10 samples are too few"):
+    with pytest.raises(MeasurementError, match="1 valid windows of 10 samples are too few"):
         noise_of_means([windows(white(count=10))])

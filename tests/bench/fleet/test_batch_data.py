@@ -1,10 +1,8 @@
 """What runs tell of the units of a batch: biases, and effects that searches could see."""
 
-from gyrobench.bench.fleet.batch_data import read_batch
-from gyrobench.bench.fleet.batch_model import EffectSize
-from gyrobench.bench.runs.index import RunIndex
-from gyrobench.bench.runs.index_run_files import open_store
-from gyrobench.bench.runs.index_selection import Selection, find_runs
+from gyrobench.bench.fleet.batch import EffectSize, read_batch
+from gyrobench.bench.runs.index.run_index import RunIndex, Selection, find_runs
+from gyrobench.bench.runs.index.store import open_store
 from tests.bench.runs.index.sample_runs import copy_run, write_verdict
 
 

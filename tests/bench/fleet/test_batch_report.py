@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.fleet.batch_model import fit_batch
+from gyrobench.bench.fleet.batch import fit_batch
 from gyrobench.bench.fleet.batch_report import batch_summary, write_batch
-from gyrobench.bench.runs.index_run_biases import LEVEL
-from tests.bench.fleet.test_batch_model import POSITIONS, batch
+from gyrobench.bench.runs.index.run_biases import LEVEL
+from tests.bench.fleet.test_batch import POSITIONS, batch
 
 
 @pytest.fixture(scope="module")
@@ -19,11 +19,11 @@ def fitted():
     return fit_batch(values)
 
 
-def test_page_and_file_name_the_unit_that_stands_out(fitted, tmp_path):
+def test_page_and_file_name_the_outlier(fitted, tmp_path):
     page = write_batch(tmp_path / "batch", "B7", fitted, "30 runs").read_text()
     assert "<h1>Batch B7</h1>" in page
-    assert "1 unit of 10 stands out" in page
-    assert "Z gyro at 20 to 25 °C, X-Up less the mean" in page
+    assert "1 outlier in 10 units" in page
+    assert "Z gyro at 20 to 25 °C, X-Up minus the mean" in page
     content = json.loads((tmp_path / "batch" / "batch.json").read_text())
     assert [each["unit"] for each in content["standing_out"]] == ["0"]
     assert len(content["quantities"]) == 12
@@ -36,10 +36,10 @@ def test_the_terminal_needs_80_columns_and_no_colour(fitted):
     console.print(batch_summary("B7", fitted))
     text = console.file.getvalue()
     assert max(map(len, text.splitlines())) <= 80
-    assert "1 unit stands out: unit 0 in Z gyro at 20 to 25 °C, X-Up" in text.replace("\n", " ")
+    assert "1 outlying unit: unit 0 in Z gyro at 20 to 25 °C, X-Up" in text.replace("\n", " ")
 
 
-def test_a_batch_of_like_units_says_so(tmp_path):
+def test_a_batch_without_outliers_says_so(tmp_path):
     page = write_batch(tmp_path, "", fit_batch(batch(np.random.default_rng(8))), "30 runs").read_text()
-    assert "10 units alike" in page
-    assert "No unit stands out" in page
+    assert "No outlier in 10 units" in page
+    assert "No outlying unit" in page

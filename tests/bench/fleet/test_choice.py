@@ -2,11 +2,10 @@
 
 import pytest
 
-from gyrobench.bench.fleet.choice import runs_in_index, runs_named
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.index import RunIndex
-from gyrobench.bench.runs.index_run_files import open_store
-from gyrobench.bench.runs.index_selection import Selection
+from gyrobench.bench.runs.index.run_index import RunIndex, runs_in_index
+from gyrobench.bench.runs.index.selection import Selection
+from gyrobench.bench.runs.index.store import open_store, runs_named
 from tests.bench.runs.index.sample_runs import copy_run
 
 
@@ -27,10 +26,10 @@ def test_runs_are_named_by_folder_root_and_pattern_each_once(root, monkeypatch):
     assert runs_named(["d*"]) == every[2:]
 
 
-def test_a_name_without_run_is_told(root):
+def test_a_name_without_run_is_reported(root):
     (root / "empty").mkdir()
     for name in ("nothing", "no*", "empty"):
-        with pytest.raises(RunFolderError, match="there is no run folder"):
+        with pytest.raises(RunFolderError, match="no run folder found"):
             runs_named([str(root / name)])
 
 
@@ -40,7 +39,7 @@ def test_runs_are_chosen_from_an_index(sample, tmp_path):
     index = RunIndex(open_store(str(tmp_path)))
     index.update()
     assert runs_in_index(str(tmp_path), index, Selection(unit="1002")) == [tmp_path / "b"]
-    with pytest.raises(RunFolderError, match="no run is as asked for"):
+    with pytest.raises(RunFolderError, match="no run matches the selection"):
         runs_in_index(str(tmp_path), index, Selection(unit="1003"))
-    with pytest.raises(RunFolderError, match="can't be written"):
+    with pytest.raises(RunFolderError, match="can't be changed"):
         runs_in_index("memory://bucket", index, Selection())

@@ -7,7 +7,7 @@ import pytest
 from gyrobench.bench.fleet.jobs import JobKind, JobState, do_job, inputs_of
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.bench_lock import RunLock
+from gyrobench.bench.station.locks import RunLock
 from tests.bench.runs.index.sample_runs import copy_run
 
 
@@ -16,7 +16,7 @@ def run(sample, tmp_path):
     return copy_run(sample, tmp_path / "run").path
 
 
-def test_bins_measures_a_run_anew_from_its_raw_log(run, sample):
+def test_bins_re_evaluates_a_run_from_its_raw_log(run, sample):
     (run / "dwells.csv").unlink()
     result = do_job(JobKind.BINS, str(run))
     assert (result.state, result.text) == (JobState.DONE, "12 dwells")

@@ -9,10 +9,8 @@ import pytest
 from distributed import LocalCluster, WorkerPlugin
 
 import gyrobench.bench.fleet.jobs
-from gyrobench.bench.fleet.cluster import Workers, connected
-from gyrobench.bench.fleet.jobs import JobKind, JobState
-from gyrobench.bench.fleet.record import FleetRecord, read_record
-from gyrobench.bench.fleet.work import work_through
+from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobState, read_record
+from gyrobench.bench.fleet.workers import Workers, connected, work_through
 from gyrobench.bench.foundations.errors import GyrobenchError
 from tests.bench.runs.index.sample_runs import copy_run
 
@@ -48,7 +46,7 @@ def test_a_run_that_kills_its_worker_fails_and_the_others_are_done(runs, tmp_pat
     assert [results[str(path)].state for path in runs] == [JobState.DONE, JobState.FAILED, JobState.FAILED]
     assert "its worker was killed" in results[str(runs[1])].text
     assert "station.yaml" in results[str(runs[2])].text
-    assert read_record(JobKind.BINS, tmp_path / "record").left_of(runs) == runs[1:]
+    assert read_record(JobKind.BINS, tmp_path / "record").pending(runs) == runs[1:]
 
 
 def test_threads_do_the_same_and_a_bug_is_a_failure_of_its_run(runs, tmp_path, monkeypatch):
@@ -71,10 +69,10 @@ def test_what_was_done_is_on_record_when_the_rest_is_given_up(runs, tmp_path):
         work = work_through(client, record, runs)
         next(work)
         work.close()
-    assert len(read_record(JobKind.REPORT, tmp_path / "record").left_of(runs)) == 2
+    assert len(read_record(JobKind.REPORT, tmp_path / "record").pending(runs)) == 2
 
 
-def test_a_scheduler_of_somebody_else_is_used_and_stays(runs, tmp_path):
+def test_an_external_scheduler_is_used_and_stays(runs, tmp_path):
     record = FleetRecord(JobKind.REPORT, tmp_path / "record")
     with LocalCluster(
         n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
@@ -85,8 +83,8 @@ def test_a_scheduler_of_somebody_else_is_used_and_stays(runs, tmp_path):
         assert len(cluster.scheduler_info["workers"]) == 1
 
 
-def test_an_address_without_scheduler_is_told(monkeypatch):
-    monkeypatch.setattr("gyrobench.bench.fleet.cluster._PATIENCE_S", 0.5)
+def test_an_address_without_scheduler_is_reported(monkeypatch):
+    monkeypatch.setattr("gyrobench.bench.fleet.workers._SCHEDULER_TIMEOUT_S", 0.5)
     with (
         pytest.raises(GyrobenchError, match="no Dask scheduler answers"),
         connected(Workers(scheduler="tcp://127.0.0.1:9")),

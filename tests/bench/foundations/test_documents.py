@@ -1,6 +1,9 @@
 import json
 import string
+import subprocess
+import sys
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from hypothesis import given, settings
@@ -12,12 +15,12 @@ from gyrobench.bench.foundations.documents import (
     Document,
     Problem,
     StrictModel,
-    find_document,
     parse_document,
     read_document,
     validate,
 )
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 
 PATH = Path("folder/test.yaml")
 
@@ -227,7 +230,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     large.write_text("#" * (MAX_DOCUMENT_BYTES + 1))
     for path, message in [
         (tmp_path / "missing.yaml", "No such file"),
-        (tmp_path, "directory"),
+        (tmp_path, "folder"),
         (broken, "not UTF-8"),
         (large, "at most 1000000"),
     ]:
@@ -247,3 +250,59 @@ def test_a_shipped_file_is_found_by_its_name_and_any_file_by_its_path(tmp_path: 
 def test_a_file_that_does_not_exist_is_answered_with_the_shipped_names(name: str) -> None:
     with pytest.raises(DocumentError, match=r"Shipped procedures: .*six_position_fig7, ten_minute_check"):
         find_document("procedures", name)
+
+
+@pytest.mark.parametrize("name", ["six_position_fig", "six_position_fig.yaml"])
+def test_the_nearest_shipped_name_is_suggested(name: str) -> None:
+    with pytest.raises(DocumentError, match=r"did you mean 'six_position_fig7'\?"):
+        find_document("procedures", name)
+
+
+class WithOldValues(StrictModel):
+    renamed_values: ClassVar = {"resume": {"nobody": "automatic"}, "on": {"goes_on": "resumes"}}
+    resume: str = "operator"
+    on: list[str] = Field(default=[])
+
+
+class WithOldNames(StrictModel):
+    renamed_keys: ClassVar = {"most_times": "max_times"}
+    max_times: int = Field(default=1, le=5)
+    inner: WithOldValues = WithOldValues()
+
+
+def test_old_names_of_keys_and_values_are_accepted_and_say_what_replaces_them(caplog) -> None:
+    text = "most_times: 3\ninner:\n  resume: nobody\n  on: [goes_on, other]\n"
+    made = validate(parse_document(text, Path("a.yaml")), WithOldNames)
+    assert made == WithOldNames(max_times=3, inner=WithOldValues(resume="automatic", on=["resumes", "other"]))
+    assert [record.getMessage() for record in caplog.records] == [
+        "a.yaml:1:1: 'most_times' is an old name. Write 'max_times'.",
+        "a.yaml:4:3: 'on: goes_on' is an old name. Write 'on: resumes'.",
+        "a.yaml:3:3: 'resume: nobody' is an old name. Write 'resume: automatic'.",
+    ]
+
+
+def test_present_names_cause_no_note(caplog) -> None:
+    validate(parse_document("max_times: 3\ninner: {resume: automatic}", Path("b.yaml")), WithOldNames)
+    assert not caplog.records
+
+
+def test_mistakes_under_an_old_name_are_reported_where_it_stands() -> None:
+    for text, message in (
+        ("inner: {}\nmost_times: 9", r"a.yaml:2:1: .*less than or equal to 5; found 9"),
+        ("inner: {}\nmax_times: 1\nmost_times: 2", r"a.yaml:3:1: unknown key 'most_times'.*'max_times'"),
+    ):
+        with pytest.raises(DocumentError, match=message):
+            validate(parse_document(text, Path("a.yaml")), WithOldNames)
+
+
+def test_the_note_of_an_old_name_goes_to_standard_error(tmp_path: Path) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text("procedure: a\nmost_repeats: 1\nsteps: [power_off]\n")
+    done = subprocess.run(
+        [sys.executable, "-c", "from gyrobench.bench.cli import main; main()", "validate", str(path)],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0
+    assert done.stderr == f"{path}:2:1: 'most_repeats' is an old name. Write 'max_repeats'.\n"
+    assert "old.yaml" in done.stdout

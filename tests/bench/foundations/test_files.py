@@ -2,8 +2,16 @@ import os
 
 import pytest
 
-from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import file_sha256, make_folder, make_new_folder, remove, write_whole
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.files import (
+    file_sha256,
+    make_folder,
+    make_new_folder,
+    parse_json,
+    read_limited,
+    remove,
+    write_whole,
+)
 
 
 def broken(*_):
@@ -88,3 +96,37 @@ def test_the_hash_of_a_file_is_that_of_its_content(tmp_path):
     assert file_sha256(tmp_path / "dwells.csv").startswith("ba7816bf8f01cfea")
     with pytest.raises(RunFolderError, match=r"absent\.csv: can't be read"):
         file_sha256(tmp_path / "absent.csv")
+
+
+def test_a_file_within_the_limit_is_read_whole(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"x" * 10)
+    assert read_limited(path, 10, DocumentError) == b"x" * 10
+
+
+@pytest.mark.parametrize("error_type", [DocumentError, RunFolderError])
+def test_a_file_that_is_too_large_is_refused_with_its_name_and_size(tmp_path, error_type):
+    path = tmp_path / "file"
+    with path.open("wb") as stream:
+        stream.truncate(10**12)  # holds no byte on the disk
+    with pytest.raises(error_type, match=r"file: 1000000000000 bytes; at most 1000 are allowed"):
+        read_limited(path, 1000, error_type)
+
+
+def test_what_may_have_no_end_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path, what in ((tmp_path / "pipe", "not a plain file"), (tmp_path, "a folder")):
+        with pytest.raises(DocumentError, match=what):
+            read_limited(path, 1000, DocumentError)
+
+
+def test_a_character_of_two_halves_is_read():
+    assert parse_json('"\\ud83d\\ude00"') == "\U0001f600"
+
+
+@pytest.mark.parametrize(
+    "text", ['{"a":' * 100_000, "1" * 5000, b"\xff\xfe", '"\\ud800"', b'["\\uDC00"]', "{", ""]
+)
+def test_what_is_no_json_is_a_value_error(text):
+    with pytest.raises(ValueError):
+        parse_json(text)

@@ -1,4 +1,4 @@
-"""Emulators in a process of their own, a station file for them, and an engine in small."""
+"""Emulators as a separate process, a station file for them, and a small engine."""
 
 import contextlib
 import json
@@ -11,15 +11,13 @@ from pathlib import Path
 import serial
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
-from tests.drivers.emulators.quick_world import QUICK_WORLD
+from tests.drivers.emulators.quick_world import LIMIT_S, QUICK_WORLD
 
-#: Opens the bench, sets the table turning and the chamber heating, and beats until it is ended.
 SERVE = "gyrobench.drivers.emulators.serve"
-
-
+#: Opens the bench, sets the table turning and the chamber heating, and beats until it is ended.
 ENGINE = """
 import sys
 from pathlib import Path
@@ -28,7 +26,7 @@ import serial
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.guard.link import guard_for
-from gyrobench.bench.station.bench_lock import BenchLock
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
 
@@ -46,8 +44,8 @@ with BenchLock(station, folder, clock), guard_for(station, folder, clock) as gua
 """
 
 
-def station_file(path, table, chamber, ins="/dev/does-not-matter"):
-    """The shipped station with these ports, on a wall clock, its guard impatient."""
+def station_file(path, table, chamber, ins="/dev/unused"):
+    """The shipped station with these ports, on a wall clock, its guard quick to act."""
     text = find_document("stations", "emulated").read_text()
     for old, new in {
         "clock: virtual": "clock: wall",
@@ -75,7 +73,7 @@ class ServedBench:
             "--world",
             str(world),
             "--for-s",
-            "200",
+            "1000",
         ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.urls = json.loads(self.process.stdout.readline())
@@ -96,15 +94,15 @@ class ServedBench:
             outputs.chamber.set_temperature(60.0, None)
 
     def state(self):
-        """What the bench itself says: rates of the table, its interlocks, set point of the chamber."""
+        """State of the bench: rates of the table, its interlocks, set point of the chamber."""
         with Outputs(self.station, WallClock()) as outputs:
             rate_dps = outputs.table.read().rate_dps
             set_point_c = outputs.chamber.set_point_c()
         return rate_dps, [self._interlock(axis) for axis in (1, 2)], set_point_c
 
     def _interlock(self, axis):
-        """What the controller itself answers: error word, length, text."""
-        with serial.Serial(self.urls["table"], timeout=10.0, exclusive=True) as port:
+        """Answer of the controller: error word, length, text."""
+        with serial.Serial(self.urls["table"], timeout=LIMIT_S, exclusive=True) as port:
             port.write(f":Interlock? {axis}\r\n".encode())
             error, length = struct.unpack("<II", port.read(8))
             assert error == 0
@@ -131,11 +129,11 @@ class SmallEngine:
         return (self.folder / "guard.log").read_text()
 
 
-def wait_for(condition, limit_s=60.0):
+def wait_for(condition, limit_s=LIMIT_S):
     """Wait until a condition is true; fails if it never is."""
     end_s = time.monotonic() + limit_s
     while not condition():
-        assert time.monotonic() < end_s, "did not come about"
+        assert time.monotonic() < end_s, "the condition never became true"
         time.sleep(0.05)
 
 

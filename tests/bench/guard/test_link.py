@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.link import GuardLink, NoGuard, guard_for
 from gyrobench.bench.station.station import Station
 from tests.bench.guard.served_bench import station_file

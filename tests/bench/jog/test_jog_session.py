@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS
 from tests.bench.guard.served_bench import ServedBench
 

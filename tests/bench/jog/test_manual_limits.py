@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.jog.manual_limits import AxisRange, ManualLimits, manual_limits
 from gyrobench.bench.jog.terminal import CommandError
 from gyrobench.bench.station.instruments import Emulation, Outputs

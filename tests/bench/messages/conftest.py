@@ -1,7 +1,7 @@
 import pytest
 from pydantic import TypeAdapter
 
-from gyrobench.bench.station.messages import Receiver
+from gyrobench.bench.station.receivers import Receiver
 from tests.bench.messages.servers import RawServer, Server
 
 

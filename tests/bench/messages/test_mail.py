@@ -12,9 +12,8 @@ import pytest
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import AuthResult, LoginPassword
 
-from gyrobench.bench.messages import mail
-from gyrobench.bench.messages.delivery import deliver
-from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.messages import delivery as mail
+from gyrobench.bench.messages.delivery import UndeliveredError, deliver
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
 from tests.bench.messages.servers import free_port
 

@@ -7,9 +7,9 @@ from urllib.parse import unquote_to_bytes
 
 import pytest
 
-from gyrobench.bench.messages import delivery, post
-from gyrobench.bench.messages.delivery import deliver
-from gyrobench.bench.messages.undelivered import UndeliveredError
+from gyrobench.bench.messages import delivery
+from gyrobench.bench.messages import delivery as post
+from gyrobench.bench.messages.delivery import UndeliveredError, deliver
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
 from tests.bench.messages.servers import free_port
 

@@ -1,4 +1,4 @@
-from gyrobench.bench.messages.quota import Quota
+from gyrobench.bench.messages.messenger import Quota
 
 
 def test_the_hour_slides():

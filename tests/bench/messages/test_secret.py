@@ -5,7 +5,7 @@ from urllib.parse import quote, quote_plus
 
 import pytest
 
-from gyrobench.bench.messages.secret import server_words, without_secret
+from gyrobench.bench.messages.delivery import server_words, without_secret
 
 SECRET = "Geheim/Wort+9 x&y"  # noqa: S105 - made up
 

@@ -1,8 +1,8 @@
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.messages.trial import send_test
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.messages.messenger import send_test
 from tests.bench.messages.servers import free_port
 
 

@@ -1,4 +1,4 @@
-"""A short run with its pictures."""
+"""A short run with its snapshots."""
 
 import io
 from dataclasses import dataclass
@@ -9,45 +9,45 @@ from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.monitor.recorder import PictureRecorder
-from gyrobench.bench.monitor.snapshot import Picture
-from gyrobench.bench.monitor.terminal import PatientConsole
+from gyrobench.bench.monitor.recorder import SnapshotRecorder
+from gyrobench.bench.monitor.snapshot import RunSnapshot
+from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 
 
 class Album(Progress):
-    """Keeps a picture of every tenth tick, and the last one."""
+    """Keeps a snapshot of every tenth tick, and the last one."""
 
     def __init__(self, recorder):
         self._recorder = recorder
         self._beats = 0
-        self.pictures = []
+        self.snapshots = []
 
     def beat(self, bench):
         self._beats += 1
         if self._beats % 10 == 0:
-            self.pictures.append(self._recorder.picture())
+            self.snapshots.append(self._recorder.snapshot())
 
     def ended(self, outcome):
-        self.pictures.append(self._recorder.picture())
+        self.snapshots.append(self._recorder.snapshot())
 
 
 @dataclass(frozen=True)
 class Recorded:
     folder: RunFolder
-    pictures: list[Picture]
+    snapshots: list[RunSnapshot]
 
 
 def recorded_run(out, procedure="ten_minute_check", operator=None, faults=""):
     """Run a procedure with a recorder."""
     job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0, faults))
-    recorder = PictureRecorder(job.plan)
+    recorder = SnapshotRecorder(job.plan)
     album = Album(recorder)
-    with LinesView(PatientConsole(file=io.StringIO(), width=80), job.plan) as lines:
+    with LinesView(RunConsole(file=io.StringIO(), width=80), job.plan) as lines:
         folder, _ = run_job(job, out, Audience(recorder, lines, album), operator or ConsentingOperator())
-    return Recorded(folder, album.pictures)
+    return Recorded(folder, album.snapshots)
 
 
 @pytest.fixture(scope="session")

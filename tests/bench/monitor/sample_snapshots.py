@@ -1,4 +1,4 @@
-"""A run in its middle, made up: every field of the picture is filled."""
+"""A run in its middle, made up: every field of the snapshot is filled."""
 
 import math
 from dataclasses import replace
@@ -6,19 +6,19 @@ from dataclasses import replace
 from gyrobench.bench.monitor.snapshot import (
     Alarm,
     Attitude,
-    BenchNow,
-    DwellDone,
-    DwellNow,
-    FillingBin,
+    BenchReadings,
+    CurrentDwell,
+    CurrentStep,
     LiveBias,
+    LiveBin,
+    MeasuredDwell,
     MeasuredProfile,
     Note,
-    Picture,
     PlannedProfile,
     PositionSpan,
     Question,
+    RunSnapshot,
     RunState,
-    StepNow,
     WindowTrace,
 )
 
@@ -70,7 +70,7 @@ def window(until_s, drift=1.0):
     )
 
 
-def dwells_done(count):
+def measured_dwells(count):
     """So many dwells in order, the fifth with a flag."""
     done = []
     for index in range(count):
@@ -78,7 +78,7 @@ def dwells_done(count):
         bias = (0.003 + 0.002 * (index % 6), -0.001 * (index % 3), 0.0015)
         flagged = index == 4
         done.append(
-            DwellDone(
+            MeasuredDwell(
                 number=index + 1,
                 cycle=1,
                 position=position,
@@ -104,14 +104,14 @@ def bins_of(dwells):
                 ]
                 bias = inside[0].bias_dph[axis] if inside else math.nan
                 sigma = inside[0].sigma_dph[axis] if inside else math.nan
-                bins.append(FillingBin(gyro, position, float(low_c), low_c + 5.0, bias, sigma, len(inside)))
+                bins.append(LiveBin(gyro, position, float(low_c), low_c + 5.0, bias, sigma, len(inside)))
     return tuple(bins)
 
 
-def made_up_picture():
+def made_up_snapshot():
     """Dwell 14 of 24 at -10 degC, its second window half over."""
     now_s = 9.2 * HOUR_S
-    dwells = dwells_done(13)
+    dwells = measured_dwells(13)
     estimates = tuple(
         LiveBias(
             now_s - 300.0 + 30.0 * each,
@@ -120,7 +120,7 @@ def made_up_picture():
         )
         for each in range(10)
     )
-    return Picture(
+    return RunSnapshot(
         name="six_position-001",
         folder="runs/six_position-001",
         procedure="six_position",
@@ -135,7 +135,7 @@ def made_up_picture():
         dwell_count=24,
         planned=planned_profile(),
         measured=measured_profile(now_s),
-        bench=BenchNow(
+        bench=BenchReadings(
             chamber_set_c=-10.0,
             chamber_c=-9.8,
             gyro_c=(4.1, 4.9, 3.6),
@@ -151,23 +151,23 @@ def made_up_picture():
             ins_age_s=0.0,
         ),
         attitude=Attitude("z_down", 180.0, ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))),
-        step=StepNow(212, 325, "cycle 1, -10 degC, z_down", "navigate 10 min", now_s - 300.0, 600.0),
-        dwell=DwellNow(14, 24, 1, "z_down", (window(600.0), window(300.0, -1.0)), estimates),
+        step=CurrentStep(212, 325, "cycle 1, -10 degC, z_down", "navigate 10 min", now_s - 300.0, 600.0),
+        dwell=CurrentDwell(14, 24, 1, "z_down", (window(600.0), window(300.0, -1.0)), estimates),
         dwells=dwells,
         bins=bins_of(dwells),
         alarms=(),
         messages=(
             Note(4.0 * HOUR_S, "dwell 5 is repeated: the INS left navigation in the turn"),
-            Note(6.5 * HOUR_S, "Going on, by itself"),
+            Note(6.5 * HOUR_S, "Continuing, by itself"),
         ),
     )
 
 
-def waiting_picture():
-    """The same while the chamber does not keep its set point and a person has to say what is to be done."""
+def waiting_snapshot():
+    """The same while the chamber does not keep its set point and the operator has to decide."""
     why = "the chamber's air is at 3.2 degC, 13.2 K from its set point. Look at door and compressor."
     return replace(
-        made_up_picture(),
+        made_up_snapshot(),
         state=RunState.WAITING,
         reason=why,
         question=Question(f"The run holds: {why}", ("continue", "abort")),

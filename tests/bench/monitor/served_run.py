@@ -1,4 +1,4 @@
-"""Run folders with a picture in them, held as by a run under way, and a monitor that serves them."""
+"""Run folders with a snapshot in them, held as by a run under way, and a monitor that serves them."""
 
 import contextlib
 import http.client
@@ -9,33 +9,35 @@ from datetime import UTC, datetime, timedelta
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.monitor.server import MonitorServer
 from gyrobench.bench.monitor.site import Site
-from gyrobench.bench.station.bench_lock import RunLock
-from tests.bench.monitor.sample_snapshots import made_up_picture
+from gyrobench.bench.station.locks import RunLock
+from tests.bench.monitor.sample_snapshots import made_up_snapshot
 
 NOW = datetime(2026, 3, 2, 16, 42, 1, tzinfo=UTC)
 
 
 def now():
-    """A second after the made-up picture."""
+    """A second after the made-up snapshot."""
     return NOW
 
 
-def write_picture(folder, picture=None, age_s=1.0, **changes):
-    """Leave a picture in a run folder as the run does: at one stroke."""
+def write_snapshot(folder, snapshot=None, age_s=1.0, **changes):
+    """Leave a snapshot in a run folder as the run does: at one stroke."""
     updated = (NOW - timedelta(seconds=age_s)).isoformat()
-    picture = replace(picture or made_up_picture(), updated_utc=updated, **({"name": folder.name} | changes))
+    snapshot = replace(
+        snapshot or made_up_snapshot(), updated_utc=updated, **({"name": folder.name} | changes)
+    )
     folder.mkdir(exist_ok=True)
     (folder / "journal.jsonl").touch()
     part = folder / ".live.json.part"
-    part.write_bytes(picture.to_json())
+    part.write_bytes(snapshot.to_json())
     part.replace(folder / "live.json")
-    return picture
+    return snapshot
 
 
 @contextlib.contextmanager
-def run_under_way(folder, picture=None, **changes):
-    """A run folder with a picture that a process, this one, holds."""
-    write_picture(folder, picture, **changes)
+def run_under_way(folder, snapshot=None, **changes):
+    """A run folder with a snapshot that a process, this one, holds."""
+    write_snapshot(folder, snapshot, **changes)
     with RunLock(folder, VirtualClock()):
         yield folder
 

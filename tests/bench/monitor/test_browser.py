@@ -14,8 +14,8 @@ import pytest
 from gyrobench.bench.monitor.server import refusal
 from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import RunState
-from tests.bench.monitor.sample_snapshots import made_up_picture, waiting_picture
-from tests.bench.monitor.served_run import now, run_under_way, served, write_picture
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
+from tests.bench.monitor.served_run import now, run_under_way, served, write_snapshot
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 OPTIONS = (
@@ -47,7 +47,7 @@ def colours(pixels):
 
 
 class Changing:
-    """A site on which something is done before the page asks for news the first time."""
+    """A site on which something is done before the page asks for freshness the first time."""
 
     def __init__(self, run, change):
         self._site, self._change = Site(run, now), change
@@ -62,10 +62,10 @@ class Changing:
 
 def test_the_page_takes_in_what_is_new_by_itself_and_complains_of_nothing(chromium, tmp_path):
     with run_under_way(tmp_path / "mine") as run:
-        site = Changing(run, lambda: write_picture(run, waiting_picture()))
+        site = Changing(run, lambda: write_snapshot(run, waiting_snapshot()))
         with served(site.answer) as server:
             page, complaints = chromium(server.url, "--dump-dom", "--virtual-time-budget=5000")
-    assert "waiting for a person" in page
+    assert "waiting for the operator" in page
     assert "ALARM rate table" in page
     assert "<title>▲ ALARM: mine</title>" in page
     assert re.search('<section id="dwell"[^>]* hidden', page)
@@ -74,7 +74,7 @@ def test_the_page_takes_in_what_is_new_by_itself_and_complains_of_nothing(chromi
     assert set(site.asked) <= {"/", "/fragment", "/favicon.ico"}
 
 
-def test_the_page_says_when_the_monitor_is_gone(chromium, tmp_path):
+def test_the_page_says_when_the_monitor_is_over(chromium, tmp_path):
     with run_under_way(tmp_path / "mine") as run:
         site = Site(run, now)
 
@@ -88,7 +88,7 @@ def test_the_page_says_when_the_monitor_is_gone(chromium, tmp_path):
 
 
 def test_the_page_of_a_run_becomes_a_list_and_back_where_the_folder_does(chromium, tmp_path):
-    site = Changing(tmp_path, lambda: write_picture(tmp_path, state=RunState.FINISHED))
+    site = Changing(tmp_path, lambda: write_snapshot(tmp_path, state=RunState.FINISHED))
     with served(site.answer) as server:
         page, _ = chromium(server.url, "--dump-dom", "--virtual-time-budget=5000")
     assert "finished" in page
@@ -113,18 +113,18 @@ def test_the_page_is_drawn_where_no_script_runs(chromium, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("picture", "width", "height"),
+    ("snapshot", "width", "height"),
     [
-        (made_up_picture(), 360, 740),
-        (made_up_picture(), 1280, 900),
-        (waiting_picture(), 360, 740),
-        (replace(made_up_picture(), state=RunState.FINISHED), 360, 740),
+        (made_up_snapshot(), 360, 740),
+        (made_up_snapshot(), 1280, 900),
+        (waiting_snapshot(), 360, 740),
+        (replace(made_up_snapshot(), state=RunState.FINISHED), 360, 740),
     ],
     ids=["running on a phone", "running on a desk", "waiting on a phone", "finished on a phone"],
 )
-def test_the_page_fits_phone_and_desk(chromium, tmp_path, picture, width, height):
+def test_the_page_fits_phone_and_desk(chromium, tmp_path, snapshot, width, height):
     shot = tmp_path / "shot.png"
-    with run_under_way(tmp_path / "mine", picture) as run, served(run) as server:
+    with run_under_way(tmp_path / "mine", snapshot) as run, served(run) as server:
         chromium(server.url, f"--window-size={width},{6 * height}", f"--screenshot={shot}")
     assert struct.unpack(">II", shot.read_bytes()[16:24]) == (width, 6 * height)
     pixels = matplotlib.image.imread(shot)

@@ -16,8 +16,8 @@ from gyrobench.bench.monitor.charts import (
     value_axis,
     window_charts,
 )
-from gyrobench.bench.monitor.snapshot import DwellNow, LiveBias, MeasuredProfile, PlannedProfile
-from tests.bench.monitor.sample_snapshots import made_up_picture
+from gyrobench.bench.monitor.snapshot import CurrentDwell, LiveBias, MeasuredProfile, PlannedProfile
+from tests.bench.monitor.sample_snapshots import made_up_snapshot
 
 NAN = math.nan
 
@@ -93,7 +93,7 @@ def test_a_band_goes_there_above_and_back_below():
 
 @pytest.fixture
 def dwell():
-    return made_up_picture().dwell
+    return made_up_snapshot().dwell
 
 
 def test_windows_share_their_scales_and_show_how_far_they_are(dwell):
@@ -117,12 +117,12 @@ def test_velocities_are_in_mm_per_s_and_headings_in_arcsec(dwell):
 
 
 def test_an_aligning_ins_has_no_charts():
-    dwell = DwellNow(1, 24, 1, "z_up")
+    dwell = CurrentDwell(1, 24, 1, "z_up")
     assert window_charts(dwell) == []
     assert bias_charts(dwell) == []
 
 
-def test_each_gyros_live_bias_is_told_with_its_uncertainty(dwell):
+def test_each_gyros_live_bias_is_shown_with_its_uncertainty(dwell):
     charts = bias_charts(dwell)
     assert [each.label for each in charts] == ["X gyro", "Y gyro", "Z gyro"]
     assert [each.text for each in charts] == ["5.2 ± 2.0", "−1.1 ± 2.4", "1.6 ± 4.0"]
@@ -146,59 +146,59 @@ def test_an_estimate_without_an_answer_is_left_out(dwell):
 
 
 @pytest.fixture
-def picture():
-    return made_up_picture()
+def snapshot():
+    return made_up_snapshot()
 
 
 def curve(chart, look):
     return next(each for each in chart.curves if each.look == look)
 
 
-def test_what_is_to_come_is_as_late_as_the_run(picture):
-    profile = profile_chart(picture)
+def test_what_is_to_come_is_as_late_as_the_run(snapshot):
+    profile = profile_chart(snapshot)
     chart = profile.chart
-    now, late_s = round(10.0 * chart.now_percent, 1), picture.now_s - picture.plan_now_s
+    now, late_s = round(10.0 * chart.now_percent, 1), snapshot.now_s - snapshot.plan_now_s
     planned = [place[0] for place in places(curve(chart, "chamber planned").path)]
     assert late_s == pytest.approx(0.2 * HOUR_S)
     assert max(planned) == pytest.approx(1000.0)
-    assert chart.x.high == picture.planned.time_s[-1] + late_s
-    assert 10.0 * chart.x.percent(picture.plan_now_s) == pytest.approx(
+    assert chart.x.high == snapshot.planned.time_s[-1] + late_s
+    assert 10.0 * chart.x.percent(snapshot.plan_now_s) == pytest.approx(
         planned[planned.index(now) - 1], abs=0.2
     )
 
 
-def test_the_plan_reaches_now_from_both_sides(picture):
-    path = curve(profile_chart(picture).chart, "gyro planned").path
+def test_the_plan_reaches_now_from_both_sides(snapshot):
+    path = curve(profile_chart(snapshot).chart, "gyro planned").path
     past, future = (places(part) for part in path.replace("M", "|M").split("|")[1:])
     assert past[-1][1] == future[0][1]
 
 
-def test_what_was_measured_ends_now_and_is_broken_in_its_gap(picture):
-    chart = profile_chart(picture).chart
+def test_what_was_measured_ends_now_and_is_broken_in_its_gap(snapshot):
+    chart = profile_chart(snapshot).chart
     for look in ("set-point", "chamber", "gyro-x", "gyro-y", "gyro-z"):
         path = curve(chart, look).path
         assert path.count("M") == 2
         assert places(path)[-1][0] <= 10.0 * chart.now_percent + 0.1
 
 
-def test_each_position_has_its_lane_with_the_stays_that_are_over_marked(picture):
-    profile = profile_chart(picture)
+def test_each_position_has_its_lane_with_the_stays_that_are_over_marked(snapshot):
+    profile = profile_chart(snapshot)
     lanes = profile.lanes
     assert list(lanes) == ["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
-    assert [stay.is_over for stay in lanes["z_up"]] == [True, True, True, False]
-    for stay in (stay for stays in lanes.values() for stay in stays):
-        assert 0.0 <= stay.start_percent < stay.start_percent + stay.width_percent <= 100.001
-        assert stay.is_over == (stay.start_percent + stay.width_percent < profile.chart.now_percent)
+    assert [bar.is_over for bar in lanes["z_up"]] == [True, True, True, False]
+    for bar in (bar for bars in lanes.values() for bar in bars):
+        assert 0.0 <= bar.start_percent < bar.start_percent + bar.width_percent <= 100.001
+        assert bar.is_over == (bar.start_percent + bar.width_percent < profile.chart.now_percent)
 
 
-def test_a_short_run_is_told_in_minutes(picture):
+def test_a_short_run_is_shown_in_minutes(snapshot):
     short = replace(
-        picture, planned=PlannedProfile((0.0, 600.0), (20.0, 20.0), (30.0, 30.0)), now_s=60.0, left_s=540.0,
+        snapshot, planned=PlannedProfile((0.0, 600.0), (20.0, 20.0), (30.0, 30.0)), now_s=60.0, left_s=540.0,
         planned_s=600.0, measured=MeasuredProfile(),
     )  # fmt: skip
     assert profile_chart(short).chart.x.title.endswith("min")
 
 
-def test_there_is_no_chart_of_nothing(picture):
-    assert profile_chart(replace(picture, planned=PlannedProfile(), measured=MeasuredProfile())) is None
-    assert profile_chart(replace(picture, planned=PlannedProfile())) is not None
+def test_there_is_no_chart_of_nothing(snapshot):
+    assert profile_chart(replace(snapshot, planned=PlannedProfile(), measured=MeasuredProfile())) is None
+    assert profile_chart(replace(snapshot, planned=PlannedProfile())) is not None

@@ -6,29 +6,30 @@ from html.parser import HTMLParser
 
 import pytest
 
-from gyrobench.bench.monitor.page_content import News
+from gyrobench.bench.monitor.page_content import Freshness
 from gyrobench.bench.monitor.site import run_fragment, whole_page
-from gyrobench.bench.monitor.snapshot import MeasuredProfile, Picture, PlannedProfile, Question, RunState
-from tests.bench.monitor.sample_snapshots import made_up_picture, waiting_picture
+from gyrobench.bench.monitor.snapshot import MeasuredProfile, PlannedProfile, Question, RunSnapshot, RunState
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 
-FRESH = News(1.0, False, "")
-OVER = News(0.0, True, "")
-EMPTY = Picture(
+FRESH = Freshness(1.0, False, "")
+OVER = Freshness(0.0, True, "")
+EMPTY = RunSnapshot(
     name="mine", folder="runs/mine", procedure="", station="", unit="", started_utc="", updated_utc="",
     state=RunState.STARTING, now_s=0.0, left_s=0.0, planned_s=0.0, dwell_count=0,
 )  # fmt: skip
 PICTURES = {
-    "running": (made_up_picture(), FRESH),
-    "waiting": (waiting_picture(), FRESH),
-    "finished": (replace(made_up_picture(), state=RunState.FINISHED), OVER),
+    "running": (made_up_snapshot(), FRESH),
+    "waiting": (waiting_snapshot(), FRESH),
+    "finished": (replace(made_up_snapshot(), state=RunState.FINISHED), OVER),
     "empty": (EMPTY, FRESH),
     "silent INS": (
         replace(
-            made_up_picture(), bench=replace(made_up_picture().bench, gyro_c=(math.nan,) * 3, case_c=math.nan)
+            made_up_snapshot(),
+            bench=replace(made_up_snapshot().bench, gyro_c=(math.nan,) * 3, case_c=math.nan),
         ),
         FRESH,
     ),
-    "no plan": (replace(made_up_picture(), planned=PlannedProfile(), measured=MeasuredProfile()), FRESH),
+    "no plan": (replace(made_up_snapshot(), planned=PlannedProfile(), measured=MeasuredProfile()), FRESH),
 }
 
 
@@ -80,8 +81,8 @@ def test_headings_go_down_one_step_at_a_time_and_tables_have_heads(page):
     assert levels.count(1) == 1
     assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
     assert all("scope" in attributes for tag, attributes in elements if tag == "th")
-    pictures = [attributes for tag, attributes in elements if tag == "svg"]
-    assert all("aria-label" in each or "aria-hidden" in each or "viewbox" in each for each in pictures)
+    snapshots = [attributes for tag, attributes in elements if tag == "svg"]
+    assert all("aria-label" in each or "aria-hidden" in each or "viewbox" in each for each in snapshots)
 
 
 def test_no_number_that_is_not_known_gets_onto_the_page(page):
@@ -90,7 +91,7 @@ def test_no_number_that_is_not_known_gets_onto_the_page(page):
 
 def test_state_time_left_temperature_dwell_and_alarms_come_first():
     page = run_fragment(*PICTURES["waiting"], {}, "")
-    order = ["waiting for a person", "ALARM chamber deviation", "6:00 h", "−9.8 °C", "13 of 24", "<h2"]
+    order = ["waiting for the operator", "ALARM chamber deviation", "6:00 h", "−9.8 °C", "13 of 24", "<h2"]
     places = [page.index(text) for text in order]
     assert places == sorted(places)
     assert "Answers: continue, abort." in page
@@ -98,8 +99,8 @@ def test_state_time_left_temperature_dwell_and_alarms_come_first():
 
 def test_a_long_question_is_cut_and_whole_on_demand():
     text = "The run holds: " + "the sensor is silent; " * 40
-    picture = replace(waiting_picture(), question=Question(text, ("continue", "abort")))
-    page = run_fragment(picture, FRESH, {}, "")
+    snapshot = replace(waiting_snapshot(), question=Question(text, ("continue", "abort")))
+    page = run_fragment(snapshot, FRESH, {}, "")
     shown, _, rest = page.partition("<details")
     assert text not in shown
     assert "The run holds: the sensor is silent" in shown
@@ -116,13 +117,13 @@ def test_a_run_under_way_shows_its_dwell_and_one_that_is_over_what_it_left():
 
 
 @pytest.mark.parametrize(
-    ("picture", "news", "title"),
+    ("snapshot", "freshness", "title"),
     [
-        (made_up_picture(), FRESH, "running, 6:00 h left: six_position-001"),
-        (waiting_picture(), FRESH, "▲ ALARM: six_position-001"),
-        (made_up_picture(), News(40.0, False, "No news"), "▲ silent: six_position-001"),
-        (replace(waiting_picture(), state=RunState.FAILED), OVER, "failed: six_position-001"),
+        (made_up_snapshot(), FRESH, "running, 6:00 h left: six_position-001"),
+        (waiting_snapshot(), FRESH, "▲ ALARM: six_position-001"),
+        (made_up_snapshot(), Freshness(40.0, False, "No freshness"), "▲ silent: six_position-001"),
+        (replace(waiting_snapshot(), state=RunState.FAILED), OVER, "failed: six_position-001"),
     ],
 )
-def test_the_title_tells_what_matters_most(picture, news, title):
-    assert f'data-title="{title}"' in run_fragment(picture, news, {}, "")
+def test_the_title_reports_what_matters_most(snapshot, freshness, title):
+    assert f'data-title="{title}"' in run_fragment(snapshot, freshness, {}, "")

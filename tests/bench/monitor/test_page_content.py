@@ -4,20 +4,20 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.monitor.page_content import (
-    SIGNS,
-    News,
+    STATE_SYMBOLS,
+    Freshness,
     age_text,
     bin_tables,
+    freshness_of,
     headline,
     list_row,
-    news_of,
     reading_rows,
     shown_dwells,
     unreadable_row,
 )
 from gyrobench.bench.monitor.run_list import RunSummary
 from gyrobench.bench.monitor.snapshot import RunState
-from tests.bench.monitor.sample_snapshots import bins_of, dwells_done, made_up_picture, waiting_picture
+from tests.bench.monitor.sample_snapshots import bins_of, made_up_snapshot, measured_dwells, waiting_snapshot
 from tests.bench.monitor.served_run import NOW
 
 
@@ -33,36 +33,36 @@ from tests.bench.monitor.served_run import NOW
     ],
 )
 def test_a_run_that_should_write_and_does_not_is_silent(state, updated, age_s, is_over, is_silent):
-    news = news_of(state, updated, NOW)
-    assert (news.age_s, news.is_over, bool(news.warning)) == (age_s, is_over, is_silent)
+    freshness = freshness_of(state, updated, NOW)
+    assert (freshness.age_s, freshness.is_over, bool(freshness.warning)) == (age_s, is_over, is_silent)
 
 
-def test_ages_are_told_in_the_unit_that_fits():
+def test_ages_are_reported_in_the_unit_that_fits():
     ages = (0.4, 40.0, 720.0, 5 * 3600.0, 3 * 86400.0)
     assert [age_text(age_s) for age_s in ages] == ["0 s", "40 s", "12 min", "5 h", "3 days"]
 
 
-def tiles(picture):
-    return {tile.name: (tile.value, tile.below) for tile in headline(picture).tiles}
+def tiles(snapshot):
+    return {tile.name: (tile.value, tile.below) for tile in headline(snapshot).tiles}
 
 
 def test_a_run_in_its_middle():
-    shown = tiles(made_up_picture())
+    shown = tiles(made_up_snapshot())
     assert shown["Time left"] == ("6:00 h", "of 15:00 h planned, 0:12 h behind")
     assert shown["Chamber"] == ("−9.8 °C", "set −10.0 °C, gyros 4.2 °C")
     assert shown["Dwell"] == ("14 of 24", "Z-Down, cycle 1; 13 measured, 1 flagged")
-    assert headline(made_up_picture()).share_done == pytest.approx(0.6)
+    assert headline(made_up_snapshot()).share_done == pytest.approx(0.6)
 
 
 def test_a_run_that_is_over_took_what_it_took():
-    shown = tiles(replace(made_up_picture(), state=RunState.FINISHED, left_s=0.0))
+    shown = tiles(replace(made_up_snapshot(), state=RunState.FINISHED, left_s=0.0))
     assert shown["Took"][0] == "9:12 h"
     assert shown["Dwells"][0] == "13 of 24"
 
 
 def test_a_run_of_which_nothing_is_known_yet():
-    picture = replace(
-        made_up_picture(),
+    snapshot = replace(
+        made_up_snapshot(),
         state=RunState.STARTING,
         bench=None,
         dwell=None,
@@ -70,35 +70,35 @@ def test_a_run_of_which_nothing_is_known_yet():
         left_s=0.0,
         planned_s=0.0,
     )
-    assert tiles(picture)["Chamber"] == ("not known", "")
-    assert headline(picture).share_done == 0.0
+    assert tiles(snapshot)["Chamber"] == ("unknown", "")
+    assert headline(snapshot).share_done == 0.0
 
 
-def test_instruments_that_say_nothing_are_told():
-    bench = replace(made_up_picture().bench, chamber_set_c=math.nan, gyro_c=(math.nan,) * 3)
-    assert tiles(replace(made_up_picture(), bench=bench))["Chamber"][1] == "no set point, INS silent"
+def test_instruments_that_say_nothing_are_reported():
+    bench = replace(made_up_snapshot().bench, chamber_set_c=math.nan, gyro_c=(math.nan,) * 3)
+    assert tiles(replace(made_up_snapshot(), bench=bench))["Chamber"][1] == "no set point, INS silent"
 
 
-def test_every_state_has_a_sign_and_an_alarm_makes_any_that_goes_on_bad():
-    assert set(SIGNS) == set(RunState)
-    looks = {state: headline(replace(made_up_picture(), state=state)).look for state in RunState}
+def test_every_state_has_a_sign_and_an_alarm_makes_any_that_still_running_bad():
+    assert set(STATE_SYMBOLS) == set(RunState)
+    looks = {state: headline(replace(made_up_snapshot(), state=state)).look for state in RunState}
     assert {state for state, look in looks.items() if look == "bad"} == {RunState.FAILED}
     assert looks[RunState.HOLDING] == "notable"
-    assert headline(waiting_picture()).look == "bad"
-    assert headline(replace(waiting_picture(), state=RunState.FINISHED)).look == "good"
+    assert headline(waiting_snapshot()).look == "bad"
+    assert headline(replace(waiting_snapshot(), state=RunState.FINISHED)).look == "good"
 
 
 def test_the_end_is_expected_on_the_calendar_only_where_the_run_keeps_to_it():
-    real = headline(made_up_picture())
+    real = headline(made_up_snapshot())
     assert real.end.isoformat() == "2026-03-02T22:42:00+00:00"
-    assert headline(replace(made_up_picture(), started_utc="2000-01-01T00:00:00+00:00")).end is None
-    assert headline(replace(made_up_picture(), started_utc="")).end is None
-    assert headline(replace(made_up_picture(), state=RunState.STOPPED)).end is None
-    assert headline(replace(made_up_picture(), state=RunState.HOLDING)).end is None
+    assert headline(replace(made_up_snapshot(), started_utc="2000-01-01T00:00:00+00:00")).end is None
+    assert headline(replace(made_up_snapshot(), started_utc="")).end is None
+    assert headline(replace(made_up_snapshot(), state=RunState.STOPPED)).end is None
+    assert headline(replace(made_up_snapshot(), state=RunState.HOLDING)).end is None
 
 
-def test_bins_are_told_by_gyro_with_the_warmest_first_and_empty_ranges_as_one():
-    x, y, z = bin_tables(made_up_picture().bins)
+def test_bins_are_shown_by_gyro_with_the_warmest_first_and_empty_ranges_as_one():
+    x, y, z = bin_tables(made_up_snapshot().bins)
     assert (x.gyro, y.gyro, z.gyro) == ("X gyro", "Y gyro", "Z gyro")
     assert x.unit == "0.001 deg/h"
     assert x.positions == ("Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down")
@@ -108,12 +108,12 @@ def test_bins_are_told_by_gyro_with_the_warmest_first_and_empty_ranges_as_one():
 
 
 def test_a_flagged_dwell_is_in_no_bin():
-    warmest = bin_tables(made_up_picture().bins)[0].rows[0][1]
+    warmest = bin_tables(made_up_snapshot().bins)[0].rows[0][1]
     assert [cell.count for cell in warmest] == [1, 1, 1, 1, 0, 1]
 
 
 def test_bins_below_zero_have_true_minus_signs():
-    labels = [label for label, _ in bin_tables(bins_of(dwells_done(24)))[0].rows]
+    labels = [label for label, _ in bin_tables(bins_of(measured_dwells(24)))[0].rows]
     assert labels[-1] == "−30…−25"
 
 
@@ -123,7 +123,7 @@ def test_no_bins_where_no_dwell_counts():
 
 
 def test_dwells_come_with_the_newest_first():
-    table = shown_dwells(dwells_done(13))
+    table = shown_dwells(measured_dwells(13))
     assert [row.number for row in table.rows] == list(range(13, 0, -1))
     newest, flagged = table.rows[0], table.rows[13 - 5]
     assert (newest.position, newest.temperature) == ("Z-Up", "3.1")
@@ -132,8 +132,8 @@ def test_dwells_come_with_the_newest_first():
     assert [cell.count for cell in flagged.cells] == [0, 0, 0]
 
 
-def test_readings_are_told_with_their_age():
-    rows = {what: (value, age) for what, value, age in reading_rows(made_up_picture().bench)}
+def test_readings_are_shown_with_their_age():
+    rows = {what: (value, age) for what, value, age in reading_rows(made_up_snapshot().bench)}
     assert rows["chamber air"] == ("−9.80 °C", "0.6 s")
     assert rows["gyro optics x, y, z"] == ("4.10, 4.90, 3.60 °C", "0.0 s")
     assert rows["table inner axis"] == ("180.000°, 0.00 deg/s", "0.4 s")
@@ -142,13 +142,13 @@ def test_readings_are_told_with_their_age():
 def test_readings_that_are_not_known_say_so():
     nan = math.nan
     silent = replace(
-        made_up_picture().bench, gyro_c=(nan,) * 3, electronics_c=(nan, 12.0, nan), case_c=nan, outer_deg=nan,
-        outer_rate_dps=nan, chamber_set_c=nan, ins_age_s=nan,
+        made_up_snapshot().bench, gyro_c=(nan,) * 3, electronics_c=(nan, 12.0, nan), case_c=nan,
+        outer_deg=nan, outer_rate_dps=nan, chamber_set_c=nan, ins_age_s=nan,
     )  # fmt: skip
     rows = {what: (value, age) for what, value, age in reading_rows(silent)}
-    assert rows["gyro optics x, y, z"] == ("not known", "never")
+    assert rows["gyro optics x, y, z"] == ("unknown", "never")
     assert rows["electronics x, y, z"] == ("–, 12.00, – °C", "never")
-    assert rows["table outer axis"] == ("not known", "0.4 s")
+    assert rows["table outer axis"] == ("unknown", "0.4 s")
     assert rows["chamber set"] == ("not controlled", "0.6 s")
     assert not any("nan" in value for value, _ in rows.values())
 
@@ -160,24 +160,24 @@ RUN = RunSummary(
 
 
 def test_a_run_under_way_in_one_line():
-    row = list_row(RUN, News(1.0, False, ""))
+    row = list_row(RUN, Freshness(1.0, False, ""))
     assert row.address == "runs/six%20position%20%231/"
     assert (row.state, row.look, row.reason) == ("holding", "notable", "the door is open")
     assert row.facts == "six_position, unit 1001, 13 of 24 dwells, 6:00 h left, started 2026-03-02 07:30 UTC"
 
 
 def test_a_run_that_is_over_has_nothing_left():
-    row = list_row(replace(RUN, state=RunState.STOPPED), News(1.0, True, ""))
+    row = list_row(replace(RUN, state=RunState.STOPPED), Freshness(1.0, True, ""))
     assert "left" not in row.facts
 
 
-def test_a_silent_run_and_one_that_can_not_be_read_are_told_as_such():
-    silent = list_row(RUN, News(40.0, False, "No news for 40 s."))
-    assert (silent.state, silent.look, silent.reason) == ("silent", "bad", "No news for 40 s.")
+def test_a_silent_run_and_one_that_can_not_be_read_are_reported_as_such():
+    silent = list_row(RUN, Freshness(40.0, False, "No update for 40 s."))
+    assert (silent.state, silent.look, silent.reason) == ("silent", "bad", "No update for 40 s.")
     assert unreadable_row("mine", "damaged").reason == "damaged"
 
 
-def test_alarms_are_told_first():
-    row = list_row(replace(RUN, alarms=2), News(1.0, False, ""))
+def test_alarms_come_first():
+    row = list_row(replace(RUN, alarms=2), Freshness(1.0, False, ""))
     assert row.look == "bad"
     assert row.facts.startswith("▲ 2 ALARMS, ")

@@ -12,9 +12,9 @@ from gyrobench.bench.engine.audience import Audience
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.bench.monitor.recorder import PictureRecorder, Thinned
-from gyrobench.bench.monitor.snapshot import Picture, RunState, read_picture
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.recorder import SnapshotRecorder, Thinned
+from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, read_snapshot
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -22,8 +22,8 @@ from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from tests.bench.monitor.conftest import recorded_run
 
 
-def thinned(count, most=10):
-    kept = Thinned(most)
+def thinned(count, max_rows=10):
+    kept = Thinned(max_rows)
     for number in range(count):
         kept.add((number,))
     return [number for (number,) in kept.rows()]
@@ -35,39 +35,39 @@ def test_few_rows_are_all_kept(count):
 
 
 @pytest.mark.parametrize("count", [10, 11, 57, 640, 641, 12_345])
-@pytest.mark.parametrize("most", [9, 10])
-def test_many_rows_are_thinned_evenly_with_the_first_and_the_newest(count, most):
-    rows = thinned(count, most)
-    assert most // 2 <= len(rows) <= most
+@pytest.mark.parametrize("max_rows", [9, 10])
+def test_many_rows_are_thinned_evenly_with_the_first_and_the_newest(count, max_rows):
+    rows = thinned(count, max_rows)
+    assert max_rows // 2 <= len(rows) <= max_rows
     assert (rows[0], rows[-1]) == (0, count - 1)
     assert len({after - before for before, after in pairwise(rows[:-1])}) == 1
 
 
 def during(recorded, text):
-    """Pictures of a step."""
-    return [each for each in recorded.pictures if each.step and each.step.description.startswith(text)]
+    """Snapshots of a step."""
+    return [each for each in recorded.snapshots if each.step and each.step.description.startswith(text)]
 
 
 def test_it_begins_with_what_the_plan_expects(recorded):
-    first = recorded.pictures[0]
+    first = recorded.snapshots[0]
     assert (first.procedure, first.station, first.state) == ("ten_minute_check", "emulated", RunState.RUNNING)
     assert first.dwell_count == 1
     assert first.planned.time_s[-1] == pytest.approx(first.planned_s)
     assert [span.position for span in first.planned.positions] == ["z_up"]
 
 
-def test_time_goes_on_and_what_is_left_shrinks(recorded):
-    now_s = [each.now_s for each in recorded.pictures]
-    left_s = [each.left_s for each in recorded.pictures]
+def test_time_continues_and_what_is_left_shrinks(recorded):
+    now_s = [each.now_s for each in recorded.snapshots]
+    left_s = [each.left_s for each in recorded.snapshots]
     assert now_s == sorted(now_s)
-    assert left_s[0] == pytest.approx(recorded.pictures[0].planned_s, abs=15.0)
+    assert left_s[0] == pytest.approx(recorded.snapshots[0].planned_s, abs=15.0)
     assert left_s[-1] == pytest.approx(0.0, abs=1.0)
 
 
 def test_the_measured_profile_grows_and_ends_with_the_newest_reading(recorded):
-    counts = [len(each.measured.time_s) for each in recorded.pictures]
+    counts = [len(each.measured.time_s) for each in recorded.snapshots]
     assert counts == sorted(counts)
-    last = recorded.pictures[-1].measured
+    last = recorded.snapshots[-1].measured
     assert last.time_s == tuple(sorted(last.time_s))
     assert np.ptp(last.chamber_c) < 5.0
 
@@ -92,7 +92,7 @@ def test_what_the_ins_says_in_the_turn_belongs_to_no_window(recorded):
     assert all(each.dwell.windows[0].time_s[-1] <= 152.0 for each in turning)
 
 
-def test_the_bias_is_told_after_the_turn_and_becomes_better_known(recorded):
+def test_the_bias_is_observable_after_the_turn_and_becomes_better_known(recorded):
     assert all(each.live_bias is None for each in during(recorded, "align") + during(recorded, "turn"))
     estimates = during(recorded, "navigate")[-1].dwell.estimates
     assert len(estimates) >= 3
@@ -118,7 +118,7 @@ def test_present_values_are_those_of_the_instruments(recorded):
 
 
 def test_the_end_has_the_dwell_its_bins_and_the_unit(recorded):
-    last = recorded.pictures[-1]
+    last = recorded.snapshots[-1]
     (row,) = read_dwells(recorded.folder.dwells)
     assert (last.state, last.reason, last.alarms) == (RunState.FINISHED, "", ())
     assert (last.step, last.dwell) == (None, None)
@@ -127,22 +127,22 @@ def test_the_end_has_the_dwell_its_bins_and_the_unit(recorded):
     assert {each.gyro for each in last.bins if each.count} == {"x", "y", "z"}
 
 
-def test_the_last_picture_is_in_the_run_folder(recorded):
-    left = read_picture(recorded.folder.live)
+def test_the_last_snapshot_is_in_the_run_folder(recorded):
+    left = read_snapshot(recorded.folder.live)
     assert left.state is RunState.FINISHED
-    assert left.dwells == recorded.pictures[-1].dwells
+    assert left.dwells == recorded.snapshots[-1].dwells
     assert not list(recorded.folder.path.glob(".live*"))
 
 
-def test_every_picture_survives_json(recorded):
-    for picture in recorded.pictures:
-        assert Picture.from_json(picture.to_json()).to_json() == picture.to_json()
+def test_every_snapshot_survives_json(recorded):
+    for snapshot in recorded.snapshots:
+        assert RunSnapshot.from_json(snapshot.to_json()).to_json() == snapshot.to_json()
 
 
-def test_a_picture_that_cant_be_written_ends_no_run(tmp_path, monkeypatch):
+def test_a_snapshot_that_cant_be_written_ends_no_run(tmp_path, monkeypatch):
     monkeypatch.setattr(RunFolder, "live", property(lambda self: self.path / "missing" / "live.json"))
     recorded = recorded_run(tmp_path / "run")
-    assert recorded.pictures[-1].state is RunState.FINISHED
+    assert recorded.snapshots[-1].state is RunState.FINISHED
     assert not list(tmp_path.rglob("live.json"))
     shutil.rmtree(tmp_path / "run")
 
@@ -180,7 +180,7 @@ class SlowOperator(ConsentingOperator):
 
 
 class Witness(Progress):
-    """Does something in the first step of a kind; keeps a picture of each state, and one after it."""
+    """Does something in the first step of a kind; keeps a snapshot of each state, and one after it."""
 
     def __init__(self, recorder, kind, deed):
         self._recorder, self._kind, self._deed = recorder, kind, deed
@@ -196,8 +196,8 @@ class Witness(Progress):
             deed(bench)
 
     def beat(self, bench):
-        picture = self._recorder.picture()
-        self.seen.setdefault(picture.state, []).append(picture)
+        snapshot = self._recorder.snapshot()
+        self.seen.setdefault(snapshot.state, []).append(snapshot)
 
 
 @pytest.fixture
@@ -209,11 +209,11 @@ def witnessed(tmp_path):
         (tmp_path / "faults.yaml").write_text(f"faults: [{faults}]\n")
         emulation = Emulation("ideal", 0, str(tmp_path / "faults.yaml") if faults else "")
         job = prepare_job(str(procedure), "emulated", emulation)
-        recorder = PictureRecorder(job.plan)
+        recorder = SnapshotRecorder(job.plan)
         witness = Witness(recorder, kind, deed)
         operator = SlowOperator(refuses)
         folder, _ = run_job(job, tmp_path / "run", Audience(recorder, witness), operator)
-        return witness.seen, read_picture(folder.live)
+        return witness.seen, read_snapshot(folder.live)
 
     return run
 
@@ -222,7 +222,7 @@ def order(number):
     return lambda bench: os.kill(os.getpid(), number)
 
 
-def test_a_question_of_the_procedure_waits_for_a_person(witnessed):
+def test_a_question_of_the_procedure_waits_for_the_operator(witnessed):
     seen, last = witnessed()
     waiting = seen[RunState.WAITING]
     assert waiting[0].question.text == "Is the cable free?"
@@ -254,14 +254,14 @@ def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way(witnessed):
     assert "ordered" in holding[0].reason
 
 
-def test_time_and_readings_go_on_in_a_hold(witnessed):
+def test_time_and_readings_continue_in_a_hold(witnessed):
     seen, _ = witnessed("navigate", order(signal.SIGUSR1))
     holding = seen[RunState.HOLDING]
     assert holding[-1].now_s > holding[0].now_s
     assert holding[-1].left_s == holding[0].left_s
 
 
-def test_a_trip_waits_for_a_person_and_says_why_when_its_cause_is_gone(witnessed):
+def test_a_trip_waits_for_the_operator_and_says_why_when_its_cause_is_over(witnessed):
     def trip_table(bench):
         world = str(find_document("worlds", "ideal"))
         emulated = emulated_bench(BenchAddress(bench.clock.name, world, 0))

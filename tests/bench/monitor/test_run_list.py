@@ -10,18 +10,18 @@ from gyrobench.bench.engine.progress import WITHOUT_A_WORD
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.monitor.run_list import (
-    FolderMemory,
+    FolderCache,
     is_run,
-    picture_from_records,
-    picture_of,
     runs_in,
     signature_of,
+    snapshot_from_records,
+    snapshot_of,
     summarise,
 )
-from gyrobench.bench.monitor.snapshot import Picture, Question, RunState
+from gyrobench.bench.monitor.snapshot import Question, RunSnapshot, RunState
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.bench_lock import RunLock
-from tests.bench.monitor.served_run import run_under_way, write_picture
+from gyrobench.bench.station.locks import RunLock
+from tests.bench.monitor.served_run import run_under_way, write_snapshot
 
 
 @pytest.fixture
@@ -45,99 +45,99 @@ def add(folder, **details):
         journal.write(json.dumps(entry) + "\n")
 
 
-def test_a_run_tells_its_picture_itself(folder, recorded):
-    assert picture_of(folder.path).to_json() == recorded.pictures[-1].to_json()
+def test_a_run_reports_its_snapshot_itself(folder, recorded):
+    assert snapshot_of(folder.path).to_json() == recorded.snapshots[-1].to_json()
 
 
-def test_the_records_of_a_run_give_the_same_picture_but_for_what_they_do_not_hold(folder):
-    told, found = picture_of(folder.path), picture_from_records(folder)
+def test_the_records_of_a_run_give_the_same_snapshot_but_for_what_they_do_not_hold(folder):
+    live, found = snapshot_of(folder.path), snapshot_from_records(folder)
     assert found.dwells == tuple(
         replace(each, gyro_c=found.dwells[0].gyro_c, bias_dph=found.dwells[0].bias_dph,
                 sigma_dph=found.dwells[0].sigma_dph)
-        for each in told.dwells
+        for each in live.dwells
     )  # fmt: skip
-    np.testing.assert_allclose(found.dwells[0].bias_dph, told.dwells[0].bias_dph, atol=1e-9)
+    np.testing.assert_allclose(found.dwells[0].bias_dph, live.dwells[0].bias_dph, atol=1e-9)
     assert (found.name, found.procedure, found.station, found.unit) == (
-        told.name, told.procedure, told.station, told.unit,
+        live.name, live.procedure, live.station, live.unit,
     )  # fmt: skip
     assert (found.state, found.reason, found.left_s) == (RunState.FINISHED, "", 0.0)
-    assert found.now_s == pytest.approx(told.now_s, abs=20.0)
-    assert found.planned == told.planned
-    assert len(found.bins) == len(told.bins)
+    assert found.now_s == pytest.approx(live.now_s, abs=20.0)
+    assert found.planned == live.planned
+    assert len(found.bins) == len(live.bins)
     assert found.bench.ins_mode in ("navigate", "boot", "unknown")
-    assert found.measured.time_s[-1] == pytest.approx(told.measured.time_s[-1], abs=20.0)
-    np.testing.assert_allclose(found.attitude.body_in_enu, told.attitude.body_in_enu, atol=1e-3)
-    assert Picture.from_json(found.to_json()).to_json() == found.to_json()
+    assert found.measured.time_s[-1] == pytest.approx(live.measured.time_s[-1], abs=20.0)
+    np.testing.assert_allclose(found.attitude.body_in_enu, live.attitude.body_in_enu, atol=1e-3)
+    assert RunSnapshot.from_json(found.to_json()).to_json() == found.to_json()
 
 
 @pytest.mark.parametrize("content", [None, b"", b"{", b"[1, 2]"])
-def test_without_a_picture_or_with_a_damaged_one_the_records_are_read(folder, content):
+def test_without_a_snapshot_or_with_a_damaged_one_the_records_are_read(folder, content):
     folder.live.unlink()
     if content is not None:
         folder.live.write_bytes(content)
-    picture = picture_of(folder.path)
-    assert picture.state is RunState.FINISHED
-    assert len(picture.dwells) == 1
+    snapshot = snapshot_of(folder.path)
+    assert snapshot.state is RunState.FINISHED
+    assert len(snapshot.dwells) == 1
 
 
 def running(folder):
     return replace(
-        picture_of(folder.path),
+        snapshot_of(folder.path),
         state=RunState.RUNNING,
         question=Question("Is the cable free?", ("yes", "no")),
     )
 
 
-def test_a_run_that_was_killed_is_not_said_to_go_on(folder):
+def test_a_run_that_was_killed_is_not_said_to_continue(folder):
     folder.live.write_bytes(running(folder).to_json())
-    picture = picture_of(folder.path)
-    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
-    assert picture.question is None
+    snapshot = snapshot_of(folder.path)
+    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert snapshot.question is None
 
 
-def test_a_run_that_a_process_holds_goes_on(folder):
+def test_a_run_that_a_process_holds_continues(folder):
     folder.live.write_bytes(running(folder).to_json())
     with RunLock(folder.path, WallClock()):
-        picture = picture_of(folder.path)
-    assert picture.state is RunState.RUNNING
-    assert picture.question.text == "Is the cable free?"
+        snapshot = snapshot_of(folder.path)
+    assert snapshot.state is RunState.RUNNING
+    assert snapshot.question.text == "Is the cable free?"
 
 
-def test_a_run_that_was_killed_before_it_left_a_picture_has_what_was_on_the_disk(folder):
+def test_a_run_that_was_killed_before_it_left_a_snapshot_has_what_was_on_the_disk(folder):
     folder.live.unlink()
     folder.dwells.unlink()
     cut_off(folder, "powered_on")
-    picture = picture_of(folder.path)
-    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
-    assert picture.dwells == ()
-    assert picture.left_s == pytest.approx(picture.planned_s)
+    snapshot = snapshot_of(folder.path)
+    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert snapshot.dwells == ()
+    assert snapshot.left_s == pytest.approx(snapshot.planned_s)
 
 
-def test_a_run_that_ended_and_was_resumed_and_killed_does_not_tell_its_old_end(folder):
+def test_a_run_that_ended_and_was_resumed_and_killed_does_not_report_its_old_end(folder):
     folder.live.unlink()
     add(folder, event="run_resumed", procedure="short")
-    picture = picture_of(folder.path)
-    assert (picture.state, picture.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    snapshot = snapshot_of(folder.path)
+    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
 
 
 def test_a_run_whose_procedure_is_damaged_has_its_dwells_still(folder):
     folder.live.unlink()
     folder.procedure.write_text("procedure: [")
-    picture = picture_of(folder.path)
-    assert len(picture.dwells) == 1
-    assert (picture.state, picture.planned.time_s) == (RunState.FINISHED, ())
-    assert not math.isnan(picture.now_s)
+    snapshot = snapshot_of(folder.path)
+    assert len(snapshot.dwells) == 1
+    assert (snapshot.state, snapshot.planned.time_s) == (RunState.FINISHED, ())
+    assert not math.isnan(snapshot.now_s)
 
 
 def test_messages_are_those_that_the_journal_tells(folder):
     folder.live.unlink()
     add(folder, event="note", text="look here")
-    assert picture_of(folder.path).messages[-1].text == "look here"
+    assert snapshot_of(folder.path).messages[-1].text == "look here"
 
 
 def test_what_is_no_run_folder_is_refused(tmp_path):
     with pytest.raises(RunFolderError):
-        picture_of(tmp_path)
+        snapshot_of(tmp_path)
 
 
 JOURNAL = [
@@ -154,21 +154,21 @@ def write_journal(folder, entries):
     (folder / "journal.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
 
 
-def test_a_run_without_a_picture_is_told_from_its_journal(tmp_path):
+def test_a_run_without_a_snapshot_is_read_from_its_journal(tmp_path):
     write_journal(tmp_path / "old", JOURNAL)
     summary = summarise(tmp_path / "old")
     assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
     assert (summary.state, summary.reason) == (RunState.FAILED, "the chamber is broken")
 
 
-def test_a_run_that_did_not_tell_of_its_end_was_cut_off(tmp_path):
+def test_a_run_that_did_not_report_of_its_end_was_cut_off(tmp_path):
     write_journal(tmp_path / "old", JOURNAL[:-1])
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
     assert "without a word" in summary.reason
 
 
-def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_tell_its_old_end(tmp_path):
+def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_report_its_old_end(tmp_path):
     write_journal(tmp_path / "old", [*JOURNAL, {"event": "run_resumed", "procedure": "shift"}])
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
@@ -176,7 +176,7 @@ def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_tell_its_old_end(tm
     assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
 
 
-def test_a_run_with_a_picture_is_told_from_it(tmp_path):
+def test_a_run_with_a_snapshot_is_read_from_it(tmp_path):
     with run_under_way(tmp_path / "new") as run:
         summary = summarise(run)
     assert (summary.state, summary.dwells, summary.dwell_count) == (RunState.RUNNING, 13, 24)
@@ -193,24 +193,24 @@ def test_runs_are_folders_in_which_one_has_begun(tmp_path):
         runs_in(tmp_path / "nowhere")
 
 
-def test_the_signature_changes_with_the_picture_and_with_who_holds_the_run(tmp_path):
+def test_the_signature_changes_with_the_snapshot_and_with_who_holds_the_run(tmp_path):
     with run_under_way(tmp_path / "mine") as run:
         first = signature_of(run)
         assert signature_of(run) == first
-        write_picture(run)
+        write_snapshot(run)
         second = signature_of(run)
     assert len({first, second, signature_of(run)}) == 3
 
 
 def test_a_value_is_made_again_only_when_its_folder_has_changed(tmp_path):
     made, signs = [], {}
-    memory = FolderMemory(lambda folder: made.append(folder) or len(made), signs.get, most=2)
+    memory = FolderCache(lambda folder: made.append(folder) or len(made), signs.get, max_values=2)
     one, two, three = (tmp_path / name for name in "123")
     assert [memory.of(one), memory.of(one)] == [1, 1]
     signs[one] = "changed"
     assert [memory.of(one), memory.of(two), memory.of(one)] == [2, 3, 2]
     assert memory.of(three) == 4
-    assert [memory.of(one), memory.of(two)] == [2, 5], "the one that was asked for longest ago has gone"
+    assert [memory.of(one), memory.of(two)] == [2, 5], "the one that was asked for longest ago is dropped"
 
 
 def test_an_error_is_passed_on_and_tried_again(tmp_path):
@@ -222,7 +222,7 @@ def test_an_error_is_passed_on_and_tried_again(tmp_path):
             raise answer
         return answer
 
-    memory = FolderMemory(make, lambda _: 0, most=1)
+    memory = FolderCache(make, lambda _: 0, max_values=1)
     with pytest.raises(ValueError, match="damaged"):
         memory.of(tmp_path)
     assert memory.of(tmp_path) == "whole"

@@ -7,7 +7,7 @@ from http import HTTPStatus
 import pytest
 
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.monitor.server import Answer, MonitorServer
+from gyrobench.bench.monitor.server import MonitorServer, Response
 from tests.bench.monitor.served_run import ask, served
 
 LONG = "a long text " * 500
@@ -16,7 +16,7 @@ LONG = "a long text " * 500
 @pytest.fixture(scope="module")
 def server():
     def answer(target):
-        return Answer(HTTPStatus.OK, (LONG if target == "/long" else target).encode())
+        return Response(HTTPStatus.OK, (LONG if target == "/long" else target).encode())
 
     with served(answer) as server:
         yield server
@@ -52,7 +52,7 @@ def test_nothing_else_is_allowed(server, method):
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST:9000", "127.0.0.1:8765"])
-def test_it_answers_to_its_own_names_through_whatever_port(server, host):
+def test_it_answers_to_its_own_names_through_any_port(server, host):
     assert ask(server, Host=host)[0].status == 200
 
 
@@ -72,7 +72,7 @@ def test_a_request_has_one_name_of_the_server(server, hosts):
 
 
 @pytest.mark.parametrize(
-    ("request_bytes", "told"),
+    ("request_bytes", "expected"),
     [
         (b"\x00\xff\x16\x03\x01 nonsense\r\n\r\n", b"Bad HTTP/0.9 request type"),
         (b"GET /" + 3000 * b"a" + b" HTTP/1.1\r\nHost: localhost\r\n\r\n", b"HTTP/1.0 414 "),
@@ -82,9 +82,9 @@ def test_a_request_has_one_name_of_the_server(server, hosts):
     ],
 )
 def test_a_request_that_is_wrong_or_too_large_is_refused_and_the_next_one_answered(
-    server, request_bytes, told
+    server, request_bytes, expected
 ):
-    assert raw(server, request_bytes).startswith(told)
+    assert raw(server, request_bytes).startswith(expected)
     assert ask(server)[0].status == 200
 
 
@@ -106,8 +106,8 @@ def test_a_long_answer_is_packed_for_who_can_unpack_it(server):
     assert gzip.decompress(body) == text == LONG.encode()
 
 
-def test_too_many_at_once_are_turned_away_until_some_have_gone():
-    with served(lambda target: Answer(HTTPStatus.OK, target.encode())) as server:
+def test_too_many_at_once_are_turned_away_until_some_have_ended():
+    with served(lambda target: Response(HTTPStatus.OK, target.encode())) as server:
         with contextlib.ExitStack() as waiting:
             for _ in range(16):
                 waiting.enter_context(socket.create_connection(("127.0.0.1", server.server_port)))
@@ -122,7 +122,7 @@ def test_too_many_at_once_are_turned_away_until_some_have_gone():
 
 def test_a_client_that_goes_away_leaves_nothing_in_the_terminal(capfd):
     def answer(target):
-        return Answer(HTTPStatus.OK, 20_000_000 * b"x")
+        return Response(HTTPStatus.OK, 20_000_000 * b"x")
 
     with served(answer) as server:
         with socket.create_connection(("127.0.0.1", server.server_port)) as connection:
@@ -132,14 +132,14 @@ def test_a_client_that_goes_away_leaves_nothing_in_the_terminal(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_port_that_is_in_use_is_told(server):
-    with pytest.raises(GyrobenchError, match=rf"port {server.server_port} .*Give another --port"):
+def test_a_port_that_is_in_use_is_reported(server):
+    with pytest.raises(GyrobenchError, match=rf"port {server.server_port} .*Choose another --port"):
         MonitorServer(server.answer, server.server_port)
 
 
-def test_a_page_that_can_not_be_made_is_told_and_the_others_are_still_there():
+def test_a_page_that_can_not_be_made_is_reported_and_the_others_are_still_there():
     def answer(target):
-        return Answer(HTTPStatus.OK, str(1 / len(target.strip("/"))).encode())
+        return Response(HTTPStatus.OK, str(1 / len(target.strip("/"))).encode())
 
     with served(answer) as server:
         response, body = ask(server, "/")
@@ -148,9 +148,9 @@ def test_a_page_that_can_not_be_made_is_told_and_the_others_are_still_there():
 
 
 def test_a_client_that_drips_is_cut_off(monkeypatch):
-    monkeypatch.setattr("gyrobench.bench.monitor.server._LONGEST_REQUEST_S", 0.5)
+    monkeypatch.setattr("gyrobench.bench.monitor.server._MAX_REQUEST_S", 0.5)
     with (
-        served(lambda target: Answer(HTTPStatus.OK, target.encode())) as server,
+        served(lambda target: Response(HTTPStatus.OK, target.encode())) as server,
         socket.create_connection(("127.0.0.1", server.server_port), timeout=30) as connection,
     ):
         connection.sendall(b"GET / HTTP/1.0\r\n")

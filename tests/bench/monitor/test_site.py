@@ -5,8 +5,8 @@ import pytest
 
 from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import Note, RunState
-from tests.bench.monitor.sample_snapshots import made_up_picture
-from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_picture
+from tests.bench.monitor.sample_snapshots import made_up_snapshot
+from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_snapshot
 
 
 def text_of(site, target):
@@ -15,7 +15,7 @@ def text_of(site, target):
     return answer.body.decode()
 
 
-def test_the_page_of_a_run_holds_what_it_asks_for_anew(tmp_path):
+def test_the_page_of_a_run_holds_what_it_refreshes(tmp_path):
     with run_under_way(tmp_path / "mine") as run:
         site = Site(run, now)
         page, fragment = text_of(site, "/"), text_of(site, "/fragment")
@@ -26,7 +26,7 @@ def test_the_page_of_a_run_holds_what_it_asks_for_anew(tmp_path):
 
 
 def test_the_policy_lets_in_nothing_but_the_style_and_the_script_of_the_page(tmp_path):
-    write_picture(tmp_path / "mine")
+    write_snapshot(tmp_path / "mine")
     one, other = (Site(tmp_path / "mine", now).answer("/") for _ in range(2))
     rules = dict(rule.split(" ", 1) for rule in one.policy.split("; "))
     nonce = rules["script-src"].removeprefix("'nonce-").removesuffix("'")
@@ -47,7 +47,7 @@ def test_the_policy_lets_in_nothing_but_the_style_and_the_script_of_the_page(tmp
 )  # fmt: skip
 def test_only_the_pages_of_a_run_have_addresses(tmp_path, target):
     run = tmp_path / "mine"
-    write_picture(run)
+    write_snapshot(run)
     for name in ("station.yaml", "report.html"):
         (run / name).write_text("content")
     assert Site(run, now).answer(target).status == 404
@@ -60,7 +60,7 @@ def test_an_address_that_is_none_is_refused(tmp_path, target):
 
 def test_what_a_run_left_is_shown_without_its_scripts(tmp_path):
     run = tmp_path / "mine"
-    write_picture(run, state=RunState.FINISHED)
+    write_snapshot(run, state=RunState.FINISHED)
     site = Site(run, now)
     assert "report.html" not in text_of(site, "/")
     (run / "report.html").write_text("<p>the report</p>")
@@ -76,7 +76,7 @@ def test_what_a_run_left_is_shown_without_its_scripts(tmp_path):
 
 def test_a_report_that_is_a_link_out_of_the_run_folder_is_not_there(tmp_path):
     run = tmp_path / "mine"
-    write_picture(run)
+    write_snapshot(run)
     secret = tmp_path / "secret"
     secret.write_text("secret")
     (run / "report.html").symlink_to(secret)
@@ -85,7 +85,7 @@ def test_a_report_that_is_a_link_out_of_the_run_folder_is_not_there(tmp_path):
 
 def test_a_report_beyond_all_size_is_refused(tmp_path):
     run = tmp_path / "mine"
-    write_picture(run)
+    write_snapshot(run)
     with (run / "report.html").open("wb") as stream:
         stream.truncate(60_000_000)
     assert Site(run, now).answer("/report.html").status == 503
@@ -93,7 +93,7 @@ def test_a_report_beyond_all_size_is_refused(tmp_path):
 
 def test_a_folder_of_runs_lists_those_under_way_and_then_the_newest(tmp_path):
     for age_s, name in enumerate(("new", "older", "under_way")):
-        write_picture(tmp_path / name, state=RunState.FINISHED)
+        write_snapshot(tmp_path / name, state=RunState.FINISHED)
         began = tmp_path / name / "procedure.yaml"
         began.touch()
         os.utime(began, (1e9 - age_s, 1e9 - age_s))
@@ -108,7 +108,7 @@ def test_a_folder_of_runs_lists_those_under_way_and_then_the_newest(tmp_path):
 
 
 def test_each_run_of_a_folder_has_its_page_with_a_way_back(tmp_path):
-    write_picture(tmp_path / "mine")
+    write_snapshot(tmp_path / "mine")
     (tmp_path / "mine" / "report.html").write_text("the report")
     site = Site(tmp_path, now)
     assert 'href="../../"' in text_of(site, "/runs/mine/")
@@ -119,20 +119,20 @@ def test_each_run_of_a_folder_has_its_page_with_a_way_back(tmp_path):
 
 @pytest.mark.parametrize("target", ["/runs/other/", "/runs/", "/runs/../", "/runs/../mine/", "/runs/%2e%2e/"])
 def test_a_run_that_is_not_in_the_folder_has_no_page(tmp_path, target):
-    write_picture(tmp_path / "mine")
+    write_snapshot(tmp_path / "mine")
     assert Site(tmp_path, now).answer(target).status == 404
 
 
 def test_a_run_that_begins_later_gets_its_page_at_the_same_address(tmp_path):
     site = Site(tmp_path, now)
-    assert "No run has begun here yet" in text_of(site, "/")
+    assert "No run in this folder yet" in text_of(site, "/")
     with run_under_way(tmp_path):
         assert "running" in text_of(site, "/")
 
 
-def test_names_and_messages_are_text_whatever_is_in_them(tmp_path):
+def test_names_and_messages_are_text_of_any_content(tmp_path):
     name = "<img src=x onerror=alert(1)>&\"'?#%41"
-    write_picture(tmp_path / name, messages=(Note(0.0, "<script>alert(1)</script>"),))
+    write_snapshot(tmp_path / name, messages=(Note(0.0, "<script>alert(1)</script>"),))
     site = Site(tmp_path, now)
     listed = text_of(site, "/fragment")
     address = "/runs/%3Cimg%20src%3Dx%20onerror%3Dalert%281%29%3E%26%22%27%3F%23%2541/"
@@ -144,7 +144,7 @@ def test_names_and_messages_are_text_whatever_is_in_them(tmp_path):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
 
 
-def test_a_killed_run_is_told_at_once(tmp_path):
+def test_a_killed_run_is_shown_at_once(tmp_path):
     run = tmp_path / "mine"
     site = Site(run, now)
     with run_under_way(run):
@@ -153,18 +153,18 @@ def test_a_killed_run_is_told_at_once(tmp_path):
     assert "stopped without a word" in text_of(Site(tmp_path, now), "/fragment")
 
 
-def test_a_run_that_has_fallen_silent_is_told(tmp_path):
+def test_a_run_that_has_fallen_silent_is_reported(tmp_path):
     with run_under_way(tmp_path / "mine", age_s=40.0) as run:
         alone = text_of(Site(run, now), "/fragment")
-        assert "No news for 40 s" in alone
+        assert "No update for 40 s" in alone
         assert "last heard running" in alone
-        assert "No news for 40 s" in text_of(Site(tmp_path, now), "/fragment")
+        assert "No update for 40 s" in text_of(Site(tmp_path, now), "/fragment")
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
-def test_a_damaged_picture_gives_way_to_what_else_the_run_left(tmp_path, kept):
+def test_a_damaged_snapshot_gives_way_to_what_else_the_run_left(tmp_path, kept):
     run = tmp_path / "mine"
-    write_picture(run)
+    write_snapshot(run)
     whole = (run / "live.json").read_bytes()
     (run / "live.json").write_bytes(whole[: int(kept * len(whole))])
     (run / "journal.jsonl").write_text('{"time_s": 7200.0, "event": "run_ended", "ended": "finished"}\n')
@@ -177,7 +177,7 @@ def test_a_damaged_picture_gives_way_to_what_else_the_run_left(tmp_path, kept):
         assert "Traceback" not in text_of(site, target)
 
 
-def test_a_folder_that_holds_nothing_to_read_is_told_with_its_file(tmp_path):
+def test_a_folder_that_holds_nothing_to_read_is_shown_with_its_file(tmp_path):
     run = tmp_path / "mine"
     run.mkdir()
     (run / "live.json").write_text("{")
@@ -185,15 +185,15 @@ def test_a_folder_that_holds_nothing_to_read_is_told_with_its_file(tmp_path):
     assert "can&#39;t be read" in text_of(Site(tmp_path, now), "/")
 
 
-def test_whoever_looks_while_the_picture_is_written_sees_a_whole_one(tmp_path):
+def test_whoever_looks_while_the_snapshot_is_written_sees_a_whole_one(tmp_path):
     done = threading.Event()
     seen = []
     with run_under_way(tmp_path / "mine") as run, served(run) as server:
 
         def write():
-            picture = made_up_picture()
+            snapshot = made_up_snapshot()
             for number in range(60):
-                write_picture(run, picture, unit=f"unit-{number}")
+                write_snapshot(run, snapshot, unit=f"unit-{number}")
             done.set()
 
         writer = threading.Thread(target=write)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.monitor.snapshot import Attitude, Picture, RunState, directions, read_picture
+from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot, RunState, read_snapshot
 from gyrobench.bench.navigation.positions import POSITIONS
-from tests.bench.monitor.sample_snapshots import made_up_picture, waiting_picture
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 
 WORDS = {"E": "East", "W": "West", "N": "North", "S": "South", "U": "Up", "D": "Down"}
 
 
-def told(C_nb):
-    return directions(Attitude("", 0.0, tuple(tuple(row) for row in C_nb.tolist())))
+def directions(C_nb):
+    return Attitude("", 0.0, tuple(tuple(row) for row in C_nb.tolist())).directions()
 
 
 @pytest.mark.parametrize("name", POSITIONS)
 def test_body_axes_are_named_by_where_they_point(name):
     expected = [WORDS[letter] for letter in POSITIONS[name].directions]
-    assert [each.split()[1] for each in told(POSITIONS[name].C_nb()).split(", ")] == expected
+    assert [each.split()[1] for each in directions(POSITIONS[name].C_nb()).split(", ")] == expected
 
 
 @pytest.mark.parametrize(
@@ -33,29 +33,29 @@ def test_body_axes_are_named_by_where_they_point(name):
     ],
 )
 def test_an_axis_between_two_directions_is_named_after_both_the_nearer_one_first(azimuth_deg, words):
-    assert told(POSITIONS["z_up"].C_nb(np.radians(azimuth_deg))) == words
+    assert directions(POSITIONS["z_up"].C_nb(np.radians(azimuth_deg))) == words
 
 
-@pytest.mark.parametrize("picture", [made_up_picture(), waiting_picture()], ids=["running", "waiting"])
-def test_a_picture_survives_json(picture):
-    text = picture.to_json()
-    again = Picture.from_json(text)
+@pytest.mark.parametrize("snapshot", [made_up_snapshot(), waiting_snapshot()], ids=["running", "waiting"])
+def test_a_snapshot_survives_json(snapshot):
+    text = snapshot.to_json()
+    again = RunSnapshot.from_json(text)
     assert again.to_json() == text
-    assert again.state is picture.state
-    assert again.question == picture.question
-    assert again.dwell == picture.dwell
+    assert again.state is snapshot.state
+    assert again.question == snapshot.question
+    assert again.dwell == snapshot.dwell
 
 
 def test_a_number_that_is_not_known_is_null_and_comes_back_as_nan():
-    text = made_up_picture().to_json()
+    text = made_up_snapshot().to_json()
     assert b"NaN" not in text
     assert json.loads(text)["dwells"][4]["bias_dph"] == [None, None, None]
-    assert all(map(math.isnan, Picture.from_json(text).dwells[4].bias_dph))
+    assert all(map(math.isnan, RunSnapshot.from_json(text).dwells[4].bias_dph))
 
 
 def test_the_plan_of_a_run_that_held_is_behind_its_clock():
-    picture = replace(made_up_picture(), now_s=40_000.0, left_s=20_000.0, planned_s=54_000.0)
-    assert picture.plan_now_s == 34_000.0
+    snapshot = replace(made_up_snapshot(), now_s=40_000.0, left_s=20_000.0, planned_s=54_000.0)
+    assert snapshot.plan_now_s == 34_000.0
 
 
 @pytest.mark.parametrize("state", RunState)
@@ -90,22 +90,22 @@ def test_only_ends_are_over(state):
         "half a matrix",
     ],
 )
-def test_a_damaged_picture_is_refused_with_its_file(damage, tmp_path):
-    data = json.loads(made_up_picture().to_json())
+def test_a_damaged_snapshot_is_refused_with_its_file(damage, tmp_path):
+    data = json.loads(made_up_snapshot().to_json())
     damage(data)
     path = tmp_path / "live.json"
     path.write_text(json.dumps(data))
     with pytest.raises(RunFolderError, match=r"live\.json: damaged, or of another version"):
-        read_picture(path)
+        read_snapshot(path)
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b'{"name": "half'])
-def test_what_is_no_picture_is_refused(text):
+def test_what_is_no_snapshot_is_refused(text):
     with pytest.raises(RunFolderError):
-        Picture.from_json(text)
+        RunSnapshot.from_json(text)
 
 
-def test_every_part_of_the_made_up_picture_is_filled():
-    picture = waiting_picture()
-    empty = {each.name for each in fields(picture) if getattr(picture, each.name) in (None, (), "")}
+def test_every_part_of_the_made_up_snapshot_is_filled():
+    snapshot = waiting_snapshot()
+    empty = {each.name for each in fields(snapshot) if getattr(snapshot, each.name) in (None, (), "")}
     assert empty == {"dwell"}

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from gyrobench.bench.monitor.terminal import Keyboard, PatientConsole, PatientStream, is_c_locale
+from gyrobench.bench.monitor.terminal import BackgroundStream, Keyboard, RunConsole, is_c_locale
 
 ASK = "import os; from gyrobench.bench.monitor.terminal import is_c_locale; print(is_c_locale(os.environ))"
 
@@ -45,13 +45,13 @@ def ascii_terminal():
 
 
 def test_what_the_terminal_can_not_show_is_a_question_mark(ascii_terminal):
-    PatientConsole(file=ascii_terminal).print(TEXT)
+    RunConsole(file=ascii_terminal).print(TEXT)
     assert ascii_terminal.buffer.getvalue() == b"+2.61 ?1.10\n"
 
 
-def test_a_stream_that_writes_in_the_background_goes_on_after_such_a_sign(ascii_terminal):
-    console = PatientConsole(file=ascii_terminal)
-    stream = PatientStream(console.file, console.on_broken_pipe)
+def test_a_stream_that_writes_in_the_background_continues_after_such_a_sign(ascii_terminal):
+    console = RunConsole(file=ascii_terminal)
+    stream = BackgroundStream(console.file, console.on_broken_pipe)
     stream.write(f"{TEXT}\n")
     stream.write("next\n")
     stream.drain(5.0)
@@ -59,42 +59,42 @@ def test_a_stream_that_writes_in_the_background_goes_on_after_such_a_sign(ascii_
 
 
 class Halted(io.StringIO):
-    """A terminal that takes nothing until it is let go on."""
+    """A terminal that takes nothing until it is resumed."""
 
     def __init__(self):
         super().__init__()
-        self.goes_on = threading.Event()
+        self.resumed = threading.Event()
 
     def write(self, text):
-        self.goes_on.wait(20.0)
+        self.resumed.wait(120.0)
         return super().write(text)
 
 
-def test_a_halted_terminal_holds_nobody_up_and_gets_all_in_order_later():
+def test_a_halted_terminal_does_not_block_and_gets_all_in_order_later():
     halted = Halted()
-    stream = PatientStream(halted, lambda: None)
+    stream = BackgroundStream(halted, lambda: None)
     for number in range(100):
         stream.write(f"{number}\n")
     assert stream.is_behind
     stream.drain(0.1)
     assert stream.is_behind
-    halted.goes_on.set()
-    stream.drain(20.0)
+    halted.resumed.set()
+    stream.drain(120.0)
     assert not stream.is_behind
     assert halted.getvalue().split() == [str(number) for number in range(100)]
 
 
-def test_a_stream_that_nobody_reads_is_told_of():
-    class Gone(io.StringIO):
+def test_a_stream_without_a_reader_is_reported():
+    class Closed(io.StringIO):
         def write(self, text):
             raise BrokenPipeError
 
-    gone = threading.Event()
-    stream = PatientStream(Gone(), gone.set)
+    closed = threading.Event()
+    stream = BackgroundStream(Closed(), closed.set)
     stream.write("anybody?\n")
-    assert gone.wait(20.0)
-    stream.write("still nobody\n")
-    stream.drain(20.0)
+    assert closed.wait(120.0)
+    stream.write("still no reader\n")
+    stream.drain(120.0)
     assert not stream.is_behind
 
 
@@ -126,10 +126,10 @@ def test_a_line_is_there_once_it_is_finished(terminal):
     with Keyboard() as keyboard:
         os.write(terminal, b"pau")
         assert keyboard.line() == ""
-        assert keyboard.begun == "pau"
+        assert keyboard.unfinished == "pau"
         os.write(terminal, b"se\nhold\n")
         assert [keyboard.line(), keyboard.line(), keyboard.line()] == ["pause", "hold", ""]
-        assert keyboard.begun == ""
+        assert keyboard.unfinished == ""
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_line_is_there_once_it_is_finished(terminal):
 def test_keys_edit_the_line(terminal, typed, expected):
     with Keyboard() as keyboard:
         os.write(terminal, typed)
-        assert keyboard.begun == expected
+        assert keyboard.unfinished == expected
 
 
 def test_without_listening_whole_lines_are_read(terminal):
@@ -168,4 +168,4 @@ def test_where_there_is_no_input_nothing_is_typed(monkeypatch):
     monkeypatch.setattr("sys.stdin", None)
     with Keyboard() as keyboard:
         assert keyboard.line() == ""
-        assert keyboard.begun == ""
+        assert keyboard.unfinished == ""

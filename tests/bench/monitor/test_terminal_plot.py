@@ -58,7 +58,7 @@ def test_a_plot_fills_its_rectangle_and_names_its_ends(is_ascii):
 
 
 @pytest.mark.parametrize("values", [[], [math.nan], [2.0], [2.0, 2.0], [0.0], [1e-12, -1e-12], [1e6, -1e6]])
-def test_whatever_the_values_there_is_a_plot(values):
+def test_any_values_give_a_plot(values):
     curve = Curve(list(range(len(values))), values, "cyan", "c")
     lines = plot([curve], 30, 6, (0.0, 2.0), ("0", "2"), 0.5, False)
     assert len(lines) == 6

@@ -6,57 +6,57 @@ import pytest
 from gyrobench.bench.monitor.snapshot import (
     Alarm,
     MeasuredProfile,
-    Picture,
     PlannedProfile,
     Question,
+    RunSnapshot,
     RunState,
     WindowTrace,
 )
 from gyrobench.bench.monitor.terminal_screen import screen
-from tests.bench.monitor.sample_snapshots import made_up_picture, waiting_picture
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 
-NEW = Picture(
+NEW = RunSnapshot(
     name="new", folder="runs/new", procedure="p", station="s", unit="", started_utc="", updated_utc="",
     state=RunState.STARTING, now_s=0.0, left_s=0.0, planned_s=0.0, dwell_count=0,
 )  # fmt: skip
 PICTURES = {
-    "running": made_up_picture(),
-    "waiting": waiting_picture(),
+    "running": made_up_snapshot(),
+    "waiting": waiting_snapshot(),
     "new": NEW,
-    "over": replace(made_up_picture(), state=RunState.FINISHED, left_s=0.0, step=None, dwell=None),
+    "over": replace(made_up_snapshot(), state=RunState.FINISHED, left_s=0.0, step=None, dwell=None),
     "nothing measured": replace(
-        made_up_picture(), measured=MeasuredProfile(), planned=PlannedProfile(), dwells=(), bins=()
+        made_up_snapshot(), measured=MeasuredProfile(), planned=PlannedProfile(), dwells=(), bins=()
     ),
     "window just begun": replace(
-        made_up_picture(),
-        dwell=replace(made_up_picture().dwell, windows=(WindowTrace(600.0),), estimates=()),
+        made_up_snapshot(),
+        dwell=replace(made_up_snapshot().dwell, windows=(WindowTrace(600.0),), estimates=()),
     ),
 }
 
 
-def shown(picture, width=80, height=20, is_ascii=False):
-    return [line.plain for line in screen(picture, width, height, is_ascii)]
+def shown(snapshot, width=80, height=20, is_ascii=False):
+    return [line.plain for line in screen(snapshot, width, height, is_ascii)]
 
 
-@pytest.mark.parametrize("picture", PICTURES.values(), ids=PICTURES)
+@pytest.mark.parametrize("snapshot", PICTURES.values(), ids=PICTURES)
 @pytest.mark.parametrize("size", [(80, 20), (80, 36), (60, 14), (40, 8), (80, 4), (20, 1)])
 @pytest.mark.parametrize("is_ascii", [False, True])
-def test_no_line_is_too_long_and_no_line_too_many(picture, size, is_ascii):
-    lines = shown(picture, *size, is_ascii)
+def test_no_line_is_too_long_and_no_line_too_many(snapshot, size, is_ascii):
+    lines = shown(snapshot, *size, is_ascii)
     assert lines
     assert len(lines) <= size[1]
     assert max(map(len, lines)) <= size[0]
 
 
-@pytest.mark.parametrize("picture", PICTURES.values(), ids=PICTURES)
-def test_plain_ascii_where_nothing_else_can_be_shown(picture):
-    assert all(line.isascii() for line in shown(picture, is_ascii=True))
+@pytest.mark.parametrize("snapshot", PICTURES.values(), ids=PICTURES)
+def test_plain_ascii_where_nothing_else_can_be_shown(snapshot):
+    assert all(line.isascii() for line in shown(snapshot, is_ascii=True))
 
 
 @pytest.mark.parametrize("height", [5, 8, 12, 20, 36])
 def test_state_time_left_question_and_answers_stay_at_any_height(height):
-    text = "\n".join(shown(waiting_picture(), 80, height))
-    assert "WAITING FOR A PERSON" in text
+    text = "\n".join(shown(waiting_snapshot(), 80, height))
+    assert "WAITING FOR THE OPERATOR" in text
     assert "h left" in text
     assert "13.2 K from its set point" in text
     assert "Type one of: continue, abort" in text
@@ -64,7 +64,7 @@ def test_state_time_left_question_and_answers_stay_at_any_height(height):
 
 
 def test_at_24_rows_there_is_everything():
-    text = "\n".join(shown(made_up_picture(), 80, 20))
+    text = "\n".join(shown(made_up_snapshot(), 80, 20))
     assert "RUNNING" in text
     assert "6:00 h left" in text
     assert "navigate 10 min  5:00 of 10:00" in text
@@ -79,41 +79,41 @@ def test_at_24_rows_there_is_everything():
 
 
 def test_the_profile_has_room_before_all_else_that_is_drawn():
-    text = "\n".join(shown(made_up_picture(), 80, 12))
+    text = "\n".join(shown(made_up_snapshot(), 80, 12))
     assert "from now on: plan" in text
     assert "mm/s" not in text
 
 
 def test_what_is_asked_is_not_said_twice():
-    text = " ".join(shown(waiting_picture(), 80, 36))
+    text = " ".join(shown(waiting_snapshot(), 80, 36))
     assert text.count("Look at door") + text.count("at door and compressor") <= 2
     assert text.count("degC, 13.2 K") == 1
 
 
-def test_the_reason_of_a_pause_is_told_beside_an_alarm():
-    picture = replace(
-        made_up_picture(),
+def test_the_reason_of_a_pause_is_shown_beside_an_alarm():
+    snapshot = replace(
+        made_up_snapshot(),
         state=RunState.PAUSED,
         reason="paused by the terminal",
         question=None,
         alarms=(Alarm("table_fault", "rate trip. Look at the table."),),
     )
-    text = "\n".join(shown(picture))
+    text = "\n".join(shown(snapshot))
     assert "PAUSED" in text
     assert "paused by the terminal" in text
     assert "ALARM table fault: rate trip." in text
 
 
 def test_a_long_question_is_cut_and_its_answers_are_not():
-    picture = replace(waiting_picture(), alarms=(), question=Question("Why? " * 200, ("yes", "no")))
-    lines = shown(picture, 80, 12)
+    snapshot = replace(waiting_snapshot(), alarms=(), question=Question("Why? " * 200, ("yes", "no")))
+    lines = shown(snapshot, 80, 12)
     assert "Type one of: yes, no" in lines
     assert sum("Why?" in line for line in lines) <= 3
 
 
 def test_answers_that_are_old_say_so():
-    bench = replace(made_up_picture().bench, chamber_age_s=95.0, ins_age_s=math.nan, table_age_s=40.0)
-    text = "\n".join(shown(replace(made_up_picture(), bench=bench)))
+    bench = replace(made_up_snapshot().bench, chamber_age_s=95.0, ins_age_s=math.nan, table_age_s=40.0)
+    text = "\n".join(shown(replace(made_up_snapshot(), bench=bench)))
     assert "(95 s old)" in text
     assert "INS navigate (not heard)" in text
     assert "table (40 s old)" in text

@@ -16,9 +16,9 @@ from rich.console import Console
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.monitor.snapshot import RunState, read_picture
-from gyrobench.bench.monitor.terminal import PatientConsole
-from gyrobench.bench.monitor.terminal_view import LinesView, watched
+from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
+from gyrobench.bench.monitor.terminal import RunConsole
+from gyrobench.bench.monitor.terminal_view import LinesView, observe_in_terminal
 from gyrobench.bench.station.instruments import Emulation
 
 ROW = DwellRow(
@@ -82,7 +82,7 @@ def test_nothing_but_text_goes_into_a_file():
 
 
 @pytest.mark.parametrize("procedure", ["six_position_fig7", "three_temperature_shift"])
-def test_the_plan_is_told_before_it_begins(procedure):
+def test_the_plan_is_printed_before_it_begins(procedure):
     stream = io.StringIO()
     with LinesView(Console(file=stream, width=80), prepare_job(procedure, "emulated").plan):
         pass
@@ -116,12 +116,12 @@ def lines(tmp_path_factory):
 
 
 def test_on_a_terminal_biases_so_far_stand_beside_the_navigation_after_the_turn(lines):
-    told = [number for number, line in enumerate(lines) if "±" in line]
+    estimates = [number for number, line in enumerate(lines) if "±" in line]
     (turn,) = [number for number, line in enumerate(lines) if "turn 180 deg" in line]
-    assert told
-    assert min(told) > turn
+    assert estimates
+    assert min(estimates) > turn
     value = r"[-+]\d+\.\d±\d+\.\d"
-    for number in told:
+    for number in estimates:
         assert re.search(rf"left \| x {value} y {value} z {value} \| z_up: navigate 2\.5 min$", lines[number])
 
 
@@ -131,7 +131,7 @@ def test_the_line_says_what_is_done_how_warm_it_is_and_how_long_it_takes(lines):
     assert any("z_up: align 2 min" in line for line in lines)
 
 
-def test_biases_are_gone_with_the_step_that_told_them(lines):
+def test_the_status_line_drops_biases_with_their_step(lines):
     assert "±" not in lines[-1]
 
 
@@ -150,13 +150,13 @@ import sys
 from pathlib import Path
 
 from gyrobench.bench.engine.session import prepare_job, run_job
-from gyrobench.bench.monitor.terminal import PatientConsole
-from gyrobench.bench.monitor.terminal_view import watched
+from gyrobench.bench.monitor.terminal import RunConsole
+from gyrobench.bench.monitor.terminal_view import observe_in_terminal
 from gyrobench.bench.station.instruments import Emulation
 
-console = PatientConsole(markup=False)
+console = RunConsole(markup=False)
 job = prepare_job("short.yaml", "emulated", Emulation("ideal"))
-with watched(console, job, sys.argv[1] == "live") as (progress, operator):
+with observe_in_terminal(console, job, sys.argv[1] == "live") as (progress, operator):
     _, outcome = run_job(job, Path("run"), progress, operator)
 console.print("The run", outcome.ended, outcome.reason)
 """
@@ -223,7 +223,7 @@ def on_terminal(folder):
         each.close()
 
 
-def test_a_terminal_shows_the_picture_and_is_as_before_at_the_end(on_terminal):
+def test_a_terminal_shows_the_snapshot_and_is_as_before_at_the_end(on_terminal):
     terminal = on_terminal()
     text = terminal.read_until()
     assert MOVES_CURSOR in text
@@ -252,11 +252,11 @@ def test_ctrl_c_ends_the_run_and_leaves_the_terminal_as_it_was(on_terminal):
 )
 def test_text_alone_goes_where_no_cursor_moves(folder, environment, is_terminal):
     output = io.StringIO()
-    console = PatientConsole(
+    console = RunConsole(
         file=output, force_terminal=is_terminal, width=80, markup=False, _environ=environment
     )
     job = prepare_job(str(folder / "short.yaml"), "emulated", Emulation("ideal"))
-    with watched(console, job, wants_live=True) as (progress, operator):
+    with observe_in_terminal(console, job, wants_live=True) as (progress, operator):
         run_job(job, folder / "run", progress, operator)
     assert console.file is output
     text = output.getvalue()
@@ -264,4 +264,4 @@ def test_text_alone_goes_where_no_cursor_moves(folder, environment, is_terminal)
     assert "from now on: plan" not in text
     assert MOVES_CURSOR not in text
     assert max(map(len, text.splitlines())) <= 80
-    assert read_picture(folder / "run" / "live.json").state is RunState.FINISHED
+    assert read_snapshot(folder / "run" / "live.json").state is RunState.FINISHED

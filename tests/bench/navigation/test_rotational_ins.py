@@ -19,8 +19,7 @@ from gyrobench.bench.navigation.rotational_ins import (
     rotate_for,
 )
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.drivers.emulators.world.earth import normal_gravity
-from gyrobench.drivers.emulators.world.strapdown import navigate
+from gyrobench.drivers.emulators.world.strapdown import navigate, normal_gravity
 
 SITE = Site(np.deg2rad(36.4), 60.0)
 SCHEMES = [HALF_TURNS, SIX_POSITIONS]

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.single_axis_table import SingleAxisTable
+from gyrobench.bench.navigation.table_axes import SingleAxisTable
 from gyrobench.bench.station.station import Station
 
 UP, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.foundations.documents import Document, parse_document
-from gyrobench.bench.procedure.document import checked_procedure
-from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.checks import StationLimits
 from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import checked_procedure
 
 HEADER = "procedure: test\nsteps:\n"
 

@@ -4,8 +4,8 @@ import pytest
 
 from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
-from gyrobench.bench.procedure.document import checked_procedure
 from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.procedure.steps import Align, Chamber, GoTo, PowerOn, Soak, Wait
 
 PROCEDURE = """

@@ -6,10 +6,9 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.checks import check, find_problems
-from gyrobench.bench.procedure.document import load_procedure
-from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.checks import StationLimits, check, find_problems
 from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 
@@ -18,8 +17,8 @@ START = "- power_on\n- go_to: {position: z_up}\n"
 ALIGN = "- align: {duration_s: 300}\n"
 
 ORDER = {
-    "navigate without align": (START + "- navigate: {duration_s: 600}", "5:3", "align must come before"),
-    "turn without align": (START + "- turn: {angle_deg: 180}", "5:3", "align must come before"),
+    "navigate without align": (START + "- navigate: {duration_s: 600}", "5:3", "Put align before"),
+    "turn without align": (START + "- turn: {angle_deg: 180}", "5:3", "Put align before"),
     "navigate after another go_to": (
         START + ALIGN + "- go_to: {position: y_up}\n- navigate: {duration_s: 600}",
         "7:3",
@@ -30,25 +29,29 @@ ORDER = {
         "8:3",
         "and power_on",
     ),
-    "align without position": ("- power_on\n" + ALIGN, "4:3", "go_to must come before"),
-    "align without power": ("- go_to: {position: z_up}\n" + ALIGN, "4:3", "power_on must come before"),
+    "align without position": ("- power_on\n" + ALIGN, "4:3", "Put go_to before"),
+    "align without power": ("- go_to: {position: z_up}\n" + ALIGN, "4:3", "Put power_on before"),
     "soak on the gyros without power": (
         "- soak: {until_gyro_rate_below_c_per_h: 2}",
         "3:3",
-        "soak needs the INS: power_on must come before",
+        "soak needs the INS on. Put power_on before",
     ),
     "power on twice": ("- power_on\n- power_on", "4:3", "already on"),
-    "timeout before the end": ("- wait: {duration_s: 60, timeout_s: 50}", "3:26", "before its 60 s are over"),
+    "timeout before the end": (
+        "- wait: {duration_s: 60, timeout_s: 50}",
+        "3:26",
+        "shorter than the step, which takes 60 s",
+    ),
     "timeout before a soak may end": (
         "- power_on\n- soak: {until_gyro_rate_below_c_per_h: 2, at_most_s: 900, timeout_s: 800}",
         "4:60",
-        "before its 900 s are over",
+        "shorter than the step, which takes 900 s",
     ),
     "timeout before a navigation may end": (
         START + ALIGN + "- navigate: {duration_s: 60}\n- turn: {angle_deg: 180}\n"
         "- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900, timeout_s: 800}",
         "8:68",
-        "before its 900 s are over",
+        "shorter than the step, which takes 900 s",
     ),
 }
 
@@ -163,6 +166,6 @@ def test_a_temperature_at_which_an_interlock_would_trip_is_refused(
         "  - power_on\n  - chamber: {temperature_c: 60, ramp_c_per_min: 1}\n  - soak: {for_s: 36000}\n"
     )
     narrow = replace(limits, gyro_low_c=-60.0, gyro_high_c=65.0)
-    with pytest.raises(DocumentError, match=r"test.yaml:4:15: the gyros would come to \d+ degC"):
+    with pytest.raises(DocumentError, match=r"test.yaml:4:15: the gyros would reach \d+ degC"):
         check(document, plan, narrow)
     check(document, plan, replace(limits, gyro_high_c=95.0))

@@ -24,13 +24,13 @@ WAIT = "- wait: {duration_s: 5}\n"
 OPPOSITE = GO_TO.replace("z_up", "z_up, azimuth_deg: 180") + ALIGN + VERIFY
 
 NO_TURN = (
-    "no turn: the biases can't be told from the initial errors; "
-    "add a turn and a second navigation, or set purpose: verification"
+    "no turn: biases and initial errors can't be separated. "
+    "Add a turn and a second navigation, or set purpose: verification"
 )
-TURNED_VERIFICATION = "straight from the alignment, without a turn before or after it"
+TURNED_VERIFICATION = "directly after the alignment, without a turn before or after it"
 
 WRONG = {
-    "too short": (WINDOW + TURN + SHORT, "8:14", "59 s is too short .* at least 60 s"),
+    "too short": (WINDOW + TURN + SHORT, "8:14", "59 s is too short .* 60 s or more"),
     "may end too soon": (WINDOW + TURN + UNTIL.replace("120", "30"), "8:52", "30 s is too short"),
     "verification too short": (VERIFY.replace("600", "30") + OPPOSITE, "6:14", "30 s is too short"),
     "loop value too short": (
@@ -43,27 +43,27 @@ WRONG = {
         "- navigate: {duration_s: 600, purpose: calibration}", "6:3", "no turn: .* purpose: verification",
     ),
     "no turn before another dwell": (WINDOW + GO_TO + ALIGN + WINDOW + TURN + WINDOW, "6:3", NO_TURN),
-    "nothing after the turn": (WINDOW + TURN, "6:3", "one side of the turn alone"),
-    "nothing after the turn and a wait": (WINDOW + WAIT + TURN, "6:3", "one side of the turn alone"),
-    "nothing before the turn": (TURN + WINDOW, "7:3", "navigate before and after the turn"),
-    "two navigations": (WINDOW + WINDOW + TURN + WINDOW, "7:3", "put a turn between them, or make"),
+    "nothing after the turn": (WINDOW + TURN, "6:3", "one side of the turn only"),
+    "nothing after the turn and a wait": (WINDOW + WAIT + TURN, "6:3", "one side of the turn only"),
+    "nothing before the turn": (TURN + WINDOW, "7:3", "Navigate before and after the turn"),
+    "two navigations": (WINDOW + WINDOW + TURN + WINDOW, "7:3", "Put a turn between them, or make"),
     "a wait between two": (WINDOW + TURN + WINDOW + WAIT + WINDOW, "10:3", "or make one longer$"),
-    "two navigations without any turn": (WINDOW + WINDOW, "7:3", "succession: put a turn between them$"),
+    "two navigations without any turn": (WINDOW + WINDOW, "7:3", "succession. Put a turn between them$"),
     "full circle": (
-        WINDOW + "- turn: {angle_deg: 360}\n" + WINDOW, "7:10", "all navigations stand at azimuth 0 deg",
+        WINDOW + "- turn: {angle_deg: 360}\n" + WINDOW, "7:10", "all navigations are at azimuth 0 deg",
     ),
-    "there and back": (WINDOW + TURN + "- turn: {angle_deg: -180}\n" + WINDOW, "8:10", "full circles"),
+    "there and back": (WINDOW + TURN + "- turn: {angle_deg: -180}\n" + WINDOW, "8:10", "full circle"),
     "verification before a turn": (VERIFY + TURN + OPPOSITE, "6:31", TURNED_VERIFICATION),
     "verification before a wait and a turn": (VERIFY + WAIT + TURN + OPPOSITE, "6:31", TURNED_VERIFICATION),
     "verification before a turn and a navigation": (VERIFY + TURN + WINDOW, "6:31", TURNED_VERIFICATION),
     "verification after a turn": (WINDOW + TURN + VERIFY, "8:31", TURNED_VERIFICATION),
     "verification after a turn alone": (TURN + VERIFY, "7:31", TURNED_VERIFICATION),
-    "verification twice": (VERIFY + VERIFY, "7:3", "a verification is a single one; make it longer"),
+    "verification twice": (VERIFY + VERIFY, "7:3", "a verification has a single one. Make it longer"),
     "until before the turn": (UNTIL + TURN + WINDOW, "6:14", "until needs a navigation and a turn before it"),
     "until in a verification": (
         "- navigate: {purpose: verification, until: {bias_sigma_below_dph: 1}, at_most_s: 900}\n" + OPPOSITE,
         "6:37",
-        "give duration_s",
+        "Use duration_s",
     ),
     "alignment interrupted": ("- soak: {for_s: 5}\n" + WINDOW, "7:3", "belongs to no dwell"),
 }  # fmt: skip

@@ -3,9 +3,16 @@ from pydantic import ValidationError
 
 from gyrobench.bench.bias.dwell import MIN_DURATION
 from gyrobench.bench.procedure.estimate import BenchEstimate
-from gyrobench.bench.procedure.navigation_steps import MIN_NAVIGATION_S, Align, Navigate, Turn, Until
-from gyrobench.bench.procedure.step import Step
-from gyrobench.bench.procedure.steps import GoTo, PowerOn
+from gyrobench.bench.procedure.steps import (
+    MIN_NAVIGATION_S,
+    Align,
+    GoTo,
+    Navigate,
+    PowerOn,
+    Step,
+    Turn,
+    Until,
+)
 
 ROOM = BenchEstimate.at_rest()
 UNTIL = Until(bias_sigma_below_dph=0.002)

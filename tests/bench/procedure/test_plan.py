@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.foundations.documents import Document
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Phase, Plan, expand, turn_steps_after, turns_after
+from gyrobench.bench.procedure.procedure_file import load_procedure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

@@ -8,8 +8,7 @@ import pytest
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.checks import check
-from gyrobench.bench.procedure.limits import StationLimits
+from gyrobench.bench.procedure.checks import StationLimits, check
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.station.station import Station
 

@@ -5,7 +5,7 @@ import pytest
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.resolve import MAX_STEPS
+from gyrobench.bench.procedure.procedure_file import MAX_STEPS
 from gyrobench.bench.procedure.steps import GoTo, Wait
 
 PlanOf = Callable[[str], tuple[Document, Plan]]

@@ -5,8 +5,6 @@ from pydantic import ValidationError
 
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.navigation_steps import Until
-from gyrobench.bench.procedure.step import Step, span
 from gyrobench.bench.procedure.steps import (
     STEP_KINDS,
     Align,
@@ -18,8 +16,11 @@ from gyrobench.bench.procedure.steps import (
     PowerOff,
     PowerOn,
     Soak,
+    Step,
     Turn,
+    Until,
     Wait,
+    span,
 )
 
 THERMAL = ThermalEstimate(time_constant_s=2000.0, self_heating_c=10.0, air_lag_s=100.0, room_c=20.0)

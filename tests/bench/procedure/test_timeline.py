@@ -6,9 +6,9 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import (
     hours_minutes,
     position_spans,

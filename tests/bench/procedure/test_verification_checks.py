@@ -71,10 +71,8 @@ def test_a_verification_without_one_half_a_turn_away_is_told_with_what_to_add(
     told = str(caught.value).splitlines()
     for line, place_position_azimuth in zip(told, expected, strict=True):
         place, position, azimuth_deg = place_position_azimuth.split()
-        assert line.startswith(
-            f"test.yaml:{place}: a single alignment shows the table's own azimuth error too"
-        )
-        assert f"add the same position ({position}) at azimuth {azimuth_deg} deg" in line
+        assert line.startswith(f"test.yaml:{place}: a single alignment includes the table's azimuth error")
+        assert f"Add the same position ({position}) at azimuth {azimuth_deg} deg" in line
 
 
 PAIRED = {

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.emulated_station import guide
 from gyrobench.bench.station.station import Station
 

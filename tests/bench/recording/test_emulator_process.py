@@ -1,11 +1,11 @@
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.recording.emulated_station import write_station_file
 from gyrobench.bench.recording.emulator_process import EmulationSettings, emulated_dbc, serve_options
-from gyrobench.bench.station.document import load_station_file
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import load_station_file
 
 NOWHERE = {"table": "", "chamber": "", "ins": ""}
 PTS = {"table": "/dev/pts/1", "chamber": "/dev/pts/2", "ins": "/dev/pts/3"}

@@ -6,9 +6,9 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
-from gyrobench.bench.dwells.comparison import Comparison, leftover
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.verification.comparison import Comparison, leftover
 from tests.bench.report.made_up_closure import clean, explained
 
 SITE = Site(np.radians(36.4), 60.0)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 
 EPOCHS, INTERVAL_S = 1200, 0.25

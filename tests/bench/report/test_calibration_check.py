@@ -9,10 +9,10 @@ from gyrobench.bench.report.calibration_check import (
     verification_section,
     verification_sentence,
 )
-from gyrobench.bench.runs.tables.verification_table import VerificationRow
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 NOTHING = math.nan
-ROW = VerificationRow(
+ROW = CalibrationCheckRow(
     unit="U7",
     run="R2",
     dwell=1,
@@ -49,7 +49,7 @@ UNCALIBRATED = replace(
     difference_sigma_dph=NOTHING,
     p_value=NOTHING,
 )
-FLAGGED = VerificationRow(
+FLAGGED = CalibrationCheckRow(
     "U7", "R2", 5, None, 1, "z_up", 180.0, "y", "velocity", flags="the INS left navigation"
 )
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.report.figures.style import png_bytes
 from gyrobench.bench.report.page import Section

@@ -17,9 +17,9 @@ import pytest
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
-from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.report.closure.page import write_closure_page
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.figures.bias import bias_figure
@@ -28,8 +28,7 @@ from gyrobench.bench.report.run_report import render, write_report
 from gyrobench.bench.report.verification.page import write_verify_page
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.tables.acceptance_file import write_acceptance
-from gyrobench.bench.runs.tables.verification_table import write_verification
+from gyrobench.bench.runs.tables.calibration_check_table import write_calibration_check
 from tests.bench.report.made_up_closure import clean
 from tests.bench.report.made_up_comparison import confirmed
 from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
@@ -404,7 +403,7 @@ def test_run_of_verifications_is_no_failure(
 ) -> None:
     journal_writer(empty_folder)
     shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
-    write_verification(empty_folder.verification, [ROW, ALIGNMENT])
+    write_calibration_check(empty_folder.verification, [ROW, ALIGNMENT])
     page = page_of(empty_folder)
     assert "Gyro bias of unit U7" in page.text
     assert "dwells 2 dwells for verification" in page.text

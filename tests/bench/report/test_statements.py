@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bins import BiasBin, paper_bins
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import PositionComparison, compare_positions
 from gyrobench.bench.report.statements import (
     agreement_sentence,
     differing,

@@ -54,7 +54,7 @@ def test_what_was_cut_survives_a_part_that_was_never_ended(tmp_path):
     log.cut()
 
 
-def test_a_new_log_goes_on_with_the_numbering(tmp_path):
+def test_a_new_log_continues_with_the_numbering(tmp_path):
     for _ in range(2):
         log = CanLog(tmp_path)
         log.write(frames(0, 1))

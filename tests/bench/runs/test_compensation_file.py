@@ -67,7 +67,7 @@ def test_terms_that_are_not_used_are_left_out(tmp_path, written):
         ("low_c: [1, 2, 3]\n", "polynomial_dph"),
     ],
 )
-def test_mistakes_are_told_with_their_place(written, text, message):
+def test_mistakes_are_shown_with_their_place(written, text, message):
     with pytest.raises(DocumentError, match=message) as caught:
         read_compensation(written(text))
     assert re.match(r".*compensation\.yaml:\d+:\d+: ", str(caught.value))

@@ -31,7 +31,7 @@ def test_a_file_on_a_full_disk_stays_as_it_was(full_disk):
     assert list(full_disk.iterdir()) == [path]
 
 
-def test_a_journal_goes_on_once_there_is_room_again(full_disk):
+def test_a_journal_continues_once_there_is_room_again(full_disk):
     path = full_disk / "journal.jsonl"
     with Journal(path, VirtualClock()) as journal:
         journal.record("a")
@@ -44,7 +44,7 @@ def test_a_journal_goes_on_once_there_is_room_again(full_disk):
     assert [entry["event"] for entry in read_journal(path)] == ["a", "c"]
 
 
-def test_a_log_keeps_what_it_has_and_goes_on_in_a_new_part(full_disk):
+def test_a_log_keeps_what_it_has_and_continues_in_a_new_part(full_disk):
     def frames(begin, count):
         return [can.Message(data=k.to_bytes(8, "little")) for k in range(begin, begin + count)]
 

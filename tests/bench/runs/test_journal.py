@@ -71,7 +71,7 @@ def test_a_journal_that_was_cut_off_is_repaired_and_says_so(tmp_path, tail):
     assert path.read_bytes().count(b"\n") == 3
 
 
-def test_a_whole_journal_is_gone_on_with_as_it_is(tmp_path):
+def test_a_whole_journal_is_over_on_with_as_it_is(tmp_path):
     path = tmp_path / "journal.jsonl"
     for event in "ab":
         with Journal(path, VirtualClock()) as journal:
@@ -87,7 +87,7 @@ def test_a_journal_damaged_in_the_middle_is_not_written_to(tmp_path):
     assert path.read_text() == '{"ev\n{"event": "c"}\n'
 
 
-def test_a_second_writer_is_refused_until_the_first_is_gone(tmp_path):
+def test_a_second_writer_is_refused_until_the_first_is_over(tmp_path):
     path = tmp_path / "journal.jsonl"
     program = (
         "import sys, pathlib; from gyrobench.bench.foundations.clock import VirtualClock;"
@@ -171,7 +171,7 @@ RESUMED = {"time_s": 9000.0, "event": "run_resumed", "procedure": "shift", "stat
 FINISHED = {"time_s": 9900.0, "event": "run_ended", "ended": "finished", "reason": ""}
 
 
-def test_a_run_is_told_by_its_entries():
+def test_a_run_is_reported_by_its_entries():
     facts = facts_of([STARTED, IDENTIFIED, DWELL, STOPPED])
     assert (facts.procedure, facts.station, facts.unit) == ("shift", "bench_1", "1001")
     assert (facts.started_utc, facts.last_s, facts.dwells) == (STARTED["utc"], 1600.0, 1)
@@ -198,7 +198,7 @@ def test_a_time_that_is_none_is_passed_over(time_s):
     assert facts_of([DWELL, {"time_s": time_s, "event": "note"}]).last_s == 1500.0
 
 
-def test_entries_that_are_not_as_they_should_be_are_told_as_far_as_they_go():
+def test_entries_that_are_not_as_they_should_be_are_reported_as_far_as_they_go():
     facts = facts_of(
         [
             {},

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from gyrobench.bench.dwells.replay import replay
-from gyrobench.bench.dwells.setup import measurement_setup
+from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.session import measure_again
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
@@ -109,9 +109,7 @@ def measured(folder):
     return {dwell.row.dwell: dwell.row for dwell in dwells}
 
 
-def test_whatever_is_left_can_be_read_and_every_finished_dwell_is_measured_to_the_same_numbers(
-    cut_run, tmp_path
-):
+def test_any_is_left_can_be_read_and_every_finished_dwell_is_measured_to_the_same_numbers(cut_run, tmp_path):
     whole, states, _ = cut_run
     expected = measured(whole)
     assert list(expected) == finished(whole, "dwell")

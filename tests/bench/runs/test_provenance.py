@@ -17,7 +17,7 @@ def written(tmp_path):
     return read_provenance(folder)
 
 
-def test_who_started_it_and_where_is_told(tmp_path):
+def test_who_started_it_and_where_is_reported(tmp_path):
     own = written(tmp_path)
     assert own["operator"] == getpass.getuser()
     assert own["host"] == platform.node()

@@ -60,7 +60,7 @@ def test_flushing_often_makes_no_more_parts(tmp_path):
     assert times_s(tmp_path) == list(range(100))
 
 
-def test_a_resumed_run_goes_on_in_a_new_part_after_a_row_that_says_nothing(tmp_path):
+def test_a_resumed_run_continues_in_a_new_part_after_a_row_that_says_nothing(tmp_path):
     for begin in (0, 500):
         telemetry = Telemetry(tmp_path)
         add(telemetry, range(begin, begin + 3))
@@ -71,7 +71,7 @@ def test_a_resumed_run_goes_on_in_a_new_part_after_a_row_that_says_nothing(tmp_p
         assert np.flatnonzero(np.isnan(readings[name])).tolist() == [3]
 
 
-def test_the_last_reading_tells_how_far_a_run_came(tmp_path):
+def test_the_last_reading_reports_how_far_a_run_came(tmp_path):
     assert last_reading_s(tmp_path) == 0.0
     telemetry = Telemetry(tmp_path)
     add(telemetry, range(1000))
@@ -79,7 +79,7 @@ def test_the_last_reading_tells_how_far_a_run_came(tmp_path):
     assert last_reading_s(tmp_path) == 999.0
 
 
-def test_what_was_written_stays_where_a_part_cant_be_written_anew(tmp_path, small_files):
+def test_what_was_written_stays_where_a_part_cant_be_written_again(tmp_path, small_files):
     telemetry = Telemetry(tmp_path)
     add(telemetry, [0, 1])
     telemetry.flush()

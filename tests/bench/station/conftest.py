@@ -2,7 +2,7 @@
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.station.bench_lock import LOCK_DIR_VARIABLE, BenchLock, RunLock
+from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock, RunLock
 from gyrobench.bench.station.station import Station
 
 _CONTEXT = get_context("forkserver")
@@ -15,7 +15,7 @@ _CONTEXT.set_forkserver_preload([__name__])
 
 
 def hold(station_path, run, lock_folder, pipe):
-    """Hold both until told to let go."""
+    """Hold both until a message arrives."""
     os.environ[LOCK_DIR_VARIABLE] = lock_folder
     run = Path(run)
     with (

@@ -2,13 +2,15 @@ import pytest
 from pydantic import Field
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import StrictModel, find_document
+from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
-from gyrobench.bench.station import dialect_section, instruments
-from gyrobench.bench.station.chamber_section import ChamberSection
-from gyrobench.bench.station.document import StationFile
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station import instrument_sections as dialect_section
+from gyrobench.bench.station import instruments
+from gyrobench.bench.station.instrument_sections import ChamberSection
 from gyrobench.bench.station.instruments import Emulation, open_chamber, open_table
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import StationFile
 from gyrobench.drivers.chamber import ChamberDialect
 
 ADDRESS = "  address: 1\n"

@@ -9,8 +9,8 @@ from contextlib import closing
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import (
     CHAMBER,
     INS,

@@ -3,8 +3,8 @@ import threading
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import NoReplyError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station

@@ -1,8 +1,8 @@
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.station.document import load_station_file
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.station_file import load_station_file
 
 TABLE, CHAMBER = "emulator://table", "emulator://chamber"
 INS = "interface: emulator\n  channel: ins"

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.prior import PriorKnowledge
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 

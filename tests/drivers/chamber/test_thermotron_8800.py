@@ -135,7 +135,7 @@ def test_an_open_input_is_a_fault_until_it_is_repaired_and_cleared(bench):
         chamber.read()
     with pytest.raises(RefusedError, match="code 3"):
         chamber.switch(True)
-    bench.chamber.mend_sensor()
+    bench.chamber.repair_sensor()
     chamber.clear_alarms()
     chamber.switch(True)
     assert chamber.read().is_on

@@ -116,7 +116,7 @@ def test_an_error_of_the_loop_is_a_fault_and_an_alarm(bench):
     assert chamber.alarms() == ["control loop 1 reports an error"]
     with pytest.raises(FaultError, match="control loop 1 reports an error; check the temperature sensor"):
         chamber.read()
-    bench.chamber.mend_sensor()
+    bench.chamber.repair_sensor()
     chamber.clear_alarms()
     assert chamber.alarms() == []
 

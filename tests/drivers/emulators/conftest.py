@@ -3,9 +3,10 @@ from typing import Any
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document, read_document
-from gyrobench.drivers.emulators.world.document import WorldFile
+from gyrobench.bench.foundations.documents import read_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.world_file import WorldFile
 
 
 def changed_world_file(name: str = "ideal", **sections: Any) -> WorldFile:

@@ -1,4 +1,7 @@
-"""A world whose INS boots at once, for benches in real time."""
+"""A world whose INS boots at once, for benches in real time, and their time limit."""
+
+#: Bound against hanging, for waits that end with an event: far above what a loaded machine needs.
+LIMIT_S = 120.0
 
 QUICK_WORLD = """
 world: quick

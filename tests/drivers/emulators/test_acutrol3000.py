@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.emulators.acl_axis import SoftwareFault
-from gyrobench.drivers.emulators.acl_syntax import ErrorCode
+from gyrobench.drivers.emulators.acl_axis import ErrorCode, SoftwareFault
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 
@@ -22,7 +21,7 @@ def controller():
 
 
 class Dialogue:
-    """Sends messages at a time of its own and takes the replies apart."""
+    """Sends messages at its own time and parses the replies."""
 
     def __init__(self, controller):
         self.controller = controller

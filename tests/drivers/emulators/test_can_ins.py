@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import gyrobench.drivers.ins
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.world.compensation import NUMBERS, unloaded_numbers
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, empty_table
 
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 QUICK = {"boot_s": 1.0, "levelling_s": 1.0, "coarse_alignment_s": 2.0, "fine_alignment_s": 4.0}
@@ -238,7 +238,7 @@ def test_align_navigate_and_standby_commands_act(bus):
     assert bus.newest("HEADING")["ATTITUDE_VALID"] == 0
 
 
-def test_the_euler_sequence_is_commanded_and_told(bus):
+def test_the_euler_sequence_is_commanded_and_reported(bus):
     for sequence in (1, 0, 1):
         bus.command(4, sequence)
         bus.run(1.0)
@@ -253,7 +253,7 @@ def load(bus, axis, coefficients, low_c, high_c):
         bus.send("COMPENSATION_COEFFICIENT", AXIS=axis, INDEX=index, VALUE=value)
 
 
-def test_a_compensation_is_loaded_applied_told_and_cleared(bus):
+def test_a_compensation_is_loaded_applied_reported_and_cleared(bus):
     coefficients = [0.5, -0.25, 0.125, 0.0, 0.0, 2.0**-20]
     load(bus, 2, coefficients, -20.0, 50.0)
     bus.run(1.0)
@@ -279,11 +279,11 @@ def test_loading_does_not_change_what_is_applied(bus):
     assert bus.unit.compensation.bias_dph[0] == 0.5
 
 
-def test_the_status_tells_the_checksums_of_what_is_loaded_and_in_use(bus):
+def test_the_status_has_the_checksums_of_the_loaded_and_applied_tables(bus):
     bus.run(1.0)
     empty = bus.newest("COMPENSATION_STATUS")
     assert empty["IN_USE"] == 0
-    assert empty["LOADED"] == zlib.crc32(bus.unit.loaded.astype("<f4").tobytes())
+    assert empty["LOADED"] == zlib.crc32(bus.unit.loaded_table.astype("<f4").tobytes())
     load(bus, 1, [0.5, 0, 0, 0, 0, 0], -20.0, 50.0)
     bus.run(1.0)
     loaded = bus.newest("COMPENSATION_STATUS")["LOADED"]
@@ -299,10 +299,10 @@ def test_the_status_tells_the_checksums_of_what_is_loaded_and_in_use(bus):
 
 
 def test_numbers_that_no_gyro_has_are_not_taken(bus):
-    for axis, index in ((3, 0), (0, NUMBERS), (255, 255)):
+    for axis, index in ((3, 0), (0, COEFFICIENTS), (255, 255)):
         data = struct.pack("<BBxxf", axis, index, 1.0)
         bus.ins.receive(can.Message(arbitration_id=0x201, data=data, is_extended_id=False))
-    assert np.array_equal(bus.unit.loaded, unloaded_numbers())
+    assert np.array_equal(bus.unit.loaded_table, empty_table())
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -310,7 +310,7 @@ def test_a_coefficient_that_is_no_number_is_not_taken(bus, value):
     bus.ins.receive(
         can.Message(arbitration_id=0x201, data=struct.pack("<BBxxf", 0, 0, value), is_extended_id=False)
     )
-    assert np.array_equal(bus.unit.loaded, unloaded_numbers())
+    assert np.array_equal(bus.unit.loaded_table, empty_table())
 
 
 @pytest.mark.parametrize("moment", ["off", "booting"])
@@ -333,11 +333,11 @@ def test_a_unit_that_is_off_or_boots_hears_nothing(make_world, moment):
         "FAULTS": 0,
         "STATUS_COUNTER": 0,
     }
-    assert np.array_equal(bus.unit.loaded, unloaded_numbers())
+    assert np.array_equal(bus.unit.loaded_table, empty_table())
 
 
 def snapshot(unit):
-    return unit.mode, unit.alignment, unit.pitch_first, unit.compensation is None, unit.loaded.tolist()
+    return unit.mode, unit.alignment, unit.pitch_first, unit.compensation is None, unit.loaded_table.tolist()
 
 
 @st.composite
@@ -378,7 +378,7 @@ any_frame = st.builds(
         st.builds(bytes, st.tuples(st.integers(0, 8), st.integers(0, 3))),
         st.builds(
             lambda axis, index, value: struct.pack("<BBxxf", axis, index, value),
-            st.integers(0, 3), st.integers(0, NUMBERS), st.floats(width=32),
+            st.integers(0, 3), st.integers(0, COEFFICIENTS), st.floats(width=32),
         ),
     ),
 )  # fmt: skip

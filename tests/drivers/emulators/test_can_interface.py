@@ -140,7 +140,7 @@ def test_several_buses_get_all_frames_and_one_world(join, clock, bench):
     ]
 
 
-def test_shutdown_leaves_the_bus_and_the_ins_goes_on(join, clock, bench):
+def test_shutdown_leaves_the_bus_and_the_ins_continues(join, clock, bench):
     leaving, staying = join(), join()
     listeners = len(bench.ins.listeners)
     leaving.shutdown()
@@ -174,7 +174,7 @@ def test_it_takes_the_wall_clock_where_that_is_the_clock():
         ({"channel": "can0"}, "can0"),
         ({"world": "atlantis"}, "atlantis"),
         ({"world": "missing/file.yaml"}, "missing/file.yaml"),
-        ({"clock": "clock-of-nobody"}, "clock-of-nobody"),
+        ({"clock": "unknown-clock"}, "unknown-clock"),
         ({"seed": -1}, "seed"),
     ],
 )
@@ -183,7 +183,7 @@ def test_a_wrong_address_is_an_initialization_error(join, options, words):
         join(**options)
 
 
-def test_a_wrong_world_file_is_an_initialization_error_that_tells_the_place(join, tmp_path):
+def test_a_wrong_world_file_is_an_initialization_error_with_the_place(join, tmp_path):
     path = tmp_path / "w.yaml"
     path.write_text("world: w\nlatitude_deg: 95\n")
     with pytest.raises(can.CanInitializationError, match=r"w\.yaml:2:1: .*85"):

@@ -18,7 +18,7 @@ from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
 from gyrobench.drivers import ins
-from tests.drivers.emulators.quick_world import QUICK_WORLD
+from tests.drivers.emulators.quick_world import LIMIT_S, QUICK_WORLD
 
 SERVE = "gyrobench.drivers.emulators.serve"
 
@@ -42,22 +42,24 @@ def urls(request, tmp_path_factory):
         "--speed",
         str(SPEED),
     ]
-    with subprocess.Popen([*command, "--for-s", "60", *options], stdout=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(
+        [*command, "--for-s", "600", *options], stdout=subprocess.PIPE, text=True
+    ) as server:
         served = json.loads(server.stdout.readline())
         with modbus_client(served["chamber"]) as client:
             assert not client.write_register(UNIT_POWER_REGISTER, 1).isError()
         yield served
         server.terminate()
-        assert server.wait(10) == 0
+        assert server.wait(LIMIT_S) == 0
 
 
 @contextlib.contextmanager
 def modbus_client(url):
     where = urlsplit(url)
     if where.scheme == "socket":
-        client = ModbusTcpClient(where.hostname, port=where.port, framer=FramerType.RTU, timeout=5)
+        client = ModbusTcpClient(where.hostname, port=where.port, framer=FramerType.RTU, timeout=LIMIT_S)
     else:
-        client = ModbusSerialClient(url, baudrate=9600, timeout=5)
+        client = ModbusSerialClient(url, baudrate=9600, timeout=LIMIT_S)
     assert client.connect()
     yield client
     client.close()
@@ -79,7 +81,7 @@ def exchanged(url, message, count):
     """What comes back for a message, by nothing but the operating system."""
     where = urlsplit(url)
     if where.scheme == "socket":
-        with socket.create_connection((where.hostname, where.port), timeout=5) as client:
+        with socket.create_connection((where.hostname, where.port), timeout=LIMIT_S) as client:
             client.sendall(message)
             received = b""
             while len(received) < count:
@@ -104,7 +106,7 @@ def test_pymodbus_reads_the_chamber(urls):
         assert client.read_holding_registers(3000).exception_code == 2
 
 
-def test_a_terminal_speaks_acl_to_the_table(urls):
+def test_a_terminal_sends_acl_to_the_table(urls):
     reply = exchanged(urls["table"], b":Read:Position? 1\r\n", 8)
     error, length = struct.unpack("<II", reply)
     assert (error, length) == (0, 8)
@@ -114,7 +116,7 @@ def test_python_can_receives_frames_which_cantools_decodes_and_which_come_at_the
     database = load_file(ins.__path__[0] + "/gyrobench_ins.dbc")
     seen, seconds = {}, []
     with can.Bus(**can_options(urls["ins"]), ignore_config=True) as bus:
-        end_s = time.monotonic() + 10.0
+        end_s = time.monotonic() + LIMIT_S
         while len(seconds) < 6 and time.monotonic() < end_s:
             frame = bus.recv(1.0)
             if frame is None:
@@ -144,7 +146,7 @@ def test_the_logger_of_python_can_writes_what_the_ins_sends(urls, tmp_path):
     ]
     extra = ["--bus-kwargs", *(f"{name}={value}" for name, value in options.items())]
     with subprocess.Popen([*command, "-f", str(log), *extra], stdout=subprocess.DEVNULL) as logger:
-        end_s = time.monotonic() + 20.0
+        end_s = time.monotonic() + LIMIT_S
         while (not log.exists() or log.stat().st_size < 500) and time.monotonic() < end_s:
             time.sleep(0.05)
         logger.terminate()

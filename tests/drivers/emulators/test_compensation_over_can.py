@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
-from gyrobench.drivers.emulators.world.sensor_errors import DPH
 from gyrobench.drivers.ins import Compensation
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
@@ -91,7 +91,7 @@ class EmulatedIns:
         """Mean rate that the gyros measure in ten seconds."""
         self._measured.clear()
         self.run(_STEP_S)
-        return np.concatenate(self._measured).mean(axis=0) * 100.0 / DPH
+        return np.concatenate(self._measured).mean(axis=0) * 100.0 / DPH_TO_RADPS
 
     def expected_dph(self, compensation):
         """What the driver's own model says, for true temperatures and attitude, of the last ten seconds."""

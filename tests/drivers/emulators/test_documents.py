@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gyrobench.bench.foundations.documents import find_document
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.documents import main
 
 
@@ -16,7 +16,7 @@ def test_a_right_file_is_passed_without_a_word(kind, folder, name, capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_everything_wrong_is_told_with_exit_code_2(tmp_path, capsys):
+def test_all_mistakes_are_reported_with_exit_code_2(tmp_path, capsys):
     path = tmp_path / "f.yaml"
     path.write_text("faults:\n  - {fault: lost_reply, target: table}\n  - {fault: lost}\n")
     assert main(["check", "faults", str(path)]) == 2

@@ -52,7 +52,7 @@ def test_the_prompt_of_a_jog_may_come_at_once():
 
 
 @pytest.mark.parametrize("done", [0, 1])
-def test_whether_a_motion_is_complete_is_told_in_either_way(done):
+def test_both_conventions_of_a_complete_motion(done):
     panel = Panel(done=done)
     panel.ask(b"SRV1\rP30\r")
     assert panel.ask(b"MCO0.01\r", 0.5) == b"%d\r>" % (1 - done)

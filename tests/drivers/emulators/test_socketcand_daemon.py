@@ -1,8 +1,8 @@
 import pytest
 
+from gyrobench.drivers.emulators.can_adapters import SocketcandDaemon
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.serial_instrument import Connection
-from gyrobench.drivers.emulators.socketcand_daemon import SocketcandDaemon
+from gyrobench.drivers.emulators.dialect import Connection
 
 
 class Client:
@@ -69,12 +69,12 @@ def test_a_new_client_has_to_open_the_bus_itself(client):
     assert client.frames(3.0) == ""
 
 
-def test_after_bus_off_the_bus_has_to_be_opened_anew(client):
+def test_after_bus_off_the_bus_must_be_reopened(client):
     client.say("open can0", "rawmode")
-    client.connection.cut()
+    client.connection.disconnect()
     assert client.frames(3.0) == ""
     assert client.say("open can0") == "< error unknown command >"
-    client.connection.mend()
+    client.connection.reconnect()
     assert client.frames(4.0) == ""
     assert client.say("open can0", "rawmode") == "< ok >< ok >"
     assert client.frames(5.0)

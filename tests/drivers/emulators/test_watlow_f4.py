@@ -117,7 +117,7 @@ def test_damaged_frames_and_other_addresses_get_no_reply(line):
     assert line.exchange(frame("01 83 02")) == ""
 
 
-def test_a_broadcast_is_obeyed_in_silence(line):
+def test_a_broadcast_is_executed_without_an_answer(line):
     assert line.exchange(frame("00 06 01 2C 03 52")) == ""
     assert line.air.set_point_c == 85.0
     assert line.exchange(frame("00 03 00 64 00 01")) == ""
@@ -202,14 +202,14 @@ def test_identity_units_and_save(line):
     assert line.write(25, 0) == 0
 
 
-def test_heating_and_cooling_power_are_told_apart(line):
+def test_heating_and_cooling_power_are_separate(line):
     line.air.power = 0.5
     assert (line.read(103), line.read(107)) == ([5000], [0])
     line.air.power = -0.25
     assert (line.read(103), line.read(107)) == ([0], [2500])
 
 
-def test_every_change_of_an_event_output_is_told(line):
+def test_every_change_of_an_event_output_is_reported(line):
     assert line.write(2000, 1) == line.write(2010, 1) == line.write(2010, 1) == line.write(2070, 1) == 0
     assert line.write(2010, 0) == 0
     assert line.events == [(1, True), (2, True), (8, True), (2, False)]

@@ -61,7 +61,7 @@ def test_outputs_are_switched(panel):
     assert panel.ask(b":OUTPUT2:STATE?\n") == b"ON\n"
 
 
-def test_it_may_speak_of_fahrenheit(panel):
+def test_fahrenheit(panel):
     panel.ask(b":UNIT:TEMPERATURE F\n:SOURCE:CLOOP1:SPOINT 212\n")
     assert panel.air.set_point_c == pytest.approx(100.0)
     panel.ask(b":UNIT:TEMPERATURE C\n")

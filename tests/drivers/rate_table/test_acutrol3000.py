@@ -107,7 +107,7 @@ def test_a_move_keeps_to_the_rate_asked_for(table, controller):
 
 def test_limits_bound_the_acceleration_and_survive_a_new_preparation(table, controller):
     table.set_limits(1000.0, 400.0, 1e5)
-    controller.axes[1].limits = dict.fromkeys(controller.axes[1].limits, controller.axes[1].widest)
+    controller.axes[1].limits = dict.fromkeys(controller.axes[1].limits, controller.axes[1].absolute_limits)
     table.prepare()
     began_s = time.monotonic()
     table.turn_at(1, 100.0)
@@ -207,7 +207,7 @@ def test_a_reading_tells_whether_the_axes_are_under_servo_control(table, control
 def test_the_limits_are_those_that_no_command_goes_beyond(table, controller):
     table.set_limits(10.0, 20.0, 30.0)
     first, second = table.limits()
-    widest = controller.axes[1].widest
+    widest = controller.axes[1].absolute_limits
     assert (first.rate_dps, first.acceleration_dps2, first.jerk_dps3) == (2000.0, 2e4, 2e6)
     assert (first.low_deg, first.high_deg) == (widest.low_deg, widest.high_deg)
     assert first.trip_dps >= first.rate_dps

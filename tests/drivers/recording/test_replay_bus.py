@@ -4,8 +4,8 @@ import can
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns

@@ -8,9 +8,9 @@ from gyrobench.bench.engine.preflight.answer import nobody_answers
 from gyrobench.bench.engine.preflight.disk import disk_check
 from gyrobench.bench.engine.preflight.session import check_bench
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.check import Verdict
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station

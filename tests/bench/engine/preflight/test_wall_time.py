@@ -10,9 +10,9 @@ import pytest
 from gyrobench.bench.engine.preflight.session import check_bench
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError
-from gyrobench.bench.station.bench_lock import BenchLock
 from gyrobench.bench.station.check import Verdict
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
 from tests.bench.engine.test_wall_time import station_of
 
@@ -28,7 +28,7 @@ def test_a_bench_behind_real_ports_passes_and_one_that_a_run_holds_is_refused(tm
         "--world",
         "ideal",
         "--for-s",
-        "120",
+        "1000",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         path = tmp_path / "station.yaml"

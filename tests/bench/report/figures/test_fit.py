@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.uniformity import uniformity_p_value
+from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.report.figures.estimators import fit_figure, has_distribution
 from gyrobench.bench.report.figures.style import png_bytes
 from gyrobench.bench.report.statements import SIGNIFICANCE

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise.estimate import NoiseEstimate, estimate_noise
-from gyrobench.bench.bias.noise.model import NoiseModel
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.report.figures.noise import noise_figure
 from gyrobench.bench.report.figures.style import png_bytes

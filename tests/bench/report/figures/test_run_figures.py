@@ -15,14 +15,13 @@ from matplotlib.colors import to_rgba
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.bins import BiasBin, bin_biases
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.equality import compare_positions
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.document import load_procedure
 from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import position_spans
 from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure
 from gyrobench.bench.report.figures.style import GYRO_STYLES, POSITION_STYLES, png_bytes, save_figure
@@ -97,12 +96,12 @@ def test_bias_figure_shows_every_good_dwell(dwells: list[DwellRow], bins: list[B
     )
 
 
-def test_bias_figure_marks_50_degrees_only_where_it_is_in_range(
-    dwells: list[DwellRow], bins: list[BiasBin]
-) -> None:
-    assert "50 °C" in texts(bias_figure("x", dwells, bins))
+def test_bias_figure_marks_temperatures_inside_its_axis(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
+    marked = texts(bias_figure("x", dwells, bins, marked_c=[50.0, 20.0]))
+    assert {"50 °C", "20 °C"} <= set(marked)
+    assert "50 °C" not in texts(bias_figure("x", dwells, bins))
     cold_bins = [each for each in bins if each.bin_high_c < 40.0]
-    cold = bias_figure("x", [row for row in dwells if row.gyro_c[0] < 40.0], cold_bins)
+    cold = bias_figure("x", [row for row in dwells if row.gyro_c[0] < 40.0], cold_bins, marked_c=[50.0])
     assert "50 °C" not in texts(cold)
     assert cold.axes[0].get_xlim()[1] < 50.0
 
@@ -134,7 +133,7 @@ def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> Non
     nan = np.full(len(telemetry["time_s"]), np.nan)
     without_boards = {**telemetry, **{f"board_{axis}_c": nan for axis in "xyz"}}
     assert len(legend_labels(temperature_figure(telemetry, []))) == 8
-    figure = temperature_figure(without_boards, [])
+    figure = temperature_figure(without_boards, [], marked_c=[50.0])
     assert legend_labels(figure) == [
         "chamber, set point",
         "chamber, air",

@@ -4,7 +4,7 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.bias.acceptance import judge
-from gyrobench.bench.bias.stops import PlannedDwell
+from gyrobench.bench.bias.plateaus import PlannedDwell
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
 from gyrobench.bench.report.terminal.tables import acceptance_summary
 

@@ -10,11 +10,10 @@ from itertools import pairwise
 import pytest
 from rich.console import Console, RenderableType
 
-from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.bias.equality import compare_positions
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.bench.procedure.document import load_procedure
+from gyrobench.bench.bias.bins import BiasBin, compare_positions
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import timeline_rows
 from gyrobench.bench.report.terminal.tables import bins_table, durations_table, timeline_table
 

@@ -2,7 +2,6 @@
 
 import pytest
 
-from gyrobench.bench.dwells.comparison import Comparison
 from gyrobench.bench.report.verification.wording import (
     chain,
     model_sentences,
@@ -11,6 +10,7 @@ from gyrobench.bench.report.verification.wording import (
     outcome_sentence,
     reading_sentences,
 )
+from gyrobench.bench.verification.comparison import Comparison
 from tests.bench.report.made_up_comparison import alone, better, confirmed, not_confirmed, nothing_to_tell
 
 

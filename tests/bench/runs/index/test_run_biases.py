@@ -5,7 +5,7 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from gyrobench.bench.runs.index_run_biases import LEVEL, run_biases
+from gyrobench.bench.runs.index.run_biases import LEVEL, run_biases
 
 
 def rows(path, biases, sigma=0.001, gyro="x"):

@@ -1,6 +1,6 @@
 """Run folders are found wherever they lie, but not inside each other."""
 
-from gyrobench.bench.runs.index_run_files import open_store
+from gyrobench.bench.runs.index.store import open_store
 
 
 def make_run(path):

@@ -5,8 +5,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from gyrobench.bench.runs.index_run_biases import LEVEL, Quantity, RunBias
-from gyrobench.bench.runs.index_trend import MONTH_DAYS, mixed_origins, trends
+from gyrobench.bench.runs.index.run_biases import LEVEL, MONTH_DAYS, Quantity, RunBias, mixed_origins, trends
 
 QUANTITIES = [Quantity(gyro, 20.0, 25.0, LEVEL, ("z_up",)) for gyro in "xyz"]
 
@@ -61,13 +60,13 @@ def test_runs_of_one_day_tell_no_slope():
     assert np.isnan(trend.p_value)
 
 
-def test_runs_of_several_benches_or_versions_are_told():
-    told = mixed_origins(
+def test_runs_of_several_benches_or_versions_are_reported():
+    warnings = mixed_origins(
         [
             {"station": "one", "procedure": "a", "procedure_sha256": "1"},
             {"station": "two", "procedure": "a", "procedure_sha256": "2"},
         ]
     )
-    assert told[0].startswith("the runs are of the benches one, two")
-    assert "2 procedures or versions" in told[1]
+    assert warnings[0].startswith("the runs come from the benches one, two")
+    assert "2 procedures or versions" in warnings[1]
     assert not mixed_origins([{"station": "one", "procedure": "a", "procedure_sha256": "1"}] * 2)

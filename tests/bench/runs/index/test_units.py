@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.runs.index_units import Unit, parse_units
+from gyrobench.bench.runs.index.tables import Unit, parse_units
 
 
 def test_a_table_needs_unit_and_batch_alone():
@@ -12,7 +12,7 @@ def test_a_table_needs_unit_and_batch_alone():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("unit\n1\n", "batch"),
         ("unit,batch\n1,A\n1,B\n", "units.csv:3.*unit 1 is also in line 2"),
@@ -20,6 +20,6 @@ def test_a_table_needs_unit_and_batch_alone():
         ("unit,batch\n1\n", "units.csv:2"),
     ],
 )
-def test_mistakes_are_told_with_their_place(text, told):
-    with pytest.raises(DocumentError, match=told):
+def test_mistakes_are_reported_with_their_place(text, message):
+    with pytest.raises(DocumentError, match=message):
         parse_units(text, "units.csv")

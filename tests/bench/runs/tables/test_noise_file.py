@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise.estimate import estimate_noise
+from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.tables.noise_file import read_noise, write_noise
@@ -43,7 +43,7 @@ def everything(noise):
             for each in (*noise.gyros, noise.all_gyros, noise.acceleration)
         ],
         [
-            each.fit and (each.fit.expected.tolist(), each.fit.used.tolist(), each.fit.misfit)
+            each.fit and (each.fit.expected.tolist(), each.fit.used.tolist(), each.fit.excess)
             for each in noise.gyros
         ],
     )

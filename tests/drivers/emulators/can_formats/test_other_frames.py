@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.emulators.can_formats import CAN_FORMATS
-from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import FrameBlock
@@ -38,7 +37,7 @@ def states():
 def sent(make_world, name, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
     """The station of that name, the frames of some epochs, and the states behind them."""
     emulator = CanInsEmulator(make_world(), epoch_unix_s=0.0)
-    emulator.speak(name)
+    emulator.use_format(name)
     frames = []
     emulator.listeners.append(frames.extend)
     result, matrices = states()
@@ -71,7 +70,7 @@ def test_epochs_are_a_tenth_of_a_second_apart(make_world, name):
 @pytest.mark.parametrize(
     ("mode", "expected"), [(Mode.ALIGN, InsMode.ALIGN), (Mode.NAVIGATE, InsMode.NAVIGATE)]
 )
-def test_the_mode_is_told(make_world, name, mode, expected):
+def test_the_mode_is_sent(make_world, name, mode, expected):
     data, _, _ = sent(make_world, name, mode)
     assert set(data.mode.tolist()) == {expected}
 
@@ -87,13 +86,13 @@ def test_shipped_dbc_and_map_fit_together(name):
     Station(find_document("stations", f"emulated_{name}")).check_dbc()
 
 
-def test_frames_that_nobody_knows_are_refused_with_those_that_there_are(make_world):
+def test_the_error_for_unknown_frames_names_the_available_ones(make_world):
     with pytest.raises(DocumentError, match="gyrobench_ins, sbg, canaerospace"):
-        CanInsEmulator(make_world()).speak("nmea2000")
+        CanInsEmulator(make_world()).use_format("nmea2000")
 
 
 def test_every_set_of_frames_has_a_dbc_file_of_its_name():
-    folder = Path(find_document.__code__.co_filename).parents[1] / "drivers" / "ins"
+    folder = Path(find_document.__code__.co_filename).parents[2] / "drivers" / "ins"
     assert all((folder / f"{name}.dbc").is_file() for name in CAN_FORMATS)
 
 

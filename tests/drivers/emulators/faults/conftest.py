@@ -4,7 +4,7 @@ import can
 import pytest
 import serial
 
-import gyrobench.drivers.serial_line  # noqa: F401  tells pyserial of emulator://
+import gyrobench.drivers.serial_line  # noqa: F401  registers emulator:// with pyserial
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 

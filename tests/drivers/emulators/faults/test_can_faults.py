@@ -86,7 +86,7 @@ def test_time_stamps_jump_and_come_back(rig, right):
     assert shifts_s[0] == shifts_s[-1] == 0.0
 
 
-def test_bus_off_lasts_until_the_bus_is_opened_anew_after_it(rig):
+def test_bus_off_lasts_until_the_bus_is_reopened(rig):
     bench = rig({"fault": "bus_off", "at_s": 30, "for_s": 10})
     bench.world.power_unit(True)
     command = can.Message(arbitration_id=0x200, data=b"\x02\x00", is_extended_id=False)
@@ -116,7 +116,7 @@ def test_a_bus_opened_during_bus_off_hears_nothing_and_has_to_be_opened_again(ri
             bus.recv(1.0)
 
 
-def test_a_second_node_sends_the_same_ids_with_counters_of_its_own(rig, right):
+def test_a_second_node_sends_the_same_ids_with_separate_counters(rig, right):
     frames = seen(rig({"fault": "second_node", "at_s": 22.5, "for_s": 3}), 27.0)
     assert len(frames) > len(right(27.0))
     numbers = counters(frames)

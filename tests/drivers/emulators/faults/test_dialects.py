@@ -1,8 +1,8 @@
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import EmulatedBench
 
 AT = "at_s: 10"
@@ -81,7 +81,7 @@ def test_a_chamber_that_restarts_drops_the_unit_and_is_silent_meanwhile(bench_wi
 
 
 @pytest.mark.parametrize("chamber", ["thermotron_8800", "watlow_f4t"])
-def test_a_broken_sensor_stops_the_control_until_it_is_mended(bench_with, chamber):
+def test_a_broken_sensor_stops_the_control_until_it_is_repaired(bench_with, chamber):
     bench = bench_with("fault: chamber_sensor_error, at_s: 10, for_s: 20", chamber=chamber)
     until(bench, 15.0)
     assert bench.world.air.faults.blind
@@ -89,7 +89,7 @@ def test_a_broken_sensor_stops_the_control_until_it_is_mended(bench_with, chambe
     assert not bench.world.air.faults.blind
 
 
-def test_an_axis_of_a_single_axis_table_stalls_and_goes_on(bench_with):
+def test_an_axis_of_a_single_axis_table_stalls_and_continues(bench_with):
     bench = bench_with("fault: table_stalls, at_s: 2, for_s: 5", table="ideal_aerosmith")
     bench.serial["table"].feed(b"SRV1\rMOV90\r", 0.0)
     until(bench, 6.0)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import find_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
 
 QUICK = find_document("worlds", "quick")
@@ -81,7 +81,7 @@ def test_an_empty_list_changes_nothing(rig):
     assert bench.bench.injected == []
 
 
-def test_turns_ramps_and_power_on_are_told_from_the_world(rig):
+def test_turns_ramps_and_power_on_are_derived_from_the_world(rig):
     bench = rig(
         {"fault": "counter_jump", "during": "turn", "by": 1, "times": 5},
         {"fault": "set_point_changed_at_panel", "during": "ramp", "nth": 2, "to_c": 30},
@@ -124,20 +124,20 @@ def test_injections_are_added_to_the_log_beside_the_list(tmp_path):
     assert [json.loads(line) for line in lines] == [{"time_s": 2.5, "fault": "door_opened"}] * 2
 
 
-def test_a_log_that_can_not_be_written_is_told_at_once(tmp_path):
+def test_a_log_that_can_not_be_written_is_reported_at_the_start(tmp_path):
     path = tmp_path / "list.yaml"
     path.write_text("faults: []\n")
-    with pytest.raises(DocumentError, match="the log of faults can't be written"):
+    with pytest.raises(DocumentError, match="can't write the log of faults"):
         EmulatedBench(VirtualClock(), QUICK, 0, path, tmp_path / "absent" / "log")
 
 
-def test_a_list_that_does_not_exist_is_told_with_the_shipped_ones():
+def test_the_error_for_a_missing_list_names_the_shipped_ones():
     clock = VirtualClock()
     with pytest.raises(DocumentError, match=r"no shipped file of that name. Shipped faults: every_kind"):
         emulated_bench(BenchAddress(clock.name, "quick", 0, "atlantis"))
 
 
-def test_a_bench_made_anew_has_what_still_lasts_and_begins_everything_else_afresh(rig):
+def test_a_restarted_bench_has_faults_that_still_last_and_default_settings(rig):
     entries = (
         {"fault": "switched_off_at_panel", "at_s": 5000, "for_s": 1000},
         {"fault": "table_trips", "at_s": 5100},
@@ -150,16 +150,16 @@ def test_a_bench_made_anew_has_what_still_lasts_and_begins_everything_else_afres
     assert bench.bench.injected == [(5500.0, "switched_off_at_panel")]
 
 
-def test_random_times_of_a_bench_made_anew_are_others(rig):
-    begun, anew = rig(*RANDOM), rig(*RANDOM, start_s=5000)
+def test_random_times_of_a_restarted_bench_differ(rig):
+    begun, restarted = rig(*RANDOM), rig(*RANDOM, start_s=5000)
     begun.until(1000.0)
-    anew.until(6000.0)
-    later = [time_s - 5000.0 for time_s, kind in anew.bench.injected if kind == "counter_jump"]
+    restarted.until(6000.0)
+    later = [time_s - 5000.0 for time_s, kind in restarted.bench.injected if kind == "counter_jump"]
     assert later
     assert set(later).isdisjoint(time_s for time_s, _ in begun.bench.injected)
 
 
-def test_the_ins_of_a_bench_made_anew_counts_from_zero_in_the_present(rig):
+def test_the_ins_of_a_restarted_bench_counts_from_zero(rig):
     bench = rig(start_s=200_000.0)
     bench.world.power_unit(True)
     with bench.bus() as bus:

@@ -38,7 +38,7 @@ def temperatures_c(bench, until_s):
     return [each / 100 for each in optics + struct.unpack_from("<hhhh", frames[ELECTRONICS].data)]
 
 
-def test_an_ins_that_restarts_boots_with_other_biases_and_counts_anew(rig):
+def test_an_ins_that_restarts_boots_with_other_biases_and_resets_its_counters(rig):
     bench = rig({"fault": "ins_restarts", "at_s": 40})
     navigate(bench)
     bias = bench.world.true_gyro_bias()
@@ -77,7 +77,7 @@ def test_alignment_is_never_done_while_the_fault_lasts(rig):
     assert bench.world.unit.alignment is Alignment.FINE
 
 
-def test_stuck_signals_keep_their_value_while_the_counter_goes_on(rig):
+def test_stuck_signals_keep_their_value_while_the_counter_continues(rig):
     bench = rig({"fault": "stuck_output", "at_s": 40, "for_s": 10})
     navigate(bench)
     rows = signals(bench, 60.0)

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from gyrobench.drivers.emulators.faults.schedule import Schedule
-from gyrobench.drivers.emulators.faults.timing import Lasting, Timing
+from gyrobench.drivers.emulators.faults.fault import Persistence, Timing
+from gyrobench.drivers.emulators.faults.injector import Schedule
 
 
 class Moment(Timing):
-    lasting = Lasting.MOMENT
+    persistence = Persistence.MOMENTARY
 
 
 def schedule(start_s=0.0, seed=0, kind=Timing, **keys):
@@ -106,9 +106,9 @@ def test_a_fault_that_began_in_a_phase_outlives_it():
         ({"at_s": 100.0, "for_s": 1.0}, [("begin", 100.0), ("end", 101.0)]),
     ],
 )
-def test_a_bench_made_anew_has_what_still_lasts_and_not_what_is_over(keys, expected):
+def test_a_restarted_bench_has_what_still_lasts_and_not_what_is_over(keys, expected):
     assert run(schedule(start_s=100.0, **keys), 1e9) == expected
 
 
-def test_a_moment_that_is_over_does_not_come_again_on_a_bench_made_anew():
+def test_a_momentary_fault_does_not_repeat_on_a_restarted_bench():
     assert run(schedule(start_s=100.0, kind=Moment, at_s=50.0), 1e9) == []

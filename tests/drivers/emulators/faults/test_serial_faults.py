@@ -124,7 +124,7 @@ def test_an_error_word_refuses_the_message(rig):
     assert exchange(port, b":Interlock? 1\n")[8:] == b"Open"
 
 
-def test_a_port_that_is_gone_has_to_be_opened_anew_after_it_is_back(rig):
+def test_an_unplugged_port_must_be_reopened(rig):
     bench = rig({"fault": "port_gone", "target": "table", "at_s": 10, "for_s": 20})
     port, chamber = bench.port("table"), bench.port("chamber")
     assert exchange(port, IDENTITY)

@@ -146,7 +146,7 @@ def test_a_disturbance_is_controlled_away():
     assert air.air_c == pytest.approx(50.0, abs=0.01)
 
 
-def test_equal_steps_give_equal_results_whatever_their_size():
+def test_results_do_not_depend_on_the_step_size():
     fine, coarse = running(60.0, 2.0), running(60.0, 2.0)
     run(fine, HOUR, 0.1)
     run(coarse, HOUR, 1.0)

@@ -4,12 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gyrobench.drivers.emulators.world.compensation import Number, unloaded_numbers
-from gyrobench.drivers.emulators.world.document import InsBehaviour
-from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, InertialUnit, Mode
-from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
-from gyrobench.drivers.emulators.world.strapdown import matrix_of
+from gyrobench.drivers.emulators.world.ins_compensation import Coefficient, empty_table
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
+from gyrobench.drivers.emulators.world.strapdown import EARTH_RATE, matrix_of, normal_gravity
+from gyrobench.drivers.emulators.world.world_file import InsBehaviour
 
 LATITUDE, HEIGHT = np.radians(36.4), 60.0
 EARTH = EARTH_RATE * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
@@ -19,7 +19,7 @@ QUICK = {"boot_s": 0.0, "levelling_s": 2.0, "coarse_alignment_s": 5.0, "fine_ali
 
 
 class Line:
-    """A unit and the samples that come to it, at rest unless told otherwise."""
+    """A unit and the samples that come to it, at rest by default."""
 
     def __init__(self, attitude=None, gyro_error=0.0, accelerometer_error=0.0, **behaviour):
         self.unit = InertialUnit(InsBehaviour(**behaviour), LATITUDE, HEIGHT)
@@ -81,7 +81,7 @@ def test_alignment_is_coarse_and_then_fine_after_levelling_and_their_times():
     assert line.unit.align_time_s == 249.0  # the second under way is not counted yet
 
 
-def test_the_unit_that_aligns_tells_no_attitude_before_it_is_coarse():
+def test_the_unit_outputs_no_attitude_before_coarse_alignment():
     line = Line(Rotation.from_rotvec([0.1, 0.2, 1.0]).as_matrix(), **QUICK).switch_on()
     epochs = line.align(8)
     assert all(np.array_equal(each.states[:, :4], [[1, 0, 0, 0]] * 10) for each in epochs[:7])
@@ -89,7 +89,7 @@ def test_the_unit_that_aligns_tells_no_attitude_before_it_is_coarse():
 
 
 @pytest.mark.parametrize("rate_dps", [0.03, -0.03, 5.0])
-def test_motion_starts_the_alignment_afresh(rate_dps):
+def test_motion_restarts_the_alignment(rate_dps):
     line = Line(**QUICK).switch_on()
     line.align(9)
     assert line.unit.alignment is Alignment.COARSE
@@ -110,7 +110,7 @@ def test_what_a_resting_table_does_is_no_motion():
     assert line.unit.alignment is Alignment.COARSE
 
 
-def test_a_new_align_command_starts_the_alignment_afresh():
+def test_a_new_align_command_restarts_the_alignment():
     line = Line(**QUICK).switch_on()
     line.align(9)
     assert [epochs.alignment for epochs in line.align(8)] == [Alignment.INVALID] * 7 + [Alignment.COARSE]
@@ -130,7 +130,7 @@ def test_it_navigates_only_from_an_alignment_that_is_coarse_at_least():
     assert epochs.alignment is Alignment.COARSE
 
 
-def test_navigation_at_rest_goes_on_from_the_alignment():
+def test_navigation_at_rest_continues_from_the_alignment():
     attitude = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
     line = Line(attitude, **QUICK).switch_on()
     line.align(9)
@@ -149,7 +149,7 @@ def test_standby_ends_navigation_and_its_attitude():
     (epochs,) = line.run(1)
     assert epochs.mode is Mode.STANDBY
     assert epochs.alignment is Alignment.INVALID
-    assert not line.unit.senses
+    assert not line.unit.uses_sensors
 
 
 def attitude_error(line, attitude):
@@ -184,14 +184,14 @@ def test_alignment_is_tilted_by_accelerometer_bias_over_gravity(attitude, east_u
 @pytest.mark.parametrize("attitude", ATTITUDES)
 @pytest.mark.parametrize("east_dph", [0.01, -0.05])
 def test_alignment_is_turned_by_the_east_gyro_over_the_horizontal_earth_rate(attitude, east_dph):
-    error = attitude.T @ (np.array([east_dph, 0.01, -0.02]) * DPH)
+    error = attitude.T @ (np.array([east_dph, 0.01, -0.02]) * DPH_TO_RADPS)
     line = Line(attitude, gyro_error=error, **QUICK).switch_on()
     phi = attitude_error(line, attitude)
-    assert phi[2] == pytest.approx(-east_dph * DPH / (EARTH_RATE * np.cos(LATITUDE)), rel=2e-3)
+    assert phi[2] == pytest.approx(-east_dph * DPH_TO_RADPS / (EARTH_RATE * np.cos(LATITUDE)), rel=2e-3)
     np.testing.assert_allclose(phi[:2], 0.0, atol=1e-9)
 
 
-def test_the_latitude_it_was_told_is_the_one_it_starts_with():
+def test_navigation_starts_with_the_latitude_entered():
     line = Line(latitude_error_arcmin=3.0, **QUICK).switch_on()
     latitude = line.align(1)[0].states[0, 6]
     assert np.degrees(latitude) == pytest.approx(36.4 + 3.0 / 60.0, abs=1e-12)
@@ -232,10 +232,10 @@ def test_epochs_are_equal_to_the_bit_however_the_samples_are_cut(sizes):
 def test_what_is_loaded_waits_until_it_is_applied():
     unit = Line().unit
     assert unit.compensation is None
-    unit.loaded[0, 0] = 0.25
+    unit.loaded_table[0, 0] = 0.25
     assert unit.compensation is None
     unit.apply_compensation()
-    unit.loaded[0, 0] = 7.0
+    unit.loaded_table[0, 0] = 7.0
     assert unit.compensation.bias_dph.tolist() == [0.25, 0.0, 0.0]
     unit.apply_compensation()
     assert unit.compensation.bias_dph.tolist() == [7.0, 0.0, 0.0]
@@ -246,7 +246,7 @@ def test_what_is_loaded_waits_until_it_is_applied():
 
 def along_up(line):
     """What a compensation that follows Up with a vector of 1, 2 and 3 deg/h/g subtracts."""
-    line.unit.loaded[:, Number.GRAVITY : Number.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
+    line.unit.loaded_table[:, Coefficient.GRAVITY : Coefficient.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
     line.unit.apply_compensation()
     line.unit.sense_temperatures(np.full(3, 20.0), np.full(3, 30.0))
     return line.unit.compensation.bias_dph
@@ -274,7 +274,7 @@ def test_power_off_loses_everything():
     line.align(9)
     unit.navigate()
     unit.pitch_first = True
-    unit.loaded[1, 0] = 0.5
+    unit.loaded_table[1, 0] = 0.5
     unit.apply_compensation()
     unit.power(False)
     assert set(line.run(20)) == {None}
@@ -285,7 +285,7 @@ def test_power_off_loses_everything():
     assert (epochs.mode, epochs.alignment) == (Mode.STANDBY, Alignment.INVALID)
     assert not unit.pitch_first
     assert unit.compensation is None
-    assert np.array_equal(unit.loaded, unloaded_numbers())
+    assert np.array_equal(unit.loaded_table, empty_table())
     unit.navigate()
     assert unit.mode is Mode.STANDBY
 

@@ -4,21 +4,21 @@ import math
 import numpy as np
 import pytest
 
-from gyrobench.drivers.emulators.world.document import AccelerometerErrors, GyroErrors
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
-    DPH,
     MICRO_G,
     PPM,
     accelerometer_errors,
     gyro_errors,
 )
 from gyrobench.drivers.emulators.world.strapdown import sense
+from gyrobench.drivers.emulators.world.world_file import AccelerometerErrors, GyroErrors
 
 AXES = "xyz"
 #: Each kind of sensor: its model, what turns it into SI, its key of the bias and that key's unit.
 KINDS = {
-    "gyro": (GyroErrors, gyro_errors, "bias_dph", DPH),
+    "gyro": (GyroErrors, gyro_errors, "bias_dph", DPH_TO_RADPS),
     "accelerometer": (AccelerometerErrors, accelerometer_errors, "bias_ug", MICRO_G),
 }
 #: The twelve coefficients of one equation: group, key, sensor that it acts on, component it multiplies.
@@ -78,12 +78,12 @@ def test_all_coefficients_act_together_as_their_sum():
         "misalignment_arcsec": {"xy": 3.0, "xz": 2.0},
     }
     error = output_error(gyro_errors(GyroErrors.model_validate(data)), np.zeros(3))[0]
-    expected = 5.0 * DPH + 20.0 * PPM * TRUE[0] + 3.0 * ARCSEC * TRUE[1] + 2.0 * ARCSEC * TRUE[2]
+    expected = 5.0 * DPH_TO_RADPS + 20.0 * PPM * TRUE[0] + 3.0 * ARCSEC * TRUE[1] + 2.0 * ARCSEC * TRUE[2]
     assert error == pytest.approx(expected, rel=1e-8)
 
 
 def test_units_are_what_they_say():
-    assert math.degrees(DPH) * 3600 == pytest.approx(1.0)
+    assert math.degrees(DPH_TO_RADPS) * 3600 == pytest.approx(1.0)
     assert math.degrees(ARCSEC) * 3600 == pytest.approx(1.0)
     assert pytest.approx(9.80665) == MICRO_G * 1e6
 
@@ -101,7 +101,7 @@ def test_pulse_sizes_become_si():
 def felt_by_a_resting_unit(world, seconds):
     """What gyros and accelerometers add to what they feel, summed over each second."""
     resting = world._at_rest()
-    measured = [world._measured(100, resting) for _ in range(seconds)]
+    measured = [world._measured_increments(100, resting) for _ in range(seconds)]
     return [
         np.array([rows[kind].sum(axis=0) for rows in measured]) - resting[kind].sum(axis=0) for kind in (0, 1)
     ]

@@ -4,12 +4,14 @@ import pytest
 from pyins.strapdown import Integrator
 from scipy.spatial.transform import Rotation
 
-from gyrobench.drivers.emulators.world.earth import EARTH_RATE, normal_gravity
-from gyrobench.drivers.emulators.world.sensor_errors import DPH, MICRO_G
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
 from gyrobench.drivers.emulators.world.strapdown import (
+    EARTH_RATE,
     euler_angles,
     matrix_of,
     navigate,
+    normal_gravity,
     sense,
     true_increments,
 )
@@ -79,7 +81,7 @@ def test_agrees_with_an_independent_mechanisation_with_biases_and_a_turn():
     rotation, velocity = increments(latitude, np.zeros(inner.size), inner)
     zero = np.zeros((3, 3))
     none = np.zeros_like(rotation)
-    rotation = sense(rotation, zero, np.array([0.05, -0.03, 0.04]) * DPH, none, DT, 0.0, np.zeros(3))
+    rotation = sense(rotation, zero, np.array([0.05, -0.03, 0.04]) * DPH_TO_RADPS, none, DT, 0.0, np.zeros(3))
     velocity = sense(velocity, zero, np.array([50.0, -80.0, 30.0]) * MICRO_G, none, DT, 0.0, np.zeros(3))
     ours = navigate(level_state(latitude), rotation, velocity, DT, HEIGHT, 99, 100)
 

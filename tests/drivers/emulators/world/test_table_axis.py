@@ -62,7 +62,7 @@ def test_no_sequence_of_commands_makes_an_ideal_axis_break_a_limit(sequence):
 
 
 @given(commands)
-def test_position_and_rate_never_jump_whatever_is_commanded(sequence):
+def test_position_and_rate_never_jump_for_any_commands(sequence):
     axis = TableAxis(PARAMETERS)
     now_s = 0.0
     for what, argument, pause_s in sequence:

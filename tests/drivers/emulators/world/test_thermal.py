@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.bench.foundations.documents import find_document
-from gyrobench.drivers.emulators.world.document import GyroThermal, Thermal, load_world
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
+from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal, load_world
 
 HOUR = 3600
 UPS = {

@@ -4,10 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.world.compensation import Number
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
-from gyrobench.drivers.emulators.world.sensor_errors import DPH
+from gyrobench.drivers.emulators.world.ins_compensation import Coefficient
 from gyrobench.drivers.emulators.world.strapdown import matrix_of
 from gyrobench.drivers.emulators.world.world import INNER, OUTER, World
 
@@ -32,7 +32,7 @@ STORY = [
 ]
 
 
-def tell(world, steps_s, story=STORY):
+def frames_of(world, steps_s, story=STORY):
     """Let the story happen in steps of those lengths in turn; returns every frame on the bus."""
     frames = []
     CanInsEmulator(world).listeners.append(
@@ -47,7 +47,7 @@ def tell(world, steps_s, story=STORY):
     return frames
 
 
-def truth(world):
+def state_of(world):
     return [
         world.thermal.nodes_c.tolist(),
         world.attitude().tolist(),
@@ -60,24 +60,24 @@ def truth(world):
 @pytest.mark.parametrize("steps_s", [[0.01], [0.1], [0.37], [1.0], [0.004, 0.2, 2.6]])
 def test_many_small_steps_equal_one_big_step_to_the_bit(make_world, steps_s, seed):
     big, small = (make_world("gyro_a", seed, ins=QUICK) for _ in range(2))
-    frames = tell(big, [100.0])
+    frames = frames_of(big, [100.0])
     assert {data[0] for _, identifier, data in frames if identifier == 0x010} == {1, 2, 3}
-    assert tell(small, steps_s) == frames
-    assert truth(small) == truth(big)
+    assert frames_of(small, steps_s) == frames
+    assert state_of(small) == state_of(big)
 
 
 @settings(deadline=None, max_examples=10)
 @given(steps_s=st.lists(st.floats(0.003, 3.0), min_size=1, max_size=6))
 def test_any_steps_equal_one_big_step_to_the_bit(make_world, steps_s):
     big, small = (make_world("gyro_a", 1, ins=QUICK) for _ in range(2))
-    assert tell(small, steps_s) == tell(big, [100.0])
+    assert frames_of(small, steps_s) == frames_of(big, [100.0])
 
 
 def test_the_same_seed_makes_the_same_world_and_another_one_other_noise(make_world):
     first, second, other = (make_world("gyro_a", seed, ins=QUICK) for seed in (4, 4, 5))
-    frames = tell(first, [1.0])
-    assert tell(second, [1.0]) == frames
-    assert tell(other, [1.0]) != frames
+    frames = frames_of(first, [1.0])
+    assert frames_of(second, [1.0]) == frames
+    assert frames_of(other, [1.0]) != frames
     assert other.attitude().tolist() == first.attitude().tolist()
 
 
@@ -87,11 +87,13 @@ def test_an_earlier_time_changes_nothing(make_world):
         world.power_unit(True)
         world.advance(3.456)
         world.unit.align()
-    before = truth(back)
+    before = state_of(back)
     for earlier_s in (3.456, 3.4559, 1.0, 0.0, -5.0):
         back.advance(earlier_s)
-        assert truth(back) == before
-    assert tell(back, [1.0], [(20.0, lambda *_: None)]) == tell(straight, [1.0], [(20.0, lambda *_: None)])
+        assert state_of(back) == before
+    assert frames_of(back, [1.0], [(20.0, lambda *_: None)]) == frames_of(
+        straight, [1.0], [(20.0, lambda *_: None)]
+    )
 
 
 def test_with_both_axes_at_zero_the_unit_lies_level_and_looks_north(make_world):
@@ -167,9 +169,9 @@ def test_each_power_on_has_gyro_biases_a_little_different(make_world):
     biases_dph = []
     for _ in range(200):
         world.power_unit(True)
-        biases_dph.append(world.true_gyro_bias() / DPH)
+        biases_dph.append(world.true_gyro_bias() / DPH_TO_RADPS)
         world.power_unit(True)  # it is on already
-        assert (world.true_gyro_bias() / DPH).tolist() == biases_dph[-1].tolist()
+        assert (world.true_gyro_bias() / DPH_TO_RADPS).tolist() == biases_dph[-1].tolist()
         world.power_unit(False)
     np.testing.assert_allclose(np.mean(biases_dph, axis=0), [0.03, -0.02, 0.0], atol=0.003)
     np.testing.assert_allclose(np.std(biases_dph, axis=0), 0.01, rtol=0.2)
@@ -180,8 +182,8 @@ def test_the_very_first_sample_after_power_on_has_the_biases_of_this_power_on(ma
     world.power_unit(True)
     world.advance(1.25)
     world.unit.align()
-    rotation, _ = world._measured(1, None)
-    still, _ = world._felt(1)
+    rotation, _ = world._measured_increments(1, None)
+    still, _ = world._ideal_increments(1)
     np.testing.assert_allclose((rotation - still)[0] / 0.01, world.true_gyro_bias(), rtol=1e-9)
 
 
@@ -206,7 +208,7 @@ def heading_drift_dph(world, from_s, seconds):
     world.on_epochs = lambda epochs: states.append(epochs.states[-1])
     world.advance(from_s + seconds)
     yaws = [np.arctan2(C[1, 0], C[0, 0]) for C in (matrix_of(states[k][:4]) for k in (0, -1))]
-    return (yaws[1] - yaws[0]) / DPH / (seconds - 1.0)
+    return (yaws[1] - yaws[0]) / DPH_TO_RADPS / (seconds - 1.0)
 
 
 def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
@@ -214,11 +216,11 @@ def test_an_applied_compensation_is_subtracted_from_the_gyros(make_world):
     aligned(world, 0.0)
     world.unit.navigate()
     assert heading_drift_dph(world, 20.0, 100.0) == pytest.approx(0.5, rel=0.01)
-    world.unit.loaded[2, Number.POLYNOMIAL] = 0.5
+    world.unit.loaded_table[2, Coefficient.POLYNOMIAL] = 0.5
     world.unit.apply_compensation()
     assert abs(heading_drift_dph(world, 120.0, 100.0)) < 0.01
     assert world.unit.mode is Mode.NAVIGATE
-    np.testing.assert_allclose(world.true_gyro_bias() / DPH, [0.0, 0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(world.true_gyro_bias() / DPH_TO_RADPS, [0.0, 0.0, 0.5], atol=1e-12)
 
 
 def test_a_world_that_begins_later_is_switched_off_and_in_the_present(make_world_file):
@@ -236,13 +238,13 @@ def test_a_world_that_begins_later_is_switched_off_and_in_the_present(make_world
 
 def test_a_world_that_begins_later_has_other_noise(make_world_file):
     file = make_world_file("gyro_a")
-    first, anew, again = World(file, 0), World(file, 0, start_s=1000), World(file, 0, start_s=1000)
-    for world, time_s in ((first, 100.0), (anew, 1100.0), (again, 1100.0)):
+    first, restarted, again = World(file, 0), World(file, 0, start_s=1000), World(file, 0, start_s=1000)
+    for world, time_s in ((first, 100.0), (restarted, 1100.0), (again, 1100.0)):
         world.power_unit(True)
         world.advance(time_s)
-    assert (first.temperatures_c() != (temperatures_c := anew.temperatures_c())).any()
+    assert (first.temperatures_c() != (temperatures_c := restarted.temperatures_c())).any()
     assert (temperatures_c == again.temperatures_c()).all()
-    assert (first.true_gyro_bias() != anew.true_gyro_bias()).any()
+    assert (first.true_gyro_bias() != restarted.true_gyro_bias()).any()
 
 
 @pytest.mark.parametrize(
@@ -255,8 +257,8 @@ def test_a_world_that_begins_later_has_other_noise(make_world_file):
 )
 def test_effects_of_time_go_by_the_time_since_zero_wherever_the_world_begins(make_world_file, effect):
     file = make_world_file("ideal", undeclared_effects=[effect])
-    whole, anew = World(file, 0), World(file, 0, start_s=5000)
-    for world in (whole, anew):
+    whole, restarted = World(file, 0), World(file, 0, start_s=5000)
+    for world in (whole, restarted):
         world.advance(7200.0)
     assert whole.undeclared_bias()[0] != 0.0
-    assert (whole.undeclared_bias() == anew.undeclared_bias()).all()
+    assert (whole.undeclared_bias() == restarted.undeclared_bias()).all()

@@ -1,0 +1,327 @@
+"""The Python interface: runs as pandas tables, a bias from arrays, the search for effects, figures.
+
+``import gyrobench`` offers these names and loads nothing until one is used. Tables are pandas DataFrames
+whose ``attrs["units"]`` gives the unit of each column; they need ``pip install 'gyrobench[pandas]'``.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.csv_tables import read_text
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from gyrobench.bench.closure.loop import Closure
+    from gyrobench.bench.engine.operator import Operator
+    from gyrobench.bench.engine.people import Progress
+    from gyrobench.drivers.ins.can_bus import FrameBlock
+    from gyrobench.drivers.ins.navigation_data import NavigationData
+
+__all__ = ["Run", "close_loop", "estimate_bias", "open_run", "run"]
+
+
+class Run:
+    """One execution of a procedure, read from its folder; also while it is under way.
+
+    Parameters
+    ----------
+    path : str or Path
+        The run folder.
+
+    Raises
+    ------
+    RunFolderError
+        There is no run folder at that path.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.folder: RunFolder = open_run_folder(Path(path))
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.folder.path)!r})"
+
+    @property
+    def path(self) -> Path:
+        """The run folder."""
+        return self.folder.path
+
+    @cached_property
+    def dwells(self) -> pd.DataFrame:
+        """One row per dwell, as in ``dwells.csv``."""
+        return _csv_frame(self.folder.dwells)
+
+    @cached_property
+    def bias_bins(self) -> pd.DataFrame:
+        """Bias per gyro, position and temperature bin, as in ``bias_bins.csv``."""
+        return _csv_frame(self.folder.bias_bins)
+
+    @cached_property
+    def telemetry(self) -> pd.DataFrame:
+        """Readings of table, chamber and INS; a row of NaN stands where readings are missing."""
+        from gyrobench.bench.runs.telemetry import read_telemetry
+
+        return _frame(read_telemetry(self.folder.telemetry))
+
+    def frames(self, dwell: int) -> pd.DataFrame:
+        """CAN frames of a dwell: ``timestamp_s``, ``arbitration_id``, ``length`` and ``data`` (bytes).
+
+        Raises
+        ------
+        RunFolderError
+            The run has no finished dwell of that number, or its frames can't be read.
+        """
+        block = self._block(dwell)
+        data = [row[:length].tobytes() for row, length in zip(block.data, block.length, strict=True)]
+        columns = {"timestamp_s": block.timestamp_s, "arbitration_id": block.arbitration_id}
+        return _frame({**columns, "length": block.length, "data": data})
+
+    def navigation(self, dwell: int) -> NavigationData:
+        """Decoded output of the INS in a dwell: times, velocity ENU, attitude ``C_nb``, temperatures.
+
+        Raises
+        ------
+        RunFolderError
+            As :meth:`frames`.
+        DocumentError
+            The station or DBC file of the run is wrong.
+        """
+        from gyrobench.bench.dwells.dwell import measurement_setup
+        from gyrobench.bench.station.station import Station
+
+        return measurement_setup(Station(self.folder.station)).decode(self._block(dwell))
+
+    def windows_s(self, dwell: int) -> list[tuple[float, float]]:
+        """First and last time of each window at rest of a dwell, on the clock of the INS.
+
+        Raises
+        ------
+        RunFolderError, DocumentError
+            As :meth:`navigation`.
+        """
+        from gyrobench.bench.dwells.run_dwells import finished_marks
+
+        navigation = self.navigation(dwell)
+        [marks] = [each for each in finished_marks(self.folder) if each.dwell == dwell][-1:]
+        ends = [np.searchsorted(navigation.row, [w.first_frame, w.end_frame]) for w in marks.windows]
+        return [(navigation.ins_time_s[a], navigation.ins_time_s[b - 1]) for a, b in ends]
+
+    def figures(self) -> dict[str, Figure]:
+        """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
+        from gyrobench.bench.report.content import read_run
+        from gyrobench.bench.report.run_report import run_figures
+
+        run = read_run(self.folder)
+        return dict(
+            run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+        )
+
+    def _block(self, dwell: int) -> FrameBlock:
+        from gyrobench.bench.dwells.run_dwells import read_dwell_frames
+
+        return read_dwell_frames(self.folder, dwell)
+
+
+def open_run(path: str | Path) -> Run:
+    """Open a run folder; raises as :class:`Run`."""
+    return Run(path)
+
+
+def run(
+    procedure: str,
+    station: str = "emulated",
+    *,
+    world: str = "gyro_a",
+    seed: int = 0,
+    out: str | Path | None = None,
+    operator: Operator | None = None,
+    observer: Progress | None = None,
+) -> Run:
+    """Run a procedure, as ``gyrobench run`` does.
+
+    Parameters
+    ----------
+    procedure, station, world : str
+        Files by path, or shipped ones by name; the world is that of emulated instruments.
+    seed : int
+        Of the emulated instruments' noise.
+    out : str or Path, optional
+        The run folder, absent or empty; by default a new one under ``runs/``.
+    operator : Operator, optional
+        Who answers questions. On virtual time the first answer is taken by default; on a real bench it
+        has to be given.
+    observer : optional
+        Who watches the run.
+
+    Raises
+    ------
+    DocumentError
+        A file is wrong, or a bench in real time has no operator.
+    InstrumentError, BenchInUseError, RunFolderError
+        The run can't begin.
+    MeasurementError
+        The run ended before its procedure did; what it measured is in the run folder.
+    """
+    from gyrobench.bench.engine.operator import ConsentingOperator
+    from gyrobench.bench.engine.people import Progress
+    from gyrobench.bench.engine.session import prepare_job, run_job
+    from gyrobench.bench.station.instruments import Emulation
+
+    job = prepare_job(procedure, station, Emulation(world, seed, ""))
+    if operator is None:
+        if not job.is_virtual:
+            raise DocumentError(
+                f"{station}: this bench works in real time. Pass operator= to answer its questions"
+            )
+        operator = ConsentingOperator()
+    folder, outcome = run_job(job, None if out is None else Path(out), observer or Progress(), operator)
+    if outcome.ended != "finished":
+        raise MeasurementError(f"{folder.path}: the run {outcome.ended}: {outcome.reason}")
+    return Run(folder.path)
+
+
+def estimate_bias(
+    times_s: ArrayLike,
+    velocity_enu_mps: ArrayLike,
+    attitude: ArrayLike,
+    *,
+    windows_s: Sequence[tuple[float, float]],
+    position: str,
+    latitude_deg: float,
+    arw_deg_per_sqrt_h: float,
+    vrw_ug_per_sqrt_hz: float = 0.0,
+    velocity_lsb_mps: float = 0.0,
+    heading_lsb_rad: float = 0.0,
+    height_m: float = 0.0,
+    azimuth_deg: float = 0.0,
+    prior: PriorKnowledge | None = None,
+) -> StateSpaceEstimate:
+    """Estimate the gyro biases of one dwell from the navigation output of an INS.
+
+    Parameters
+    ----------
+    times_s : array_like, shape (n,)
+        Time of each epoch, increasing; from one self-alignment, without another in between.
+    velocity_enu_mps : array_like, shape (n, 3)
+        Velocity East, North, Up; Up is not used and may be NaN.
+    attitude : array_like, shape (n, 3, 3)
+        ``C_nb``: turns a vector of the body frame into East-North-Up.
+    windows_s : sequence of (float, float)
+        First and last time of each window at rest; between two of them the unit is turned about the vertical.
+    position : str
+        ``z_up``, ``z_down``, ``y_up``, ``y_down``, ``x_up`` or ``x_down``.
+    latitude_deg, height_m : float
+        Where the bench stands.
+    arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, velocity_lsb_mps, heading_lsb_rad : float
+        Noise and output resolution of the INS.
+    azimuth_deg : float
+        Azimuth of the position in the first window.
+    prior : PriorKnowledge, optional
+        Standard uncertainties of accelerometers, scale factors and misalignments.
+
+    Returns
+    -------
+    StateSpaceEstimate
+        ``bias_dph`` and ``sigma_dph``, shape (3,), ``covariance``, and the test of the fit.
+
+    Raises
+    ------
+    MeasurementError
+        The data can't be used: the message says which and why.
+    """
+    time, C_nb = np.asarray(times_s, np.float64), np.asarray(attitude, np.float64)
+    velocity = np.array(velocity_enu_mps, np.float64)
+    if C_nb.shape != (len(time), 3, 3) or velocity.shape != (len(time), 3):
+        raise MeasurementError(
+            f"{len(time)} times with velocities {velocity.shape} and attitudes {C_nb.shape}; "
+            "each epoch needs three velocities and a 3 by 3 attitude"
+        )
+    velocity[:, 2] = 0.0
+    if position not in POSITIONS:
+        raise MeasurementError(f"there is no position '{position}'; the positions are {', '.join(POSITIONS)}")
+    spans = [(int(np.searchsorted(time, a)), int(np.searchsorted(time, b, "right"))) for a, b in windows_s]
+    windows = tuple(NavigationWindow(time[a:b], velocity[a:b], C_nb[a:b]) for a, b in spans)
+    turns = tuple(
+        TurnPath(time[end - 1 : begin + 1], C_nb[end - 1 : begin + 1])
+        for (_, end), (begin, _) in itertools.pairwise(spans)
+    )
+    at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
+    dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
+    noise = NoiseModel.from_datasheet(
+        arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, velocity_lsb_mps, heading_lsb_rad
+    )
+    site = Site(float(np.deg2rad(latitude_deg)), height_m)
+    return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
+
+
+def close_loop(table: str | Path | pd.DataFrame, hold_out_cycles: Sequence[int] = ()) -> Closure:
+    """Search for the effects that the declared bias model lacks.
+
+    Parameters
+    ----------
+    table : str, Path or DataFrame
+        A dwell table, or a run folder; a DataFrame has the columns of ``dwells.csv``.
+    hold_out_cycles : sequence of int
+        Cycles that the search does not see; by default the last one.
+
+    Raises
+    ------
+    DocumentError, MeasurementError
+        The table can't be used.
+    """
+    from gyrobench.bench.bias.dwell_table import parse_dwells
+    from gyrobench.bench.closure.campaign import campaign_of
+    from gyrobench.bench.closure.loop import close_loop as search
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
+
+    if isinstance(table, (str, Path)):
+        return search(read_campaign(Path(table)), hold_out_cycles)
+    return search(campaign_of(parse_dwells(table.to_csv(index=False), "the DataFrame")), hold_out_cycles)
+
+
+def _csv_frame(path: Path) -> pd.DataFrame:
+    """A table of the run; text stays text, everything else is a number or NaN."""
+    from gyrobench.bench.exchange.export_folder import type_of
+
+    pandas = _pandas()
+    text = read_text(path)
+    columns = text.partition("\n")[0].strip().split(",")
+    texts = [name for name in columns if str(type_of(name)) == "string"]
+    frame = pandas.read_csv(io.StringIO(text), dtype=dict.fromkeys(texts, str))
+    frame[texts] = frame[texts].fillna("")
+    return _with_units(frame)
+
+
+def _frame(columns: Mapping[str, Any]) -> pd.DataFrame:
+    return _with_units(_pandas().DataFrame(dict(columns)))
+
+
+def _with_units(frame: pd.DataFrame) -> pd.DataFrame:
+    from gyrobench.bench.exchange.export_folder import unit_of
+
+    frame.attrs["units"] = {name: unit for name in frame.columns if (unit := unit_of(name))}
+    return frame
+
+
+def _pandas() -> Any:
+    return require("pandas")

@@ -1,0 +1,272 @@
+"""The kinds of YAML file, how to recognise one, and their JSON Schemas.
+
+World files and lists of faults are read by the emulators alone: a separate process gives their schema and
+checks them, so that nothing of the simulated truth enters the bench.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from gyrobench.bench.exchange.import_map import LogMap
+from gyrobench.bench.foundations.documents import Document, Schema, StrictModel, json_schema
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.shipped import shipped_folders
+from gyrobench.bench.procedure.procedure_file import VARIABLE_PATTERN, Procedure, Repeat
+from gyrobench.bench.procedure.steps import STEP_KINDS, Step
+from gyrobench.bench.runs.compensation_file import CompensationFile
+from gyrobench.bench.station.station_file import StationFile
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """One kind of file.
+
+    Attributes
+    ----------
+    name : str
+        What a person calls it.
+    title : str
+        What it is, in words.
+    folder : str
+        Where shipped ones are; empty where none are shipped.
+    keys : frozenset of str
+        Top-level keys that tell it.
+    model : type or None
+        What it is checked against; None for those that the emulators alone read.
+    """
+
+    name: str
+    title: str
+    folder: str
+    keys: frozenset[str]
+    model: type[StrictModel] | None = None
+
+    @property
+    def schema_name(self) -> str:
+        """File name of its JSON Schema."""
+        return f"{self.name}.schema.json"
+
+
+def _kind_of_model(name: str, title: str, folder: str, model: type[StrictModel]) -> FileKind:
+    return FileKind(name, title, folder, frozenset(model.model_fields), model)
+
+
+PROCEDURE = _kind_of_model("procedure", "gyrobench procedure", "procedures", Procedure)
+STATION = _kind_of_model("station", "gyrobench station", "stations", StationFile)
+WORLD = FileKind(
+    "world",
+    "gyrobench world behind emulated instruments",
+    "worlds",
+    frozenset({"world", "thermal", "accelerometer", "undeclared_effects", "reference_temperature_c"}),
+)
+FAULTS = FileKind("faults", "gyrobench list of faults", "faults", frozenset({"faults", "log"}))
+IMPORT_MAP = _kind_of_model("import", "gyrobench map of a log", "imports", LogMap)
+COMPENSATION = _kind_of_model("compensation", "gyrobench compensation of an INS", "", CompensationFile)
+
+KINDS = {
+    kind.name: kind for kind in (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, COMPENSATION)
+}  # fmt: skip
+
+
+def kind_of(document: Document) -> FileKind:
+    """Tell by its top-level keys what a file is.
+
+    Raises
+    ------
+    DocumentError
+        They fit no kind, or several.
+    """
+    found = document.data if isinstance(document.data, dict) else {}
+    # A file that says its name is of that kind; else the one that shares most keys.
+    named = [kind for kind in KINDS.values() if kind.name in kind.keys and kind.name in found]
+    likely = named if len(named) == 1 else _most_alike(found)
+    if len(likely) == 1:
+        return likely[0]
+    raise DocumentError(
+        f"{document.path}:1:1: its keys do not tell what kind of file it is. Say it with --as "
+        f"{'|'.join(KINDS)}"
+    )
+
+
+def _most_alike(keys: Iterable[str]) -> list[FileKind]:
+    shared = {name: len(kind.keys.intersection(keys)) for name, kind in KINDS.items()}
+    most = max(shared.values())
+    return [KINDS[name] for name, count in shared.items() if count == most > 0]
+
+
+_PROGRAM = "gyrobench.drivers.emulators.documents"
+_LONGEST_S = 120.0
+_WRONG_FILE = 2
+
+
+def emulator_schema(kind: str) -> dict[str, Any]:
+    """Give the JSON Schema of ``world`` or ``faults`` files.
+
+    Raises
+    ------
+    GyrobenchError
+        The emulators' program does not run.
+    """
+    schema: dict[str, Any] = json.loads(_asked("schema", kind))
+    return schema
+
+
+def check_emulator_file(kind: str, path: Path) -> None:
+    """Check a ``world`` or ``faults`` file.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything wrong with it, with places.
+    GyrobenchError
+        The emulators' program does not run.
+    """
+    _asked("check", kind, str(path))
+
+
+def _asked(*arguments: str) -> str:
+    # -P: nothing out of the present folder
+    command = [sys.executable, "-P", "-m", _PROGRAM, *arguments]
+    try:
+        answer = subprocess.run(  # noqa: S603 - our own program; a file is one argument of it
+            command, capture_output=True, text=True, timeout=_LONGEST_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise GyrobenchError(f"the emulators' program can't be asked: {error}") from error
+    if answer.returncode == _WRONG_FILE:
+        raise DocumentError(answer.stderr.strip())
+    if answer.returncode:
+        raise GyrobenchError(f"the emulators' program failed: {answer.stderr.strip()[-500:]}")
+    return answer.stdout
+
+
+_VARIABLE = {"$ref": "#/$defs/variable"}
+_ENTRY = {"$ref": "#/$defs/entry"}
+#: What a loop can go over.
+_SCALARS = {"number", "integer", "string"}
+
+
+def procedure_schema(title: str) -> Schema:
+    """Write the schema of procedures, draft 2020-12."""
+    schema = json_schema(Procedure, title)
+    loop = _section(json_schema(Repeat, ""))
+    definitions = {
+        "entry": {"description": "one step, or steps that are repeated", "oneOf": list(_entries())},
+        "variable": {
+            "description": "value of the loop variable of that name",
+            "type": "string",
+            "pattern": f"^{VARIABLE_PATTERN}$",
+        },
+        "repeat": loop,
+    }
+    for name, kind in STEP_KINDS.items():
+        of_kind = json_schema(kind, "")
+        definitions |= {below: _with_variables(each) for below, each in of_kind.get("$defs", {}).items()}
+        definitions[name] = _with_variables(_section(of_kind))
+    for section in (schema, loop):
+        section["properties"]["steps"]["items"] = _ENTRY
+    return {**schema, "$defs": schema.get("$defs", {}) | definitions}
+
+
+def _section(schema: Schema) -> Schema:
+    """A schema as part of another."""
+    return {key: value for key, value in schema.items() if key not in ("$schema", "title", "$defs")}
+
+
+def _entries() -> list[Schema]:
+    bare = [name for name, kind in STEP_KINDS.items() if _needs_no_key(kind)]
+    return [
+        {"type": "string", "description": "a step without keys", "enum": bare},
+        *(_single(name, or_nothing=name in bare) for name in STEP_KINDS),
+        _single("repeat", or_nothing=False),
+    ]
+
+
+def _single(name: str, or_nothing: bool) -> Schema:
+    """``name: {...}``, and nothing beside it."""
+    keys: Schema = {"$ref": f"#/$defs/{name}"}
+    return {
+        "type": "object",
+        "properties": {name: {"anyOf": [keys, {"type": "null"}]} if or_nothing else keys},
+        "required": [name],
+        "additionalProperties": False,
+    }
+
+
+def _needs_no_key(kind: type[Step]) -> bool:
+    try:
+        kind()
+    except ValidationError:
+        return False
+    return True
+
+
+def _with_variables(schema: Schema) -> Schema:
+    """Allow a variable wherever a number or text can stand."""
+    properties = schema.get("properties", {})
+    return {**schema, "properties": {key: _or_variable(each) for key, each in properties.items()}}
+
+
+def _or_variable(schema: Schema) -> Schema:
+    options = schema.get("anyOf", [schema])
+    if not any(option.get("type") in _SCALARS for option in options):
+        return schema
+    said: Schema = {key: schema[key] for key in ("description", "default") if key in schema}
+    bare: list[dict[str, Any]] = [
+        {key: value for key, value in option.items() if key not in said} for option in options
+    ]
+    return {**said, "anyOf": [*bare, _VARIABLE]}
+
+
+_FOLDER = "schemas"
+#: Start of a YAML file's first line, which names its schema for the editor's language server.
+EDITOR_MARK = "# yaml-language-server: $schema="
+
+
+def schema_of(kind: FileKind) -> Schema:
+    """Write the schema of a kind of file from its model, draft 2020-12."""
+    if kind is PROCEDURE:
+        return procedure_schema(kind.title)
+    if kind.model is None:
+        return emulator_schema(kind.name)
+    return json_schema(kind.model, kind.title)
+
+
+def write_schemas(folder: Path) -> None:
+    """Write the schemas of all kinds of file into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for kind in KINDS.values():
+        (folder / kind.schema_name).write_text(schema_text(schema_of(kind)), encoding="utf-8")
+
+
+def schema_text(schema: Schema) -> str:
+    """A schema as the files hold it."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+def editor_line(kind: FileKind, path: Path) -> str:
+    """First line of a file at ``path``, which names the shipped schema for its editor.
+
+    Installed packages have the schemas; in a checkout they are written when first needed. Empty where
+    they can't be written.
+    """
+    folder = next(iter(shipped_folders(_FOLDER)), None)
+    if folder is None:
+        return ""
+    if not (folder / kind.schema_name).is_file():
+        try:
+            write_schemas(folder)
+        except OSError:
+            return ""
+    # Beside the shipped folders a relative path holds wherever the project is copied to.
+    place = f"../{_FOLDER}" if folder == path.resolve().parent.parent / _FOLDER else str(folder)
+    return f"{EDITOR_MARK}{place}/{kind.schema_name}\n"

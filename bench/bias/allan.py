@@ -1,0 +1,359 @@
+"""Overlapping Allan variance of a rate from its integral, and the noise terms that explain it.
+
+The rate's integral ``theta`` (an angle, or a velocity for accelerations) is what an instrument
+puts out. Its second differences over an averaging time tau give the Allan variance,
+
+    ``sigma^2(tau) = <(theta(t + 2 tau) - 2 theta(t + tau) + theta(t))^2> / (2 tau^2)``
+
+and three kinds of noise show in it with different slopes (IEEE Std 952, annex C):
+
+    ``sigma^2(tau) = 3 S^2 / tau^2 + N^2 / tau + K^2 tau / 3``
+
+with S the white noise of the angle (rounding, quantisation), N the random walk of the angle (white
+noise of the rate), K the random walk of the rate. Here the mean of the second differences of each
+stretch is taken off first, so that a steady ramp of the rate (Earth-rate coupling, warm-up, an
+acceleration that a gyro bias feeds) does not count; what that costs is in the expected variances.
+
+The variance of each averaging time's Allan variance, and the correlation of two of them, are
+summed exactly over the second differences for Gaussian noise of the fitted kind, not looked up.
+
+References
+----------
+IEEE Std 952-1997, annex C. Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065 (2008),
+sections 5.2.4 and 5.4. Greenhall and Riley, "Uncertainty of Stability Variances Based on Finite
+Differences", PTTI 2003: variance of such a sum from the covariance of the differences.
+Matheron, "The intrinsic random functions and their applications", 1973: generalised covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import nnls
+
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.errors import MeasurementError
+
+#: Terms of the noise, in the order of arrays: S^2, N^2, K^2.
+WHITE_ANGLE, RANDOM_WALK, RATE_WALK = range(3)
+#: Averaging times in a decade.
+PER_DECADE = 8
+#: The longest stretch holds the longest averaging time at least so many times.
+MIN_REPEATS = 6
+#: Fewest equivalent degrees of freedom of an averaging time that takes part in a fit.
+MIN_EDF = 8.0
+#: Squares of the residuals above this, relative to their expectation, mean that the model does not fit.
+MAX_CHI2_RATIO = 3.0
+
+_TERMS = 3
+_SPARE_TIMES = 1  # averaging times beyond the number of terms
+_ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class AllanVariance:
+    """Allan variance of one channel, pooled over stretches that can't be joined.
+
+    Attributes
+    ----------
+    interval_s : float
+        Time between two samples.
+    factors : ndarray of int, shape (k,)
+        Averaging times in samples.
+    variance : ndarray, shape (k,)
+        Of the rate, (unit of the integral / s)^2; mean of each stretch's second differences taken off.
+    counts : ndarray of int, shape (k,)
+        Second differences in each, of which only few are independent.
+    lengths : tuple of int
+        Samples of each stretch.
+    """
+
+    interval_s: float
+    factors: IntArray
+    variance: FloatArray
+    counts: IntArray
+    lengths: tuple[int, ...]
+
+    @property
+    def tau_s(self) -> FloatArray:
+        """Averaging times."""
+        return np.asarray(self.factors * self.interval_s, np.float64)
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Allan deviation, unit of the integral / s."""
+        return np.asarray(np.sqrt(self.variance), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class RateNoise:
+    """Noise terms fitted to an Allan variance.
+
+    Attributes
+    ----------
+    terms : ndarray, shape (3,)
+        S^2, N^2 and K^2 of the module's formula, none below zero.
+    unbounded : ndarray, shape (3,)
+        The same where the fit may go below zero.
+    covariance : ndarray, shape (3, 3)
+        Covariance of ``unbounded``.
+    expected : ndarray, shape (k,)
+        Allan variance that ``terms`` lead to expect, less what the means of the stretches take off.
+    used : ndarray of bool, shape (k,)
+        Averaging times that took part.
+    edf : ndarray, shape (k,)
+        Equivalent degrees of freedom of each averaging time.
+    excess : float
+        Relative standard deviation by which the variances miss the model beyond their
+        uncertainty; 0 where the model fits. It is in the covariance.
+    """
+
+    terms: FloatArray
+    unbounded: FloatArray
+    covariance: FloatArray
+    expected: FloatArray
+    used: BoolArray
+    edf: FloatArray
+    excess: float
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard uncertainty (3,) of each term."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
+    """Put samples on an even grid; what is missing is NaN there.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Increasing; jitter that is small against the interval does not matter.
+    values : ndarray, shape (n, c)
+        Samples.
+
+    Returns
+    -------
+    interval_s : float
+        Mean interval of the grid.
+    values : ndarray, shape (m, c)
+    """
+    steps = np.diff(time_s)
+    places = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1))]).astype(int)
+    grid = np.full((places[-1] + 1, values.shape[1]), np.nan)
+    grid[places] = values
+    return float((time_s[-1] - time_s[0]) / places[-1]), grid
+
+
+def allan_variance(stretches: Sequence[FloatArray], interval_s: float) -> AllanVariance:
+    """Overlapping Allan variance of a rate from its integral.
+
+    Parameters
+    ----------
+    stretches : sequence of ndarray, shape (n_i,)
+        Integral of the rate on an even grid, NaN where a sample is missing: a second difference
+        counts if its three samples are there. Channels with the same noise are further stretches.
+    interval_s : float
+        Time between two samples.
+
+    Raises
+    ------
+    MeasurementError
+        No stretch is long enough.
+    """
+    longest = max((len(each) for each in stretches), default=0)
+    if longest < 2 * MIN_REPEATS:
+        raise MeasurementError(
+            f"the longest stretch for an Allan variance has {longest} samples; it needs {2 * MIN_REPEATS}. "
+            "Record longer at rest"
+        )
+    top = longest // MIN_REPEATS
+    wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(PER_DECADE * np.log10(top)))))
+    factors = np.unique(np.rint(wanted).astype(np.int64))
+    sums = [[_squares(stretch, int(factor)) for stretch in stretches] for factor in factors]
+    squares, counts = np.array(sums).sum(axis=1).T
+    present = counts > 0
+    factors, squares, counts = factors[present], squares[present], counts[present]
+    variance = squares / counts / (2.0 * (factors * interval_s) ** 2)
+    lengths = tuple(sorted(len(each) for each in stretches))
+    return AllanVariance(interval_s, factors, variance, counts.astype(np.int64), lengths)
+
+
+def fit_rate_noise(allan: AllanVariance) -> RateNoise:
+    """Fit the noise terms to an Allan variance.
+
+    Weighted least squares of variances without negative terms. The weights are those of the model
+    itself, iterated: weights of the measured variances would favour the ones that came out small.
+    Where the model does not explain the variances, as with the spectral lines of a dither, the
+    weights and the covariance get a common relative error that does (Paule and Mandel, J. Res. NBS
+    87, 1982).
+
+    Parameters
+    ----------
+    allan : AllanVariance
+        Measured.
+
+    Raises
+    ------
+    MeasurementError
+        Too few averaging times have enough degrees of freedom.
+    """
+    information = _Information.of(allan)
+    candidates = allan.variance > 0.0
+    used, excess = candidates, 0.0
+    _check_enough(used, allan)
+    relative = 2.0 * allan.factors / allan.counts
+    terms, _ = _solve(information.design, allan.variance, relative * allan.variance**2, used)
+    for _ in range(_ROUNDS):
+        model, covariance = information.design @ terms, information.covariance(terms)
+        edf = 2.0 * model**2 / np.diag(covariance)
+        used = candidates & (edf >= MIN_EDF)
+        _check_enough(used, allan)
+        excess = _excess(allan.variance, model, np.diag(covariance), used)
+        errors = covariance + np.diag((excess * model) ** 2)
+        terms, solve = _solve(information.design, allan.variance, np.diag(errors), used)
+    return RateNoise(
+        terms=terms,
+        unbounded=solve @ allan.variance[used],
+        covariance=solve @ errors[np.ix_(used, used)] @ solve.T,
+        expected=information.design @ terms,
+        used=used,
+        edf=edf,
+        excess=excess,
+    )
+
+
+def _squares(angle: FloatArray, factor: int) -> tuple[float, int]:
+    """Sum of squares about their mean of the second differences, and their number."""
+    if len(angle) < 2 * factor + 2:
+        return 0.0, 0
+    second = angle[2 * factor :] - 2.0 * angle[factor:-factor] + angle[: -2 * factor]
+    second = second[np.isfinite(second)]
+    return (float(second.var() * len(second)), len(second)) if len(second) > 1 else (0.0, 0)
+
+
+def _solve(
+    design: FloatArray,
+    variance: FloatArray,
+    errors: FloatArray,
+    used: BoolArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Terms not below zero, and the matrix that gives the unbounded ones from the variances."""
+    weight = 1.0 / np.sqrt(errors[used])
+    weighted = design[used] * weight[:, np.newaxis]
+    scale = np.sqrt((weighted**2).sum(axis=0))
+    terms, _ = nnls(weighted / scale, variance[used] * weight)
+    return terms / scale, np.linalg.pinv(weighted / scale) * weight / scale[:, np.newaxis]
+
+
+def _excess(
+    variance: FloatArray,
+    model: FloatArray,
+    errors: FloatArray,
+    used: BoolArray,
+) -> float:
+    """Common relative error that brings the squares of the residuals down to their number."""
+    residual = ((variance - model) / model)[used] ** 2
+    relative, dof = (errors / model**2)[used], np.count_nonzero(used) - _TERMS
+    if (residual / relative).sum() <= MAX_CHI2_RATIO * dof:
+        return 0.0
+    low, high = 0.0, float(residual.sum() / dof)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_above = (residual / (relative + middle)).sum() > dof
+        low, high = (middle, high) if is_above else (low, middle)
+    return float(np.sqrt(high))
+
+
+def _check_enough(used: BoolArray, allan: AllanVariance) -> None:
+    if np.count_nonzero(used) < _TERMS + _SPARE_TIMES:
+        raise MeasurementError(
+            f"{np.count_nonzero(used)} averaging times out of {allan.tau_s[0]:g} to {allan.tau_s[-1]:g} s "
+            f"have enough degrees of freedom for a noise fit; {_TERMS + _SPARE_TIMES} are needed. "
+            "Record longer at rest"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Information:
+    """Expectation and covariance of Allan variances, for any noise terms.
+
+    Attributes
+    ----------
+    design : ndarray, shape (k, 3)
+        Expected variance for each term of size one.
+    products : ndarray, shape (k, k, 3, 3)
+        Quadratic form of the covariance in the terms.
+    """
+
+    design: FloatArray
+    products: FloatArray
+
+    @classmethod
+    def of(cls, allan: AllanVariance) -> _Information:
+        factors = tuple(allan.factors.tolist())
+        design, products, full = _information(factors, allan.lengths)
+        powers = float(allan.interval_s) ** np.array([-2.0, -1.0, 1.0])
+        # Missing samples cost differences; the remaining ones carry as much information each.
+        thinned = np.sqrt(full / allan.counts)
+        products = products * np.outer(thinned, thinned)[:, :, np.newaxis, np.newaxis]
+        return cls(design * powers, products * np.outer(powers, powers))
+
+    def covariance(self, terms: FloatArray) -> FloatArray:
+        """Covariance (k, k) of the variances."""
+        return np.asarray(self.products @ terms @ terms)
+
+
+@lru_cache(maxsize=64)
+def _information(
+    factors: tuple[int, ...], lengths: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Expectation (k, 3), covariance (k, k, 3, 3) and count (k,) of the differences at interval 1 s."""
+    size = len(factors)
+    different, repeats = np.unique(lengths, return_counts=True)
+    numbers = _number(different, np.array(factors)[:, np.newaxis])
+    full = np.asarray(numbers @ repeats, np.int64)
+    design, products = np.empty((size, _TERMS)), np.empty((size, size, _TERMS, _TERMS))
+    for row, factor in enumerate(factors):
+        for column in range(row, size):
+            other = factors[column]
+            lags = np.arange(-2 * other, 2 * factor + 1)
+            between = _covariance_of_differences(factor, other, lags)
+            pairs = _pairs(numbers[row], numbers[column], lags)
+            scale = 2.0 / (full[row] * full[column]) / (2.0 * factor * other) ** 2
+            product = scale * (between * (pairs @ repeats)) @ between.T
+            products[row, column] = products[column, row] = product
+            if row == column:
+                mean_squares = between @ pairs / np.maximum(numbers[row], 1)
+                at_zero = between[:, 2 * factor] * full[row]
+                design[row] = (at_zero - mean_squares @ repeats) / full[row] / (2.0 * factor**2)
+    return design, products, full
+
+
+def _number(lengths: IntArray, factor: IntArray) -> IntArray:
+    """Second differences in stretches; a single one says nothing about its mean."""
+    number = lengths - 2 * factor
+    return np.asarray(np.where(number > 1, number, 0))
+
+
+def _pairs(first: IntArray, second: IntArray, lags: IntArray) -> IntArray:
+    """How often two series of the given lengths (s,) meet at each lag, (lags, s)."""
+    lag = lags[:, np.newaxis]
+    return np.asarray(np.maximum(np.minimum(first, second - lag) - np.maximum(0, -lag), 0))
+
+
+def _covariance_of_differences(factor: int, other: int, lags: IntArray) -> FloatArray:
+    """Covariance (3, lags) of second differences at two averaging times, for each term.
+
+    From the generalised covariances of white noise, random walk and integrated random walk; they
+    vanish beyond the lags at which the differences overlap.
+    """
+    taps = np.array([1.0, -2.0, 1.0])
+    steps = np.arange(3)
+    distance = np.abs(lags[:, np.newaxis, np.newaxis] + other * steps - factor * steps[:, np.newaxis])
+    weight = np.outer(taps, taps)
+    kernels = np.stack([distance == 0, -0.5 * distance, distance.astype(float) ** 3 / 12.0])
+    return np.asarray((kernels * weight).sum(axis=(2, 3)))

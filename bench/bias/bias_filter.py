@@ -1,0 +1,380 @@
+"""Gyro bias of one dwell from the full error model of an INS at rest.
+
+What the paper's method leaves out, the Schuler loop, the Earth rate and the accelerometers, is part of the
+model here; what is unknown about it is estimated along with the bias. The sensors' random walk enters as
+integrated noise, so every epoch has its right weight and the covariance is that of the data. Level gyros
+are measured by velocity, which stays true if the mount creeps; the vertical gyro by the heading inside each
+window, so the heading in a turn plays no part. The estimate is recursive: epochs may be added as they
+arrive, and the estimate may be read at any time.
+
+The goodness of fit is tested on innovations summed minute by minute. A wrong model leaves slow residuals: a
+white sum stays at one standard deviation, a slow one grows with the number of epochs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+from scipy.special import erfc
+
+from gyrobench.bench.bias import parameters, window_filter
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import chi2_test, solve
+from gyrobench.bench.bias.window_filter import WindowFilter
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+
+
+@dataclass(frozen=True, eq=False)
+class DwellInformation:
+    """Information of a dwell's data on its parameters, without prior knowledge.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n, p)
+        White rows with unit variance, for the unknowns of :mod:`gyrobench.bench.bias.parameters`.
+    data : ndarray, shape (n,)
+        What they are to give.
+    bias_at_mean : ndarray, shape (3, p)
+        What the gyros' biases at their mean temperatures are of the unknowns.
+    earth_rate : ndarray, shape (3,)
+        ENU, rad/s.
+    """
+
+    rows: FloatArray
+    data: FloatArray
+    bias_at_mean: FloatArray
+    earth_rate: FloatArray
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return int(self.rows.shape[1] - parameters.COMMON) // parameters.PER_WINDOW
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpaceEstimate(BiasEstimate):
+    """Gyro bias of one dwell at the mean temperature of each gyro, and what was found with it.
+
+    Attributes
+    ----------
+    accelerometer_bias, accelerometer_sigma : ndarray, shape (3,)
+        m/s^2, body axes; an axis that stays vertical is not measured and keeps its prior uncertainty.
+    fit : GoodnessOfFit
+        Whether the model explains the data.
+    steady_p_value : float
+        Probability that the biases of the windows differ at least as much, if each gyro has one bias.
+    information : DwellInformation
+        For the joint solution of several dwells.
+    """
+
+    accelerometer_bias: FloatArray
+    accelerometer_sigma: FloatArray
+    fit: GoodnessOfFit
+    steady_p_value: float
+    information: DwellInformation
+
+
+class BiasFilter:
+    """Recursive estimate of one dwell.
+
+    Parameters
+    ----------
+    site : Site
+        Where the bench stands.
+    noise : NoiseModel
+        Noise of the INS.
+    prior : PriorKnowledge
+        What is known beforehand.
+    """
+
+    def __init__(self, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> None:
+        self._site, self._noise, self._prior = site, noise, prior
+        self._earth_rate = earth_rate_enu(site.latitude)
+        self._windows: list[WindowFilter] = []
+        self._expansions: list[FloatArray] = []
+        self._reference_c: FloatArray | None = None
+        self._last_k = np.zeros(3)
+
+    def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
+        """Begin a stretch of navigation at rest.
+
+        Parameters
+        ----------
+        time_s : float
+            Its first epoch on the clock of the INS.
+        C_nb : ndarray, shape (3, 3)
+            Attitude that the INS computes then.
+        turn : TurnPath, optional
+            The way from the last window to this one.
+
+        Raises
+        ------
+        MeasurementError
+            A window after the first comes without its turn, or before the last one is over.
+        """
+        count = parameters.COMMON + parameters.PER_WINDOW * (len(self._windows) + 1)
+        state, known, covariance = np.zeros((STATES, count)), np.zeros(STATES), np.zeros((STATES, STATES))
+        if self._windows:
+            if turn is None:
+                raise MeasurementError("a window after the first one needs the turn that led to it")
+            if not time_s > self._windows[-1].last_s:
+                raise MeasurementError(
+                    f"a window begins at {time_s:.3f} s, where the one before has epochs until "
+                    f"{self._windows[-1].last_s:.3f} s. Are they in order, and is none empty?"
+                )
+            state[:, : -parameters.PER_WINDOW], known, covariance = self._through_turn(time_s, turn)
+        state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
+        state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
+        self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
+        self._expansions.append(_expansion(state, C_nb, self._earth_rate))
+
+    def add(
+        self,
+        time_s: FloatArray,
+        velocity_en_mps: FloatArray,
+        C_nb: FloatArray,
+        gyro_c: FloatArray | None = None,
+    ) -> None:
+        """Add the next epochs of the present window.
+
+        Parameters
+        ----------
+        time_s : ndarray, shape (n,)
+            On the clock of the INS; the first epoch of each second is used.
+        velocity_en_mps : ndarray, shape (n, 2)
+            Velocity East and North.
+        C_nb : ndarray, shape (n, 3, 3)
+            Attitude that the INS computes.
+        gyro_c : ndarray, shape (n, 3), optional
+            Temperatures of the gyros; the biases may change with them.
+
+        Raises
+        ------
+        MeasurementError
+            No window has begun, or something is not a number.
+        """
+        if not self._windows:
+            raise MeasurementError("epochs need a window that they belong to: begin one first")
+        if not all(np.isfinite(each).all() for each in (time_s, velocity_en_mps, C_nb)):
+            raise MeasurementError(f"an epoch after {time_s[0]:.3f} s is not a number")
+        chosen = self._windows[-1].choose(time_s)
+        if len(chosen):
+            temperatures = np.zeros((len(chosen), 3)) if gyro_c is None else self._from_first(gyro_c[chosen])
+            self._last_k = temperatures[-1]
+            self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
+
+    def estimate(self) -> StateSpaceEstimate:
+        """Estimate the biases from what has been added so far.
+
+        Raises
+        ------
+        MeasurementError
+            There was no turn yet, or nothing has been added after it.
+        """
+        if len(self._windows) < 2 or not self._windows[-1].epochs:
+            raise MeasurementError(
+                "no navigation after a turn: the biases are not observable beside the initial errors. "
+                "Turn the unit and navigate again"
+            )
+        information = self.information()
+        unknowns, covariance = self._solved(information)
+        at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
+        return StateSpaceEstimate(
+            bias_radps=at_mean @ unknowns,
+            covariance=at_mean @ covariance @ at_mean.T,
+            accelerometer_bias=unknowns[acceleration],
+            accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
+            fit=self._goodness_of_fit(unknowns, covariance),
+            steady_p_value=self._steady_p_value(information),
+            information=information,
+        )
+
+    def goodness_of_fit(self) -> GoodnessOfFit:
+        """Test whether the model explains what has been added, even a single window."""
+        return self._goodness_of_fit(*self._solved(self.information()))
+
+    def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        return solve(information.rows, information.data, prior_root)
+
+    def _steady_p_value(self, information: DwellInformation) -> float:
+        """Give each window after the first its own biases, and see whether any differs from those of all.
+
+        The sums of the test of fit are many, and hide a small difference between two windows.
+        """
+        changes = [window.root[:, window_filter.INPUT :][:, :3] @ window.C_nb for window in self._windows]
+        rows = np.hstack([information.rows, block_diag(*changes)[:, 3:]])
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        count, wide = len(prior_root), np.eye(rows.shape[1] - len(prior_root)) * parameters.WIDE_GYRO_BIAS
+        unknowns, covariance = solve(rows, information.data, block_diag(prior_root, wide))
+        away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
+        return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
+
+    def _from_first(self, gyro_c: FloatArray) -> FloatArray:
+        if self._reference_c is None:
+            self._reference_c = gyro_c[0].copy()
+        return gyro_c - self._reference_c
+
+    def _through_turn(self, time_s: float, turn: TurnPath) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What each unknown, the data and the noise made of the state when a turn ends at ``time_s``."""
+        last = self._windows[-1]
+        state = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
+        known, covariance = last.columns[:, window_filter.DATA], last.covariance
+        # At rest until the turn begins, and again when it is over; the INS's own attitude before the
+        # turn, carried on by the table.
+        edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
+        path = last.C_nb @ turn.C_nb[0].T @ np.concatenate([turn.C_nb[:1], turn.C_nb, turn.C_nb[-1:]])
+        turned = Rotation.from_matrix(path[:-1].transpose(0, 2, 1) @ path[1:]).as_rotvec()
+        middle = path[:-1] @ Rotation.from_rotvec(0.5 * turned).as_matrix()
+        durations, noise = np.diff(edges), self._noise
+        steps = integrate(self._site, durations, noise.angle_random_walk, noise.velocity_random_walk)
+        for k in np.flatnonzero(durations > 0.0):
+            rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
+            driven = parameters.inputs(middle[k], rate_body, state.shape[1])
+            driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k
+            transition = steps.transition[k]
+            state = transition @ state + steps.response[k] @ driven
+            known = transition @ known
+            covariance = transition @ covariance @ transition.T + steps.covariance[k]
+        return state, known, covariance
+
+    def information(self) -> DwellInformation:
+        """What has been added so far says of the unknowns, without prior knowledge."""
+        count = self._expansions[-1].shape[1]
+        pairs = list(zip(self._windows, self._expansions, strict=True))
+        mean_k = sum(each.temperature_sum for each in self._windows) / sum(
+            each.epochs for each in self._windows
+        )
+        at_mean = np.zeros((3, count))
+        at_mean[:, parameters.GYRO_BIAS] = np.eye(3)
+        at_mean[:, parameters.GYRO_SLOPE] = np.diag(mean_k)
+        return DwellInformation(
+            rows=np.vstack([_expanded(window.root, expansion, count) for window, expansion in pairs]),
+            data=np.concatenate([window.root[:, window_filter.DATA] for window in self._windows]),
+            bias_at_mean=at_mean,
+            earth_rate=self._earth_rate,
+        )
+
+    def _goodness_of_fit(self, unknowns: FloatArray, covariance: FloatArray) -> GoodnessOfFit:
+        blocks = [
+            (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(unknowns)))
+            for window, expansion in zip(self._windows, self._expansions, strict=True)
+            for time_s, total in window.blocks()
+        ]
+        time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
+        return goodness_of_fit(time_s, sums, responses, unknowns, covariance)
+
+
+def estimate_state_space(
+    dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
+) -> StateSpaceEstimate:
+    """Estimate the gyro biases of one dwell; see the module.
+
+    Raises
+    ------
+    MeasurementError
+        The dwell has no turn.
+    """
+    bias_filter = BiasFilter(site, noise, prior)
+    for number, window in enumerate(dwell.windows):
+        turn = dwell.turns[number - 1] if number else None
+        bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
+        bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
+    return bias_filter.estimate()
+
+
+def navigation_fit(
+    window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge
+) -> GoodnessOfFit:
+    """Test whether error model and noise explain one navigation.
+
+    Nothing of the alignment enters.
+    """
+    bias_filter = BiasFilter(site, noise, prior)
+    bias_filter.begin_window(window.time_s[0], window.C_nb[0])
+    bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
+    return bias_filter.goodness_of_fit()
+
+
+def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
+    """What each column of a window (15) is of the unknowns (p), given its first state (6, p)."""
+    count = state.shape[1]
+    expansion = np.zeros((window_filter.DATA, count))
+    expansion[: window_filter.INPUT] = state
+    expansion[window_filter.INPUT : window_filter.HEADING] = parameters.inputs(
+        C_nb, C_nb.T @ earth_rate, count
+    )
+    expansion[window_filter.HEADING, count - parameters.PER_WINDOW + parameters.HEADING] = 1.0
+    expansion[window_filter.SLOPE : window_filter.DATA, parameters.GYRO_SLOPE] = np.eye(3)
+    return expansion
+
+
+def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
+    """Rows of a window (n, 16) for all unknowns of the dwell (n, count)."""
+    result = np.zeros((len(rows), count))
+    result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class GoodnessOfFit:
+    """Chi-square test of the innovations.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Middle of each minute on the clock of the INS.
+    residuals : ndarray, shape (m, 3)
+        Innovations of velocity East and North and of the heading summed over the minute, in
+        standard deviations of the sum; what the estimate explains is taken away.
+    chi2, dof : float, int
+        Their sum of squares weighted by their covariance, and its expectation.
+    p_value : float
+        Probability of at least this chi2 if model and noise are true.
+    """
+
+    time_s: FloatArray
+    residuals: FloatArray
+    chi2: float
+    dof: int
+    p_value: float
+
+    @property
+    def ratio(self) -> float:
+        """Size of the residuals over the expected one."""
+        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
+
+
+def goodness_of_fit(
+    time_s: FloatArray,
+    sums: FloatArray,
+    responses: FloatArray,
+    unknowns: FloatArray,
+    covariance: FloatArray,
+) -> GoodnessOfFit:
+    """Test the sums of innovations against an estimate made from the same data.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (m,)
+        Middle of each minute.
+    sums : ndarray, shape (m, 3)
+        White, with unit variance.
+    responses : ndarray, shape (m, 3, p)
+        Of the sums to the unknowns.
+    unknowns, covariance : ndarray, shape (p,), (p, p)
+        The estimate.
+    """
+    response = responses.reshape(-1, len(unknowns))
+    residuals = sums.ravel() - response @ unknowns
+    test = chi2_test(residuals, response, covariance)
+    return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)

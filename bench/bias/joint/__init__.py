@@ -1,1 +1,0 @@
-"""All dwells of one temperature solved together: what they share, and what stays each one's own."""

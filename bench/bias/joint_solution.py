@@ -1,0 +1,420 @@
+"""All dwells of one plateau solved together.
+
+What the positions share is one set of unknowns: accelerometer biases and misalignments, gyro error
+matrix, error of the latitude. The gyro biases of each dwell stay its own; that they may differ is
+what the bench is for, and nothing here draws them to one another.
+
+There are three solutions: each dwell by itself; all together, with the latitude as well known as
+declared; and all together with any rate North, in which a rate Up stays in the biases of the
+vertical gyros. From the last one that rate can be taken away: see
+:mod:`gyrobench.bench.bias.vertical_pairs`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from gyrobench.bench.bias import parameters
+from gyrobench.bench.bias.bias_filter import DwellInformation
+from gyrobench.bench.bias.dwell import BiasEstimate
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import chi2_test, compress, solve
+from gyrobench.bench.bias.vertical_pairs import UpRate, VerticalPairs, up_rate
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, IntArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS, Position
+
+#: Shared unknowns: accelerometer biases, accelerometer error matrix by rows (its diagonal, the
+#: scale factors, acts on Up alone and is not seen), rate North and Up fixed in the navigation
+#: frame, gyro error matrix by rows. The gyro biases of each dwell follow.
+ACCELEROMETER_BIAS, ACCELEROMETER_MATRIX = slice(0, 3), slice(3, 12)
+NAVIGATION_RATE, GYRO_MATRIX = slice(12, 14), slice(14, 23)
+SHARED = 23
+
+# A rate of which nothing is known beforehand, rad/s.
+_ANY_RATE = 0.01
+# What data say less of than this, in units of prior knowledge, is noise; 1 would equal it.
+_MIN_INFORMATION = 0.3
+
+# What a dwell shows of its unknowns beyond its own: its gyro biases, the accelerometer biases as
+# they seem in its position, rates and gyro error matrix.
+_SHOWN = np.r_[
+    parameters.GYRO_BIAS, parameters.ACCELEROMETER_BIAS, parameters.NAVIGATION_RATE, parameters.GYRO_MATRIX
+]
+_BIAS, _ACCELERATION, _RATE, _MATRIX = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 17)
+
+_NORTH = NAVIGATION_RATE.start
+#: Dwells agree no more where chance alone makes them differ as much less often than this.
+_MIN_P_VALUE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class DwellRows:
+    """Information of one dwell on the joint problem.
+
+    Attributes
+    ----------
+    rows, data : ndarray, shape (n, 17), (n,)
+        White rows for biases at mean temperatures, accelerometer biases as they seem in this
+        position, rates North and Up, and gyro error matrix.
+    position : Position
+        Which body axis was vertical.
+    """
+
+    rows: FloatArray
+    data: FloatArray
+    position: Position
+
+    @classmethod
+    def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> DwellRows:
+        """Eliminate what no other dwell shares: slopes, initial errors, headings, steps in the turns."""
+        rows, slope = information.rows.copy(), parameters.GYRO_SLOPE
+        # Biases at the mean temperatures become unknowns; the slopes turn about those temperatures.
+        rows[:, slope] -= rows[:, parameters.GYRO_BIAS] @ information.bias_at_mean[:, slope]
+        own = np.r_[slope, parameters.ACCELEROMETER_DRIFT, parameters.COMMON : rows.shape[1]]
+        root = parameters.prior_root(prior, information.windows, information.earth_rate)
+        stacked = np.block(
+            [
+                [rows[:, own] @ root[np.ix_(own, own)], rows[:, _SHOWN], information.data[:, np.newaxis]],
+                [np.eye(len(own)), np.zeros((len(own), len(_SHOWN) + 1))],
+            ]
+        )
+        rest = compress(stacked)[len(own) :, len(own) :]
+        sizes = np.diagonal(root)[_SHOWN].copy()
+        sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
+        return cls(*_informative(rest[:, :-1], rest[:, -1], sizes), position)
+
+    def for_joint_unknowns(self, number: int, dwells: int) -> FloatArray:
+        """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
+        vertical = self.position.up_sign * STANDARD_GRAVITY * np.eye(3)[self.position.up_axis]
+        result = np.zeros((len(self.rows), SHARED + 3 * dwells))
+        result[:, ACCELEROMETER_BIAS] = self.rows[:, _ACCELERATION]
+        result[:, ACCELEROMETER_MATRIX] = self.rows[:, _ACCELERATION] @ np.kron(np.eye(3), vertical)
+        result[:, NAVIGATION_RATE] = self.rows[:, _RATE]
+        result[:, GYRO_MATRIX] = self.rows[:, _MATRIX]
+        result[:, SHARED + 3 * number :][:, :3] = self.rows[:, _BIAS]
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Solution of the joint problem.
+
+    Attributes
+    ----------
+    unknowns, covariance : ndarray, shape (23 + 3 m,), (23 + 3 m, 23 + 3 m)
+        Shared unknowns, then the biases of each of the m dwells.
+    chi2, dof, p_value : float, int, float
+        Test that the dwells agree on what they share.
+    """
+
+    unknowns: FloatArray
+    covariance: FloatArray
+    chi2: float
+    dof: int
+    p_value: float
+
+
+def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
+    """Prior root (23, 23) of what is shared, with the latitude as well known as declared."""
+    single = parameters.prior_root(prior, 0, earth_rate)
+    matrix = prior.accelerometer_misalignment * (1.0 - np.eye(3))
+    parts = (parameters.ACCELEROMETER_BIAS, None, parameters.NAVIGATION_RATE, parameters.GYRO_MATRIX)
+    return np.asarray(
+        block_diag(*(np.diag(matrix.ravel()) if part is None else single[part, part] for part in parts))
+    )
+
+
+def north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
+    """The same with any rate North; a rate Up stays in the biases of the vertical gyros."""
+    root = declared_root(prior, earth_rate)
+    root[NAVIGATION_RATE, NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
+    return root
+
+
+def solve_alone(dwell: DwellRows, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
+    unknowns, covariance = solve(*_system([dwell], shared_root))
+    return unknowns[SHARED:], covariance[SHARED:, SHARED:]
+
+
+def solve_together(dwells: Sequence[DwellRows], shared_root: FloatArray) -> JointFit:
+    """Solve for what the dwells share and for the biases of each."""
+    rows, data, prior_root = _system(dwells, shared_root)
+    unknowns, covariance = solve(rows, data, prior_root)
+    test = chi2_test(data - rows @ unknowns, rows, covariance)
+    return JointFit(unknowns, covariance, test.chi2, test.dof, test.p_value)
+
+
+def _system(
+    dwells: Sequence[DwellRows], shared_root: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rows, data and prior root of the joint problem."""
+    rows = np.vstack([each.for_joint_unknowns(number, len(dwells)) for number, each in enumerate(dwells)])
+    data = np.concatenate([each.data for each in dwells])
+    return rows, data, np.asarray(block_diag(shared_root, _ANY_RATE * np.eye(3 * len(dwells))))
+
+
+def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotate rows and drop those without information on parameters of these sizes: they dilute a test."""
+    directions, information, _ = np.linalg.svd(rows * sizes, full_matrices=False)
+    turned = directions[:, information > _MIN_INFORMATION].T
+    return turned @ rows, turned @ data
+
+
+@dataclass(frozen=True, eq=False)
+class JointDwell:
+    """One dwell for a joint solution.
+
+    Attributes
+    ----------
+    number : int
+        Of the dwell; no two dwells of a run have the same.
+    position_name : str
+        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+    information : DwellInformation
+        From its own estimate.
+    cycle : int
+        Cycle of the temperature profile.
+    chamber_set_c : float
+        Set point of the chamber; NaN where there is none.
+    gyro_c : tuple of float
+        Mean temperature of each gyro; NaN where not measured.
+    run : str
+        Power cycle of the INS.
+    """
+
+    number: int
+    position_name: str
+    information: DwellInformation
+    cycle: int = 1
+    chamber_set_c: float = math.nan
+    gyro_c: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    run: str = ""
+
+    @property
+    def position(self) -> Position:
+        """The position that the name stands for."""
+        return POSITIONS[self.position_name]
+
+
+@dataclass(frozen=True, eq=False)
+class JointBiases:
+    """Gyro biases of m dwells.
+
+    Attributes
+    ----------
+    bias_radps : ndarray, shape (m, 3)
+        Bias of the x, y and z gyro in each dwell.
+    covariance : ndarray, shape (3 m, 3 m)
+        Dwell by dwell, (rad/s)^2.
+    """
+
+    bias_radps: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sigma_radps(self) -> FloatArray:
+        """Standard uncertainties, shape (m, 3)."""
+        return np.sqrt(np.diagonal(self.covariance)).reshape(-1, 3)
+
+    def of_dwell(self, index: int) -> BiasEstimate:
+        """Biases of one dwell, by its place among the m."""
+        own = slice(3 * index, 3 * index + 3)
+        return BiasEstimate(self.bias_radps[index], self.covariance[own, own])
+
+
+@dataclass(frozen=True, eq=False)
+class JointSolution:
+    """Joint solution of the dwells of one plateau, SI.
+
+    A shared quantity that the data do not determine keeps its prior uncertainty.
+
+    Attributes
+    ----------
+    dwells : tuple of JointDwell
+        The m dwells.
+    single, together, north_free : JointBiases
+        Each dwell by itself; with the latitude as declared; with any rate North, where uncertainties
+        of vertical gyros leave a rate Up out.
+    fit, north_free_fit : JointFit
+        Of the last two. If the dwells agree (``p_value``) in the second alone, the latitude is wrong
+        by more than declared; if in neither, they do not share what they are meant to.
+    pairs : VerticalPairs
+        Half-differences of the vertical gyros.
+    up_rate : UpRate
+        The rate Up by these dwells alone.
+    """
+
+    dwells: tuple[JointDwell, ...]
+    single: JointBiases
+    together: JointBiases
+    north_free: JointBiases
+    fit: JointFit
+    north_free_fit: JointFit
+    pairs: VerticalPairs
+    up_rate: UpRate
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the dwells share what they are meant to, be it with another latitude than declared."""
+        return not (self.fit.p_value < _MIN_P_VALUE and self.north_free_fit.p_value < _MIN_P_VALUE)
+
+    @property
+    def gain(self) -> FloatArray:
+        """Uncertainty dwell by dwell over the joint one, shape (m, 3)."""
+        return self.single.sigma_radps / self.together.sigma_radps
+
+    @property
+    def accelerometer_bias(self) -> tuple[FloatArray, FloatArray]:
+        """Biases (3,) and their standard uncertainties, m/s^2, body axes."""
+        return self._shared(ACCELEROMETER_BIAS)
+
+    @property
+    def accelerometer_misalignment(self) -> tuple[FloatArray, FloatArray]:
+        """Matrix (3, 3) and its standard uncertainties, rad; the diagonal is not seen and stays 0."""
+        matrix, sigma = self._shared(ACCELEROMETER_MATRIX)
+        return matrix.reshape(3, 3), sigma.reshape(3, 3)
+
+    @property
+    def gyro_matrix(self) -> tuple[FloatArray, FloatArray]:
+        """Scale factor errors and misalignments (3, 3), and their standard uncertainties."""
+        matrix, sigma = self._shared(GYRO_MATRIX)
+        return matrix.reshape(3, 3), sigma.reshape(3, 3)
+
+    @property
+    def north_rate(self) -> tuple[float, float]:
+        """Rate North fixed in the navigation frame, free of prior knowledge, and its uncertainty, rad/s."""
+        fit = self.north_free_fit
+        return float(fit.unknowns[_NORTH]), float(np.sqrt(fit.covariance[_NORTH, _NORTH]))
+
+    def corrected(self, rate: UpRate | None = None) -> JointBiases:
+        """Biases with a rate Up, if there is one, taken away from the vertical gyros.
+
+        Meant for a rate that ``applies``. One of several temperatures is much the safer: three biases
+        that differ up and down by little more than the noise often pass for a rate.
+
+        Parameters
+        ----------
+        rate : UpRate, optional
+            Of several temperatures together, these dwells among them; otherwise that of these dwells.
+        """
+        rate = rate or self.up_rate
+        if not rate.weights:
+            return self.north_free
+        biases, vertical = self.north_free, _vertical(self.dwells)
+        response, weights = np.zeros((2, 3 * len(self.dwells)))
+        response[vertical] = [dwell.position.up_sign for dwell in self.dwells]
+        weights[vertical] = [rate.weights.get(dwell.number, 0.0) for dwell in self.dwells]
+        removal = np.eye(len(response)) - np.outer(response, weights)
+        # What the rate's variance holds beyond these biases: other dwells, and temperatures up and down.
+        beyond = max(0.0, rate.sigma**2 - float(weights @ biases.covariance @ weights))
+        return JointBiases(
+            biases.bias_radps - rate.rate * response.reshape(-1, 3),
+            removal @ biases.covariance @ removal.T + beyond * np.outer(response, response),
+        )
+
+    def _shared(self, part: slice) -> tuple[FloatArray, FloatArray]:
+        return self.fit.unknowns[part], np.sqrt(np.diagonal(self.fit.covariance)[part])
+
+
+def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
+    """Solve the dwells of one plateau together.
+
+    Parameters
+    ----------
+    dwells : sequence of JointDwell
+        Of one plateau, in any positions.
+    prior : PriorKnowledge
+        What is known beforehand, as for each dwell by itself.
+
+    Raises
+    ------
+    MeasurementError
+        There is no dwell.
+    """
+    if not dwells:
+        raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")
+    earth_rate = dwells[0].information.earth_rate
+    rows = [DwellRows.of(dwell.information, dwell.position, prior) for dwell in dwells]
+    root, free_root = declared_root(prior, earth_rate), north_free_root(prior, earth_rate)
+    fit, north_free_fit = solve_together(rows, root), solve_together(rows, free_root)
+    pairs = _pairs(dwells, north_free_fit, prior.bias_slope)
+    return JointSolution(
+        dwells=tuple(dwells),
+        single=_side_by_side([solve_alone(each, root) for each in rows]),
+        together=_biases(fit),
+        north_free=_biases(north_free_fit),
+        fit=fit,
+        north_free_fit=north_free_fit,
+        pairs=pairs,
+        up_rate=up_rate([pairs], earth_rate),
+    )
+
+
+def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate | None:
+    """Rate Up from several temperatures together; the latitude is the same at all of them.
+
+    Plateaus whose dwells disagree at any latitude are left out; None if there are no others.
+    """
+    agreeing = [each for each in solutions if each.agrees]
+    if not agreeing:
+        return None
+    return up_rate([each.pairs for each in agreeing], agreeing[0].dwells[0].information.earth_rate)
+
+
+def _biases(fit: JointFit) -> JointBiases:
+    return JointBiases(fit.unknowns[SHARED:].reshape(-1, 3), fit.covariance[SHARED:, SHARED:])
+
+
+def _side_by_side(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:
+    biases, covariances = zip(*singles, strict=True)
+    return JointBiases(np.vstack(biases), np.asarray(block_diag(*covariances)))
+
+
+def _vertical(dwells: Sequence[JointDwell]) -> IntArray:
+    """Index of each dwell's vertical gyro among all biases."""
+    return np.array([3 * index + dwell.position.up_axis for index, dwell in enumerate(dwells)])
+
+
+def _pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: float) -> VerticalPairs:
+    halves = {axis: half for axis in range(3) if (half := _half_difference(dwells, axis))}
+    numbers = {dwell.number: index for index, dwell in enumerate(dwells)}
+    weights = np.zeros((len(halves), len(dwells)))
+    shift_c = np.zeros(len(halves))
+    for row, (axis, half) in enumerate(halves.items()):
+        for number, weight in half.items():
+            weights[row, numbers[number]] = weight
+            shift_c[row] += weight * dwells[numbers[number]].gyro_c[axis]
+    taken = SHARED + _vertical(dwells)
+    covariance = weights @ fit.covariance[np.ix_(taken, taken)] @ weights.T
+    return VerticalPairs(
+        gyros=tuple(halves),
+        half_difference=weights @ fit.unknowns[taken],
+        covariance=covariance + np.diag(np.nan_to_num(bias_slope * shift_c) ** 2),
+        weights=tuple(halves.values()),
+        north_rate=float(fit.unknowns[_NORTH]),
+        north_variance=float(fit.covariance[_NORTH, _NORTH]),
+        north_covariance=weights @ fit.covariance[taken, _NORTH],
+    )
+
+
+def _half_difference(dwells: Sequence[JointDwell], axis: int) -> dict[int, float]:
+    """Weight of each dwell in half the difference up less down of one gyro; empty without both."""
+    ways = [
+        [
+            dwell.number
+            for dwell in dwells
+            if dwell.position.up_axis == axis and dwell.position.up_sign == sign
+        ]
+        for sign in (1, -1)
+    ]
+    up, down = ways
+    if not (up and down):
+        return {}
+    return {number: 0.5 / len(up) for number in up} | {number: -0.5 / len(down) for number in down}

@@ -1,1 +1,0 @@
-"""Noise of an INS: what it does to estimates, and how its output tells it."""

@@ -1,0 +1,407 @@
+"""Noise of the INS, estimated from what it puts out at rest in navigation.
+
+The attitude of an INS at rest moves with the integrated noise of its gyros, so the Allan variance
+of its rotation vector, resolved in body axes, gives each gyro's angle random walk. The horizontal
+velocities move with the integrated noise of the accelerometers, and with gravity times the tilt
+that the level gyros' noise has built up: at short averaging times the rounding of the output shows
+(slope -1), then the velocity random walk (slope -1/2), at long ones the tilt (slope +1/2), as a
+random walk of the acceleration of ``g`` times the angle random walk.
+
+Biases and Earth-rate coupling only make slow trends: over the averaging times used, at most a sixth
+of a window, nearly all of them is a ramp of the rate, which the Allan variance here leaves out. The
+Schuler loop's feedback into the velocities is known from the velocities, and is taken out.
+
+Rounding errors are independent only from samples between which the output moves by about half a step
+or more, that is where the second differences have an rms of a step or more (rounding alone gives 0.7).
+Where the output is coarser, only samples so far apart are used; where none are left, the resolution
+hides the noise, and only an upper limit is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from gyrobench.bench.bias.allan import (
+    RANDOM_WALK,
+    RATE_WALK,
+    WHITE_ANGLE,
+    AllanVariance,
+    RateNoise,
+    allan_variance,
+    fit_rate_noise,
+    on_grid,
+)
+from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    UG_PER_SQRT_HZ_TO_SI,
+    BoolArray,
+    FloatArray,
+)
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_vector_enu
+from gyrobench.bench.navigation.earth import MEAN_RADIUS
+from gyrobench.bench.navigation.positions import AXES
+
+#: One-sided 95 % point of the normal distribution.
+_LIMIT_SIGMAS = 1.645
+#: A term below so many sigmas is reported as an upper limit.
+_FOUND_SIGMAS = 2.0
+#: A declared value further away than this is not consistent.
+_CONSISTENT_SIGMAS = 3.0
+#: Intervals between epochs that count as equal, relative.
+_SAME_INTERVAL = 0.01
+#: Share of the changes that may be smaller than the resolution: wraps, corrections.
+_FREAKS = 0.05
+#: Smaller changes are rounding of the arithmetic: m/s and rad.
+_ARITHMETIC = 1e-11
+
+
+@dataclass(frozen=True)
+class NoiseParameter:
+    """A noise parameter, as the square in which it is estimated.
+
+    Attributes
+    ----------
+    square : float or None
+        The parameter's square; None where the resolution hides it.
+    square_sigma : float
+        Standard uncertainty of the square, which scatters evenly about the truth; a small one may
+        come out below zero.
+    limit : float or None
+        The parameter is below this with a confidence of 95 %; None where nothing is known.
+    """
+
+    square: float | None
+    square_sigma: float = 0.0
+    limit: float | None = None
+
+    @classmethod
+    def measured(cls, square: float, sigma: float) -> NoiseParameter:
+        """Make a parameter that the resolution does not hide."""
+        return cls(square, sigma, float(np.sqrt(max(square, 0.0) + _LIMIT_SIGMAS * sigma)))
+
+    @property
+    def value(self) -> float | None:
+        """Best estimate, or None where it is hidden."""
+        return None if self.square is None else float(np.sqrt(max(self.square, 0.0)))
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the value differs from zero significantly."""
+        return self.square is not None and self.square > _FOUND_SIGMAS * self.square_sigma
+
+    @property
+    def sigma(self) -> float | None:
+        """Standard uncertainty of the value, where it is found."""
+        return (
+            self.square_sigma / (2.0 * float(np.sqrt(self.square))) if self.is_found and self.square else None
+        )
+
+    @property
+    def cautious(self) -> float:
+        """A value that the true one seldom exceeds: a sigma more in the square; the limit where hidden."""
+        if self.square is None:
+            return self.limit or 0.0
+        return float(np.sqrt(max(self.square, 0.0) + self.square_sigma))
+
+    def text(self, unit: str, unit_si: float) -> str:
+        """Write the value with its uncertainty, or the limit, in a unit of the given size in SI."""
+        if self.value is not None and self.sigma is not None:
+            value, sigma = self.value / unit_si, self.sigma / unit_si
+            decimals = max(0, 1 - int(np.floor(np.log10(sigma))))
+            return f"{value:.{decimals}f} ± {sigma:.{decimals}f} {unit}"
+        below = "" if self.limit is None else f"below {self.limit / unit_si:.2g} {unit}"
+        if self.square is not None:
+            return below
+        return "hidden by the resolution" + (f", {below}" if below else "")
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelNoise:
+    """Allan variance of one rate, and what was fitted to it.
+
+    Attributes
+    ----------
+    allan : AllanVariance
+        Of the rate (rad/s) or acceleration (m/s^2), from samples with independent rounding errors;
+        from all where the resolution hides the noise.
+    step : float
+        Resolution of the output, as it shows in the data, rad or m/s; 0 if it never changes.
+    fit : RateNoise or None
+        None where the resolution hides the noise.
+    """
+
+    allan: AllanVariance
+    step: float
+    fit: RateNoise | None
+
+    @property
+    def is_seen(self) -> BoolArray:
+        """Averaging times (k,) at which the output moves at all."""
+        return np.asarray(self.allan.deviation * self.allan.tau_s > _ARITHMETIC)
+
+    def parameter(self, term: int) -> NoiseParameter:
+        """One of the terms of :mod:`gyrobench.bench.bias.allan`."""
+        if self.fit is not None:
+            return NoiseParameter.measured(float(self.fit.unbounded[term]), float(self.fit.sigmas[term]))
+        if term != RANDOM_WALK or self.step == 0.0:
+            return NoiseParameter(None)
+        # More would have shown: 2 N^2 tau is the mean square of a second difference.
+        return NoiseParameter(None, limit=self.step / float(np.sqrt(2.0 * self.allan.tau_s[-1])))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEstimate:
+    """Noise of an INS from its output at rest; all in SI.
+
+    Attributes
+    ----------
+    gyros : tuple of ChannelNoise
+        Rates of the x, y and z gyro.
+    all_gyros : ChannelNoise
+        The three pooled.
+    heading : ChannelNoise
+        Rate about Up, by the attitude output.
+    acceleration : ChannelNoise
+        Horizontal accelerations, both directions pooled.
+    gravity : float
+        Gravity, m/s^2.
+    duration_s : float
+        Length of all windows together.
+    """
+
+    gyros: tuple[ChannelNoise, ChannelNoise, ChannelNoise]
+    all_gyros: ChannelNoise
+    heading: ChannelNoise
+    acceleration: ChannelNoise
+    gravity: float
+    duration_s: float
+
+    @property
+    def angle_random_walks(self) -> tuple[NoiseParameter, ...]:
+        """Of the x, y and z gyro, rad/sqrt(s)."""
+        return tuple(gyro.parameter(RANDOM_WALK) for gyro in self.gyros)
+
+    @property
+    def angle_random_walk(self) -> NoiseParameter:
+        """Of the three gyros together, rad/sqrt(s)."""
+        return self.all_gyros.parameter(RANDOM_WALK)
+
+    @property
+    def angle_random_walk_of_tilt(self) -> NoiseParameter:
+        """Of the level gyros, rad/sqrt(s), from the velocities; coarser, but independent."""
+        walk = self.acceleration.parameter(RATE_WALK)
+        if walk.square is None:
+            return walk
+        return NoiseParameter.measured(walk.square / self.gravity**2, walk.square_sigma / self.gravity**2)
+
+    @property
+    def velocity_random_walk(self) -> NoiseParameter:
+        """Of the horizontal velocities, m/s/sqrt(s)."""
+        return self.acceleration.parameter(RANDOM_WALK)
+
+    @property
+    def velocity_white(self) -> NoiseParameter:
+        """Noise of each velocity output, m/s."""
+        return self.acceleration.parameter(WHITE_ANGLE)
+
+    @property
+    def heading_white(self) -> NoiseParameter:
+        """Noise of each heading output, rad; that of level angles may differ, and matters to no estimate."""
+        return self.heading.parameter(WHITE_ANGLE)
+
+    def noise_model(self) -> NoiseModel:
+        """Make the model that this amounts to.
+
+        The velocity random walk is a cautious one: a dwell determines it coarsely, and good dwells would fail
+        the test of fit where it came out small. White noise that is hidden is zero: add the resolution.
+
+        Raises
+        ------
+        MeasurementError
+            The angle random walk was not found.
+        """
+        arw = self.angle_random_walk
+        if not arw.is_found or arw.value is None:
+            raise MeasurementError(
+                "the angle random walk is not observable in these windows: the INS's output is too coarse "
+                "or too noisy, or they are too short. Declare the noise of the data sheet"
+            )
+        return NoiseModel(
+            arw.value,
+            self.velocity_random_walk.cautious,
+            self.velocity_white.value or 0.0,
+            self.heading_white.value or 0.0,
+        )
+
+
+@dataclass(frozen=True)
+class NoiseComparison:
+    """A measured noise parameter beside the declared one.
+
+    Attributes
+    ----------
+    name, unit : str
+        For people.
+    measured : NoiseParameter
+        In SI.
+    declared : float
+        In SI.
+    unit_si : float
+        Size of the unit in SI.
+    """
+
+    name: str
+    unit: str
+    measured: NoiseParameter
+    declared: float
+    unit_si: float
+
+    @property
+    def ratio(self) -> float | None:
+        """Measured over declared; None where either is nothing."""
+        value = self.measured.value
+        return value / self.declared if value is not None and self.declared > 0.0 else None
+
+    @property
+    def is_consistent(self) -> bool | None:
+        """Whether the declared value can be true; None where nothing is known."""
+        if self.measured.square is None:
+            return None if self.measured.limit is None else self.declared <= self.measured.limit
+        away = abs(self.declared**2 - max(self.measured.square, 0.0))
+        return away <= _CONSISTENT_SIGMAS * self.measured.square_sigma
+
+    @property
+    def sentence(self) -> str:
+        """One line of a report."""
+        declared = f"declared {self.declared / self.unit_si:.3g} {self.unit}"
+        return f"{self.name} {self.measured.text(self.unit, self.unit_si)}, {declared}: {self._verdict()}"
+
+    def _verdict(self) -> str:
+        if self.is_consistent is None:
+            return "can't be compared"
+        if self.is_consistent:
+            return "consistent"
+        return (
+            "larger than declared"
+            if (self.measured.value or 0.0) > self.declared
+            else "smaller than declared"
+        )
+
+
+def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseComparison]:
+    """Set measured noise beside the declared one: gyro by gyro, then the other parameters."""
+    arw = ("deg/sqrt(h)", DEG_PER_SQRT_H_TO_SI)
+    rows = [
+        (f"angle random walk of the {axis} gyro", *arw, walk, declared.angle_random_walk)
+        for axis, walk in zip(AXES, estimate.angle_random_walks, strict=True)
+    ]
+    rows += [
+        ("angle random walk of all gyros", *arw, estimate.angle_random_walk, declared.angle_random_walk),
+        (
+            "angle random walk by the velocities",
+            *arw,
+            estimate.angle_random_walk_of_tilt,
+            declared.angle_random_walk,
+        ),
+        (
+            "velocity random walk",
+            "ug/sqrt(Hz)",
+            UG_PER_SQRT_HZ_TO_SI,
+            estimate.velocity_random_walk,
+            declared.velocity_random_walk,
+        ),
+        ("noise of the velocity output", "m/s", 1.0, estimate.velocity_white, declared.velocity_white),
+        ("noise of the attitude output", "urad", 1e-6, estimate.heading_white, declared.heading_white),
+    ]
+    return [
+        NoiseComparison(name, unit, measured, value, unit_si) for name, unit, unit_si, measured, value in rows
+    ]
+
+
+def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> NoiseEstimate:
+    """Estimate the noise of an INS from its output at rest.
+
+    Parameters
+    ----------
+    windows : sequence of NavigationWindow
+        Of one or more dwells, of any attitude; missing epochs are allowed for.
+    gravity : float
+        Gravity at the bench, m/s^2.
+
+    Raises
+    ------
+    MeasurementError
+        No windows, windows with different epoch intervals, or too few data.
+    """
+    if not windows:
+        raise MeasurementError("no window to estimate noise from. Let the INS navigate at rest")
+    on_grids = [on_grid(window.time_s, _angles_and_velocities(window, gravity)) for window in windows]
+    interval = _common_interval([interval for interval, _ in on_grids])
+    values = [grid for _, grid in on_grids]
+    attitude_step = _smallest([_attitude_changes(window) for window in windows])
+    velocity_step = _smallest([np.diff(window.velocity_enu_mps[:, :2], axis=0) for window in windows])
+
+    def channel(columns: Sequence[int], step: float) -> ChannelNoise:
+        return _channel([grid[:, column] for column in columns for grid in values], interval, step)
+
+    return NoiseEstimate(
+        gyros=(channel([0], attitude_step), channel([1], attitude_step), channel([2], attitude_step)),
+        all_gyros=channel([0, 1, 2], attitude_step),
+        heading=channel([3], attitude_step),
+        acceleration=channel([4, 5], velocity_step),
+        gravity=gravity,
+        duration_s=sum(window.duration_s for window in windows),
+    )
+
+
+def _angles_and_velocities(window: NavigationWindow, gravity: float) -> FloatArray:
+    """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
+    rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
+    velocity = window.velocity_enu_mps[:, :2]
+    distance = cumulative_trapezoid(velocity, window.time_s, axis=0, initial=0)
+    feedback = cumulative_trapezoid(distance, window.time_s, axis=0, initial=0) * gravity / MEAN_RADIUS
+    return np.hstack([rotation @ window.C_nb[0], rotation[:, 2:], velocity + feedback])
+
+
+def _channel(stretches: list[FloatArray], interval: float, step: float) -> ChannelNoise:
+    allan = allan_variance(stretches, interval)
+    is_coarse = np.sqrt(2.0 * allan.variance) * allan.tau_s < step
+    if step == 0.0 or is_coarse[-1]:
+        return ChannelNoise(allan, step, None)
+    if not is_coarse.any():
+        return ChannelNoise(allan, step, fit_rate_noise(allan))
+    every = int(allan.factors[np.flatnonzero(is_coarse)[-1] + 1])
+    try:
+        sparse = allan_variance([stretch[::every] for stretch in stretches], every * interval)
+        return ChannelNoise(sparse, step, fit_rate_noise(sparse))
+    except MeasurementError:  # too few samples are that far apart
+        return ChannelNoise(allan, step, None)
+
+
+def _common_interval(intervals: Sequence[float]) -> float:
+    if max(intervals) > min(intervals) * (1.0 + _SAME_INTERVAL):
+        raise MeasurementError(
+            f"the windows have epochs every {min(intervals):.4g} s and every {max(intervals):.4g} s. "
+            "Estimate the noise from windows of one output rate"
+        )
+    return float(np.mean(intervals))
+
+
+def _attitude_changes(window: NavigationWindow) -> FloatArray:
+    """Angle between neighbouring epochs, (n - 1,)."""
+    turns = window.C_nb[1:] @ np.swapaxes(window.C_nb[:-1], 1, 2)
+    return np.asarray(np.linalg.norm(rotation_vector_enu(turns, np.eye(3)), axis=1))
+
+
+def _smallest(changes: Sequence[FloatArray]) -> float:
+    """Smallest change that is not zero, but for a few freaks; 0 if there is none."""
+    sizes = np.abs(np.concatenate([each.ravel() for each in changes]))
+    sizes = sizes[sizes > _ARITHMETIC]
+    return float(np.quantile(sizes, _FREAKS)) if len(sizes) else 0.0

@@ -1,0 +1,158 @@
+"""The parameters of a dwell in the order of the least-squares problem, and the prior knowledge of them.
+
+First the parameters that dwells can share, then those of each window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.error_model import INPUTS
+
+#: Biases of the gyros and their slopes with temperature, accelerometer biases (body axes), rate
+#: North and Up that is fixed in the navigation frame, gyro error matrix by rows.
+GYRO_BIAS, GYRO_SLOPE, ACCELEROMETER_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
+NAVIGATION_RATE, GYRO_MATRIX = slice(9, 11), slice(11, 20)
+#: Drift of the accelerometer biases, m/s^3, body axes.
+ACCELEROMETER_DRIFT = slice(20, 23)
+COMMON = 23
+
+#: Of each window: constant of the heading, jumps of velocity East and North and of the attitude
+#: error East, North and Up at its start.
+HEADING, VELOCITY, ATTITUDE = 0, slice(1, 3), slice(3, 6)
+PER_WINDOW = 6
+
+#: So wide a prior of a gyro's bias, rad/s, that it only keeps the problem regular.
+WIDE_GYRO_BIAS = 0.01
+_HEADING, _VELOCITY, _FIRST_ATTITUDE = 1.0, 10.0, 0.1
+
+
+def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
+    """Input of the error model, (5, count), for a unit of each parameter.
+
+    Parameters
+    ----------
+    C_nb : ndarray, shape (3, 3)
+        Attitude.
+    rate_body : ndarray, shape (3,)
+        Rotation against inertial space in body axes, rad/s.
+    count : int
+        Number of parameters.
+    """
+    result = np.zeros((INPUTS, count))
+    result[:3, GYRO_BIAS] = C_nb
+    result[3:, ACCELEROMETER_BIAS] = C_nb[:2]
+    result[1:3, NAVIGATION_RATE] = np.eye(2)
+    result[:3, GYRO_MATRIX] = np.kron(C_nb, rate_body)
+    # On velocity a steady drift acts as the bias of the level gyro across it does: no fit separates them.
+    result[0, ACCELEROMETER_DRIFT] = -C_nb[1] / STANDARD_GRAVITY
+    result[1, ACCELEROMETER_DRIFT] = C_nb[0] / STANDARD_GRAVITY
+    return result
+
+
+def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
+    """Root ``L`` (p, p) of the parameters' prior covariance ``L @ L.T``.
+
+    What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so
+    wide that it only keeps the problem regular.
+
+    Parameters
+    ----------
+    windows : int
+        Number of windows.
+    earth_rate : ndarray, shape (3,)
+        Rotation of the Earth in ENU, rad/s: with a wrong latitude the INS takes it wrongly.
+    """
+    root = np.zeros((COMMON + PER_WINDOW * windows,) * 2)
+    sigmas = np.diagonal(root).copy()
+    sigmas[GYRO_BIAS], sigmas[GYRO_SLOPE] = WIDE_GYRO_BIAS, prior.bias_slope
+    sigmas[ACCELEROMETER_BIAS] = prior.accelerometer_bias
+    sigmas[ACCELEROMETER_DRIFT] = prior.accelerometer_drift
+    matrix = np.full((3, 3), prior.gyro_misalignment)
+    np.fill_diagonal(matrix, prior.gyro_scale_factor)
+    sigmas[GYRO_MATRIX] = matrix.ravel()
+    for window in range(windows):
+        own = sigmas[COMMON + PER_WINDOW * window :][:PER_WINDOW]
+        own[HEADING], own[VELOCITY] = _HEADING, _VELOCITY
+        own[ATTITUDE] = prior.tilt_step if window else _FIRST_ATTITUDE
+    np.fill_diagonal(root, sigmas)
+    root[NAVIGATION_RATE, NAVIGATION_RATE.start] = prior.latitude * np.array([earth_rate[2], -earth_rate[1]])
+    return root
+
+
+_ARCSEC = np.pi / 180.0 / 3600.0
+_ARCMIN = 60.0 * _ARCSEC
+
+
+@dataclass(frozen=True)
+class PriorKnowledge:
+    """Standard uncertainties of the other error sources, beside biases and noise, SI.
+
+    Each enters the estimate as a parameter of this size, so the bias's uncertainty includes it.
+
+    Attributes
+    ----------
+    accelerometer_bias : float
+        m/s^2; so large that the data decide.
+    accelerometer_drift : float
+        Change of an accelerometer's bias in a dwell, m/s^3.
+    gyro_scale_factor, gyro_misalignment : float
+        Errors of the gyros in the turn and to the Earth's rotation, 1 and rad.
+    tilt_step : float
+        How far the sensors may tilt on their mount in a turn, rad.
+    latitude : float
+        Error of the latitude that the INS uses, rad.
+    bias_slope : float
+        Change of a gyro's bias with its temperature within a dwell, rad/s/K.
+    accelerometer_misalignment : float
+        rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable
+        only in a solution of several dwells.
+
+    Raises
+    ------
+    DocumentError
+        A value is negative or not a number.
+    """
+
+    accelerometer_bias: float = 1000.0 * UG_TO_MPS2
+    gyro_scale_factor: float = 5e-6
+    gyro_misalignment: float = 2.0 * _ARCSEC
+    tilt_step: float = 1.0 * _ARCSEC
+    latitude: float = 0.02 * _ARCMIN
+    bias_slope: float = 0.001 * DPH_TO_RADPS
+    accelerometer_misalignment: float = 5.0 * _ARCSEC
+    accelerometer_drift: float = 2.0 * UG_TO_MPS2 / 3600.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise DocumentError(f"prior knowledge: {field.name} must not be negative; found {value}")
+
+    @classmethod
+    def from_datasheet(
+        cls,
+        accelerometer_bias_ug: float = 1000.0,
+        gyro_scale_factor_ppm: float = 5.0,
+        gyro_misalignment_arcsec: float = 2.0,
+        tilt_step_arcsec: float = 1.0,
+        latitude_arcmin: float = 0.02,
+        bias_slope_dph_per_c: float = 0.001,
+        accelerometer_misalignment_arcsec: float = 5.0,
+        accelerometer_drift_ug_per_h: float = 2.0,
+    ) -> PriorKnowledge:
+        """The same in the units of data sheets."""
+        return cls(
+            accelerometer_bias_ug * UG_TO_MPS2,
+            gyro_scale_factor_ppm * 1e-6,
+            gyro_misalignment_arcsec * _ARCSEC,
+            tilt_step_arcsec * _ARCSEC,
+            latitude_arcmin * _ARCMIN,
+            bias_slope_dph_per_c * DPH_TO_RADPS,
+            accelerometer_misalignment_arcsec * _ARCSEC,
+            accelerometer_drift_ug_per_h * UG_TO_MPS2 / 3600.0,
+        )

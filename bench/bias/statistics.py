@@ -1,0 +1,265 @@
+"""Least squares, weighted means, excess scatter and tests: the statistics that the estimates share.
+
+* :func:`solve` solves white rows with prior knowledge of the parameters; :func:`chi2_test` tests the
+residuals.
+* :func:`weighted_mean` averages independent values and tests whether their uncertainties explain the scatter.
+* :func:`excess_variance` finds by how much values scatter beyond their uncertainties: values are of
+  ``y = X b + c + e``, with noise e of known size in each value and c of one normal distribution for all. Its
+  variance is that of restricted maximum likelihood, which allows for the degrees of freedom that b takes.
+* :func:`holm` corrects p-values for multiple comparisons; :func:`uniformity_p_value` tests whether
+  p-values are uniform (Kolmogorov-Smirnov).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import chdtrc, smirnov, smirnovi
+
+from gyrobench.bench.foundations.arrays import FloatArray
+
+#: Combinations of data whose variance the estimate leaves less of than this test nothing.
+_MIN_VARIANCE = 1e-3
+
+
+def solve(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solve white rows for the parameters (p,) and their covariance (p, p).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, p)
+        Response of each datum to the parameters, in standard deviations.
+    data : ndarray, shape (n,)
+        The data, in standard deviations.
+    prior_root : ndarray, shape (p, k)
+        Root ``L`` of the prior covariance ``L @ L.T``; its k independent parts are solved for, so
+        parameters may be tied to one another or known exactly.
+    """
+    count = prior_root.shape[1]
+    stacked = np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
+    root = compress(stacked)
+    spread = prior_root @ np.linalg.inv(root[:count, :count])
+    return spread @ root[:count, count], spread @ spread.T
+
+
+def compress(rows: FloatArray) -> FloatArray:
+    """Fewest rows with the same normal equations as these (n, c); at most c of them."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+
+
+@dataclass(frozen=True)
+class Chi2Test:
+    """Sum of squares of residuals weighted by their covariance, its expectation, and its probability."""
+
+    chi2: float
+    dof: int
+    p_value: float
+
+
+def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -> Chi2Test:
+    """Test the residuals of white data.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n,)
+        Data less the estimate's prediction.
+    rows : ndarray, shape (n, p)
+        Response of the data to the parameters.
+    covariance : ndarray, shape (p, p)
+        Of the estimate, made from these data, or from data that these are sums of.
+    """
+    variances, directions = np.linalg.eigh(np.eye(len(residuals)) - rows @ covariance @ rows.T)
+    free = variances > _MIN_VARIANCE
+    chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
+    dof = int(free.sum())
+    return Chi2Test(chi2, dof, float(chdtrc(dof, chi2)))
+
+
+@dataclass(frozen=True)
+class WeightedMean:
+    """Mean of independent values, weighted by 1/sigma^2.
+
+    Attributes
+    ----------
+    value, sigma : float
+        The mean and its standard uncertainty.
+    chi2, dof : float, int
+        Scatter of the values in units of their uncertainties, and its degrees of freedom.
+    """
+
+    value: float
+    sigma: float
+    chi2: float
+    dof: int
+
+    @property
+    def chi2_reduced(self) -> float:
+        """Near 1 where the uncertainties explain the scatter; NaN for a single value."""
+        return self.chi2 / self.dof if self.dof else math.nan
+
+    @property
+    def p_value(self) -> float:
+        """Probability of at least this scatter from the uncertainties alone; NaN for a single value."""
+        return float(chdtrc(self.dof, self.chi2)) if self.dof else math.nan
+
+
+def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedMean:
+    """Average values, at least one, whose standard uncertainties are known."""
+    value, weight = np.asarray(values), np.asarray(sigmas) ** -2.0
+    mean = float(weight @ value / weight.sum())
+    return WeightedMean(
+        mean, float(weight.sum() ** -0.5), float(weight @ (value - mean) ** 2), len(value) - 1
+    )
+
+
+#: Twice the likelihood that a 95 % interval of one number leaves on either side.
+_DROP = 3.841
+#: Variances are searched up to so many times the values' own.
+_MAX_SHARE = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedFit:
+    """Least squares with weights.
+
+    Attributes
+    ----------
+    values : ndarray, shape (k,)
+        The unknowns.
+    covariance : ndarray, shape (k, k)
+        Theirs, if the variances are right.
+    chi2, dof : float, int
+        Weighted sum of squared residuals, and its degrees of freedom.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    chi2: float
+    dof: int
+
+
+@dataclass(frozen=True)
+class ExcessSigma:
+    """Scatter beyond the stated uncertainties: standard deviation with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def weighted_fit(values: FloatArray, variances: FloatArray, design: FloatArray) -> WeightedFit:
+    """Fit values (n,) with known variances (n,) by the columns of a design (n, k) of full rank."""
+    weighted = design / variances[:, np.newaxis]
+    covariance = np.linalg.inv(design.T @ weighted)
+    unknowns = covariance @ (weighted.T @ values)
+    residuals = values - design @ unknowns
+    chi2 = float(np.sum(residuals**2 / variances))
+    return WeightedFit(unknowns, np.asarray(covariance), chi2, len(values) - design.shape[1])
+
+
+def excess_variance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
+    """Variance by which values scatter beyond their own; zero where their own explain them.
+
+    Parameters
+    ----------
+    values, variances : ndarray, shape (n,)
+        Values and the known parts of their variances, above zero.
+    design : ndarray, shape (n, k)
+        Columns of what is fitted beside, of full rank.
+    """
+    if len(values) <= design.shape[1]:
+        return 0.0
+    criterion = _criterion(values, variances, design)
+    largest = _largest(values, variances, design)
+    # Over the logarithm: the likelihood is as wide there for small variances as for large ones.
+    found = minimize_scalar(
+        lambda log: criterion(np.exp(log)),
+        bounds=(np.log(1e-4 * variances.min()), np.log(largest)),
+        method="bounded",
+        options={"xatol": 1e-2},
+    )
+    best = float(np.exp(found.x))
+    return best if criterion(best) < criterion(0.0) else 0.0
+
+
+def excess_sigma(values: FloatArray, variances: FloatArray, design: FloatArray) -> ExcessSigma:
+    """Give :func:`excess_variance` as a standard deviation, with the interval of its likelihood.
+
+    The interval holds the truth in about 95 % of cases; with few values it reaches far up.
+    """
+    best = excess_variance(values, variances, design)
+    if len(values) <= design.shape[1]:
+        return ExcessSigma(0.0, 0.0, float("inf"))
+    criterion = _criterion(values, variances, design)
+    limit = criterion(best) + _DROP
+    largest = _largest(values, variances, design)
+
+    def beyond(variance: float) -> float:
+        return criterion(variance) - limit
+
+    low = 0.0 if beyond(0.0) <= 0.0 else float(brentq(beyond, 0.0, best))
+    high = float(brentq(beyond, best, largest)) if beyond(largest) > 0.0 else float("inf")
+    return ExcessSigma(best**0.5, low**0.5, high**0.5)
+
+
+def excess_information(variances: FloatArray, design: FloatArray) -> float:
+    """Fisher information on a variance that all values share, given their whole variances."""
+    weights = 1.0 / variances
+    once, twice, thrice = (design.T @ (design * weights[:, np.newaxis] ** power) for power in (1, 2, 3))
+    covariance = np.linalg.inv(once)
+    mixed = covariance @ twice
+    return 0.5 * float(np.sum(weights**2) - 2.0 * np.trace(covariance @ thrice) + np.trace(mixed @ mixed))
+
+
+def restricted_deviance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
+    """Minus twice the restricted log-likelihood of known variances, but for a constant.
+
+    Differences between variances for the same values and design compare these.
+    """
+    fit = weighted_fit(values, variances, design)
+    _, log_determinant = np.linalg.slogdet(fit.covariance)
+    return float(np.sum(np.log(variances)) - log_determinant + fit.chi2)
+
+
+def _criterion(values: FloatArray, variances: FloatArray, design: FloatArray) -> Callable[[float], float]:
+    """Deviance as a function of a variance added to all."""
+    return lambda added: restricted_deviance(values, variances + added, design)
+
+
+def _largest(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
+    residuals = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    return _MAX_SHARE * float(np.mean(residuals**2) + variances.max())
+
+
+def holm(p_values: Sequence[float]) -> FloatArray:
+    """Correct p-values for multiple comparisons (Holm): the family-wise error stays below the level.
+
+    It holds whether or not the comparisons depend on one another. NaN stays and is not counted.
+    """
+    given = np.asarray(p_values, dtype=np.float64)
+    known = np.flatnonzero(~np.isnan(given))
+    order = known[np.argsort(given[known], kind="stable")]
+    counts = np.arange(len(order), 0, -1)
+    adjusted = np.full(len(given), np.nan)
+    adjusted[order] = np.minimum(np.maximum.accumulate(counts * given[order]), 1.0)
+    return adjusted
+
+
+def uniformity_p_value(p_values: Sequence[float]) -> float:
+    """Probability of a distribution at least as far from uniform, of at least one value in 0 to 1.
+
+    Twice the exact one-sided probability: exact where it is small, too large elsewhere.
+    """
+    count, ordered = len(p_values), np.sort(p_values)
+    steps = np.arange(count + 1) / count
+    distance = max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1]))
+    return min(1.0, 2.0 * float(smirnov(count, distance)))
+
+
+def uniformity_band(count: int, probability: float = 0.95) -> float:
+    """How far the distribution of so many p-values strays from uniform, with this probability at most."""
+    return float(smirnovi(count, 0.5 * (1.0 - probability)))

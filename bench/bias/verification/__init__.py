@@ -1,1 +1,0 @@
-"""Verification of a calibration: biases that show without a turn, and the calibrated ones beside them."""

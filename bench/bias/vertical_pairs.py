@@ -1,0 +1,269 @@
+"""Vertical gyros up and down: what is bias, and what a rate Up fixed in the navigation frame.
+
+A gyro with bias ``b`` measures ``b + u`` when it points up and ``b - u`` when it points down, if
+the navigation frame has a rate ``u`` Up that is not declared. If the bias is the same up and down,
+half the sum is the bias and half the difference the rate. Three gyros give three values of one
+``u``: where they agree, a common cause is likely; where not, biases differ between up and down and
+nothing follows. An error of the latitude makes a rate North too, in a fixed proportion, and
+the level gyros measure it independently of their biases.
+
+What remains open: a bias that follows gravity by the same amount in every gyro, one flaw of one
+design, has the same half-differences. But it makes no rate North, and it will hardly keep its size
+over temperature, hence the comparison with North and the pooling of temperatures. Where the rate
+North is weak evidence (near the equator, or because the rates are small) the two are not separable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import chdtrc
+
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+
+Labels = IntArray
+
+#: Probability below which measurements contradict a hypothesis.
+MIN_P_VALUE = 0.01
+
+# How many sigmas from nothing a rate North must lie, if there is one, to confirm a latitude error.
+_MIN_SIGNIFICANCE = 3.0
+
+
+class Finding(Enum):
+    """What the half-differences of the vertical gyros are; the value says it in words."""
+
+    NO_PAIR = "no gyro was vertical both up and down"
+    ONE_GYRO = (
+        "only one gyro was vertical both up and down, so a rate is not separable from a bias that differs "
+        "up and down"
+    )
+    DIFFERENT = (
+        "the half-differences of up and down disagree: biases differ up and down, so a rate is not "
+        "separable from them"
+    )
+    NOT_LATITUDE = (
+        "the half-differences of up and down agree, but the rate North contradicts an error of the "
+        "latitude: biases that follow gravity alike in all gyros would look the same"
+    )
+    NOT_CONTRADICTED = (
+        "the half-differences of up and down agree; the rate North neither contradicts nor confirms an "
+        "error of the latitude"
+    )
+    LATITUDE = (
+        "the half-differences of up and down agree, and the rate North confirms an error of the latitude"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class VerticalPairs:
+    """Half-differences of the vertical gyros' estimates up and down at one temperature, SI.
+
+    Attributes
+    ----------
+    gyros : tuple of int
+        The p gyros that were vertical both ways.
+    half_difference, covariance : ndarray, shape (p,), (p, p)
+        Up less down, halved; the covariance holds what different temperatures up and down may do.
+    weights : tuple of mapping
+        For each gyro, by dwell number: what the dwell's vertical bias counts in its half-difference.
+    north_rate, north_variance : float
+        Rate North fixed in the navigation frame, from the level gyros.
+    north_covariance : ndarray, shape (p,)
+        Of the rate North with the half-differences.
+    """
+
+    gyros: tuple[int, ...]
+    half_difference: FloatArray
+    covariance: FloatArray
+    weights: tuple[Mapping[int, float], ...]
+    north_rate: float
+    north_variance: float
+    north_covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class UpRate:
+    """Rate Up fixed in the navigation frame, if the biases are the same up and down; SI.
+
+    Attributes
+    ----------
+    rate, sigma : float
+        Weighted mean of the half-differences, rad/s; NaN without any.
+    gyros : tuple of int
+        The gyros that took part.
+    weights : mapping of int to float
+        By dwell number: what the dwell's vertical bias counts in the rate.
+    chi2, dof : float, int
+        Scatter of all half-differences about the rate, and its degrees of freedom.
+    p_gyros, p_temperatures : float
+        Tests that they are equal, against a value for each gyro and against one for each temperature.
+    p_value : float
+        Test that they are equal, against any alternative: with several temperatures the smallest of
+        the p-values times their number, for one small difference over many temperatures hides in the sum.
+    latitude_error, latitude_sigma : float
+        Of the latitude that the INS uses, rad, from the rates Up and North together.
+    latitude_p_value : float
+        Test that the two rates are those of a latitude error.
+    finding : Finding
+        What follows. All p-values are NaN where there is nothing to compare.
+    """
+
+    rate: float
+    sigma: float
+    gyros: tuple[int, ...]
+    weights: Mapping[int, float]
+    chi2: float
+    dof: int
+    p_gyros: float
+    p_temperatures: float
+    p_value: float
+    latitude_error: float
+    latitude_sigma: float
+    latitude_p_value: float
+    finding: Finding
+
+    @property
+    def applies(self) -> bool:
+        """Whether the vertical biases are better off with the rate taken away."""
+        return self.finding in (Finding.LATITUDE, Finding.NOT_CONTRADICTED)
+
+
+def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
+    """Rate Up from the half-differences of one or several temperatures.
+
+    Temperatures count as independent; what gyro scale factors have in common is far below the noise.
+
+    Parameters
+    ----------
+    groups : sequence of VerticalPairs
+        One for each temperature.
+    earth_rate : ndarray, shape (3,)
+        Rotation of the Earth in ENU, rad/s.
+    """
+    groups = [group for group in groups if group.gyros]
+    if not groups:
+        return _NO_RATE
+    values = np.concatenate([group.half_difference for group in groups])
+    inverse = block_diag(*(np.linalg.inv(group.covariance) for group in groups))
+    gyros = np.concatenate([group.gyros for group in groups])
+    temperatures = np.repeat(np.arange(len(groups)), [len(group.gyros) for group in groups])
+    weights = inverse.sum(axis=0) / inverse.sum()
+    parts = [weights[temperatures == number] for number in range(len(groups))]
+    chi2, dof = _scatter(values, inverse, np.zeros_like(gyros))
+    p_gyros, p_temperatures = (
+        _p_value(chi2 - part, dof - free)
+        for part, free in (_scatter(values, inverse, labels) for labels in (gyros, temperatures))
+    )
+    p_value = _p_value(chi2, dof)
+    if len(groups) > 1:
+        p_value = _of_any(p_value, p_gyros, p_temperatures)
+    latitude = _latitude_error(*_north_and_up(groups, parts), earth_rate)
+    return UpRate(
+        rate=float(weights @ values),
+        sigma=float(inverse.sum() ** -0.5),
+        gyros=tuple(np.unique(gyros).tolist()),
+        weights=_dwell_weights(groups, parts),
+        chi2=chi2,
+        dof=dof,
+        p_gyros=p_gyros,
+        p_temperatures=p_temperatures,
+        p_value=p_value,
+        latitude_error=latitude.error,
+        latitude_sigma=latitude.sigma,
+        latitude_p_value=latitude.p_value,
+        finding=_finding(len(np.unique(gyros)), p_value, latitude),
+    )
+
+
+@dataclass(frozen=True)
+class _LatitudeError:
+    """``significance``: sigmas by which rate Up alone would contradict a latitude error."""
+
+    error: float
+    sigma: float
+    p_value: float
+    significance: float
+
+
+def _scatter(values: FloatArray, inverse: FloatArray, labels: Labels) -> tuple[float, int]:
+    """Chi-square about one mean for each label, and its degrees of freedom, by the inverse covariance."""
+    design = (labels[:, np.newaxis] == np.unique(labels)).astype(float)
+    weighted = inverse @ design
+    residuals = values - design @ np.linalg.solve(design.T @ weighted, weighted.T @ values)
+    return float(residuals @ inverse @ residuals), design.shape[0] - design.shape[1]
+
+
+def _p_value(chi2: float, dof: int) -> float:
+    return float(chdtrc(dof, chi2)) if dof else math.nan
+
+
+def _of_any(*p_values: float) -> float:
+    """Probability that any of some tests is as unlikely as the least likely one (Bonferroni)."""
+    known = [each for each in p_values if not math.isnan(each)]
+    return min(1.0, len(known) * min(known)) if known else math.nan
+
+
+def _north_and_up(
+    groups: Sequence[VerticalPairs], up_parts: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Rates North and Up (2,) and their covariance (2, 2); the weighted mean North of the groups."""
+    north_parts = np.array([1.0 / group.north_variance for group in groups])
+    north_parts /= north_parts.sum()
+    rates, covariance = np.zeros(2), np.zeros((2, 2))
+    for group, north, up in zip(groups, north_parts, up_parts, strict=True):
+        rates += north * group.north_rate, up @ group.half_difference
+        mixed = north * (up @ group.north_covariance)
+        covariance += [
+            [north**2 * group.north_variance, mixed],
+            [mixed, up @ group.covariance @ up],
+        ]
+    return rates, covariance
+
+
+def _latitude_error(rates: FloatArray, covariance: FloatArray, earth_rate: FloatArray) -> _LatitudeError:
+    """Latitude error that explains rates North and Up best."""
+    response = np.array([earth_rate[2], -earth_rate[1]])
+    weighted = np.linalg.solve(covariance, response)
+    variance = 1.0 / float(response @ weighted)
+    error = float(weighted @ rates) * variance
+    # A latitude error makes no rate along the axis of the Earth.
+    axis = earth_rate[1:]
+    axis_sigma = float(np.sqrt(axis @ covariance @ axis))
+    away = (axis @ rates) / axis_sigma
+    return _LatitudeError(
+        error=error,
+        sigma=math.sqrt(variance),
+        p_value=_p_value(float(away**2), 1),
+        significance=float(abs(axis[1] * rates[1]) / axis_sigma),
+    )
+
+
+def _dwell_weights(groups: Sequence[VerticalPairs], parts: Sequence[FloatArray]) -> dict[int, float]:
+    return {
+        dwell: float(part * weight)
+        for group, weights in zip(groups, parts, strict=True)
+        for part, of_pair in zip(weights, group.weights, strict=True)
+        for dwell, weight in of_pair.items()
+    }
+
+
+def _finding(gyros: int, p_value: float, latitude: _LatitudeError) -> Finding:
+    if gyros == 1:
+        return Finding.ONE_GYRO
+    if p_value < MIN_P_VALUE:
+        return Finding.DIFFERENT
+    if latitude.p_value < MIN_P_VALUE:
+        return Finding.NOT_LATITUDE
+    return Finding.LATITUDE if latitude.significance > _MIN_SIGNIFICANCE else Finding.NOT_CONTRADICTED
+
+
+_NO_RATE = UpRate(
+    *(math.nan, math.nan, (), {}, 0.0, 0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan),
+    Finding.NO_PAIR,
+)

@@ -1,0 +1,220 @@
+"""One window of navigation at rest, whitened epoch by epoch by a Kalman filter.
+
+What the sensors' noise does to velocity and heading is strongly correlated from epoch to epoch. A filter that
+knows only the noise turns data into innovations that are white with unit variance. The response to each
+parameter, sent through the same filter, becomes a column of an ordinary least-squares problem. That is
+generalised least squares without its large matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+
+from gyrobench.bench.bias.dwell import slots
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.statistics import compress
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.navigation.attitude import rotation_vector_enu
+from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+
+#: Velocity and heading hold all that happened before, so epochs closer than this, s, would only
+#: average noise of the output.
+EPOCH_S = 1.0
+#: Time, s, over which innovations are summed for the test of fit.
+BLOCK_S = 60.0
+
+# Noise of an output without any, m/s and rad: far below what an INS resolves.
+_MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
+
+
+@dataclass
+class _Block:
+    total: FloatArray = field(default_factory=lambda: np.zeros((3, COLUMNS)))
+    times_s: list[float] = field(default_factory=list)
+
+
+class WindowFilter:
+    """Innovations of one window and of the responses to what may act in it.
+
+    Parameters
+    ----------
+    site, noise
+        Where the bench stands, and the noise of the INS.
+    time_s : float
+        First epoch on the clock of the INS.
+    C_nb : ndarray, shape (3, 3)
+        Attitude that the INS computes then.
+    known : ndarray, shape (6,)
+        Minus what the filter knows of the state from earlier windows.
+    covariance : ndarray, shape (6, 6)
+        Covariance of that from the noise alone; changed as epochs are added.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (6, 16)
+        What the filter does not know of the state at the last epoch, for the columns of
+        :mod:`gyrobench.bench.bias.window_filter`.
+    root : ndarray, shape (k, 16)
+        Rows with the same normal equations as the white ones of all epochs.
+    last_s : float
+        Time of the last epoch used; NaN before the first one.
+    temperature_sum, epochs : ndarray of shape (3,), int
+        Sum of the gyros' temperatures over the epochs used, and their number.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        noise: NoiseModel,
+        time_s: float,
+        C_nb: FloatArray,
+        known: FloatArray,
+        covariance: FloatArray,
+    ) -> None:
+        self._site, self._noise = site, noise
+        self._first_s = time_s
+        white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
+        self._variances = np.maximum(white, _MIN_WHITE) ** 2
+        self._blocks: dict[int, _Block] = {}
+        self.C_nb = np.ascontiguousarray(C_nb)
+        self.covariance = covariance
+        self.columns = np.zeros((STATES, COLUMNS))
+        self.columns[:, :INPUT] = np.eye(STATES)
+        self.columns[:, DATA] = known
+        self.root = np.zeros((0, COLUMNS))
+        self.last_s = math.nan
+        self.temperature_sum = np.zeros(3)
+        self.epochs = 0
+
+    def choose(self, time_s: FloatArray) -> IntArray:
+        """Choose the first epoch of each second that has none yet; indices."""
+        numbers = slots(time_s, self._first_s, EPOCH_S)
+        last = -1 if math.isnan(self.last_s) else slots(np.array([self.last_s]), self._first_s, EPOCH_S)[0]
+        return np.flatnonzero(numbers > np.maximum.accumulate(np.append(last, numbers[:-1])))
+
+    def add(
+        self, time_s: FloatArray, velocity_en_mps: FloatArray, C_nb: FloatArray, temperatures: FloatArray
+    ) -> None:
+        """Filter the next epochs (n,); temperatures (n, 3) count from where the bias slopes do, K."""
+        steps = integrate(
+            self._site,
+            np.diff(time_s, prepend=time_s[0] if math.isnan(self.last_s) else self.last_s),
+            self._noise.angle_random_walk,
+            self._noise.velocity_random_walk,
+        )
+        heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
+        rows = whiten(
+            self.columns,
+            self.covariance,
+            np.column_stack([velocity_en_mps, heading]),
+            self._variances,
+            steps.transition,
+            steps.response,
+            steps.covariance,
+            self.C_nb,
+            temperatures,
+        )
+        self.root = compress(np.vstack([self.root, rows.reshape(-1, COLUMNS)]))
+        self._sum_up(time_s, rows)
+        self.last_s = float(time_s[-1])
+        self.temperature_sum += temperatures.sum(axis=0)
+        self.epochs += len(time_s)
+
+    def blocks(self) -> Iterator[tuple[float, FloatArray]]:
+        """Middle of each minute, and the sum of its rows (3, 16) with unit variance."""
+        for block in self._blocks.values():
+            times_s = block.times_s
+            yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
+
+    def _sum_up(self, time_s: FloatArray, rows: FloatArray) -> None:
+        numbers = slots(time_s, self._first_s, BLOCK_S)
+        for number in np.unique(numbers).tolist():
+            block = self._blocks.setdefault(number, _Block())
+            block.total += rows[numbers == number].sum(axis=0)
+            block.times_s += time_s[numbers == number].tolist()
+
+
+#: Columns of a window: state at its start, constant inputs, a constant of the heading, inputs that
+#: follow the temperature of each gyro, the data.
+STATE, INPUT, HEADING, SLOPE, DATA = 0, 6, 11, 12, 15
+COLUMNS = 16
+
+
+@numba.njit(cache=True)
+def whiten(
+    columns: FloatArray,
+    covariance: FloatArray,
+    measured: FloatArray,
+    variances: FloatArray,
+    transitions: FloatArray,
+    responses: FloatArray,
+    covariances: FloatArray,
+    C_nb: FloatArray,
+    temperatures: FloatArray,
+) -> FloatArray:
+    """Filter the next epochs of one window; ``columns`` and ``covariance`` are changed in place.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (6, 16)
+        The part of the state that the filter does not know, for each column.
+    covariance : ndarray, shape (6, 6)
+        Of the filter's estimate, from the noise alone.
+    measured : ndarray, shape (n, 3)
+        Velocity error East and North, attitude error about Up.
+    variances : ndarray, shape (3,)
+        Of the noise of each of them.
+    transitions, responses, covariances : ndarray, shape (n, 6, 6), (n, 6, 5), (n, 6, 6)
+        The interval that leads to each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
+    C_nb : ndarray, shape (3, 3)
+        Attitude in the window.
+    temperatures : ndarray, shape (n, 3)
+        Of the gyros in the interval that leads to each epoch, K from where the slopes count.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 16)
+        White rows with unit variance.
+    """
+    rows = np.empty((measured.shape[0], 3, COLUMNS))
+    moved = np.empty((6, COLUMNS))
+    for k in range(measured.shape[0]):
+        transition, response = transitions[k], responses[k]
+        for i in range(6):
+            for c in range(COLUMNS):
+                moved[i, c] = 0.0
+            for j in range(6):
+                factor = transition[i, j]
+                for c in range(COLUMNS):
+                    moved[i, c] += factor * columns[j, c]
+            for j in range(5):
+                moved[i, INPUT + j] += response[i, j]
+            for axis in range(3):
+                for j in range(3):
+                    moved[i, SLOPE + axis] += response[i, j] * C_nb[j, axis] * temperatures[k, axis]
+        columns[:] = moved
+        covariance[:] = transition @ covariance @ transition.T + covariances[k]
+        for m in range(3):
+            h = 3 + m if m < 2 else 2
+            variance = covariance[h, h] + variances[m]
+            gain = covariance[h] / variance
+            row = rows[k, m]
+            for c in range(COLUMNS):
+                row[c] = columns[h, c]
+            row[DATA] += measured[k, m]
+            if m == 2:
+                row[HEADING] += 1.0
+            for i in range(6):
+                for c in range(COLUMNS):
+                    columns[i, c] -= gain[i] * row[c]
+                for j in range(6):
+                    covariance[i, j] -= gain[i] * gain[j] * variance
+            scale = 1.0 / np.sqrt(variance)
+            for c in range(COLUMNS):
+                row[c] *= scale
+    return rows

@@ -1,0 +1,142 @@
+"""One dwell of a calibration check: an alignment, and the navigation straight after it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from gyrobench.bench.bias.bias_filter import navigation_fit
+from gyrobench.bench.bias.dwell import Dwell
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, Triple
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.window_filter import EPOCH_S
+from gyrobench.bench.dwells.dwell import (
+    MIN_FIT_P_VALUE,
+    MeasurementSetup,
+    checked_navigation,
+    dwell_at_rest,
+    lack_of_fit_text,
+)
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedNavigation:
+    """Navigation straight from an alignment, and the noise of the INS in it.
+
+    Attributes
+    ----------
+    dwell : Dwell
+        An epoch a second.
+    noise : NoiseModel
+        Declared, or as estimated from all epochs.
+    """
+
+    dwell: Dwell
+    noise: NoiseModel
+
+
+@dataclass(frozen=True, eq=False)
+class CheckDwell:
+    """An alignment, and the navigation straight after it.
+
+    Attributes
+    ----------
+    marks : DwellMarks
+        Where and when.
+    navigation : AlignedNavigation or None
+        None where it can't be used.
+    temperatures : DwellTemperatures
+        Of the navigation.
+    aligning_c : tuple of float
+        Mean temperatures of the gyros over the alignment.
+    counts : EpochCounts
+        How the frames came.
+    flags : str
+        What was wrong; empty where nothing was.
+    """
+
+    marks: DwellMarks
+    navigation: AlignedNavigation | None
+    temperatures: DwellTemperatures
+    aligning_c: Triple
+    counts: EpochCounts
+    flags: str
+
+    @property
+    def dwell(self) -> int:
+        """Number of the dwell."""
+        return self.marks.dwell
+
+    @property
+    def run(self) -> str:
+        """Power cycle of the unit."""
+        return self.marks.run
+
+    @property
+    def cycle(self) -> int:
+        """Cycle of the temperature profile."""
+        return self.marks.cycle
+
+    @property
+    def chamber_set_c(self) -> float | None:
+        """Set point of the chamber, degC."""
+        return self.marks.chamber_set_c
+
+    @property
+    def gyro_c(self) -> Triple:
+        """Mean temperatures of the gyros over the navigation, degC."""
+        return self.temperatures.gyro_c
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether a fault disturbed it, so that a repeated dwell may be better."""
+        return bool(self.flags)
+
+
+def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> CheckDwell:
+    """Measure one alignment and the navigation straight after it.
+
+    A dwell that can't be used is flagged with the reason.
+    """
+    flags = list(marks.disturbances)
+    navigation, counts = None, EpochCounts()
+    temperatures, aligning_c = DwellTemperatures(), NOT_MEASURED
+    try:
+        data = checked_navigation(marks, frames, setup, flags)
+        counts = data.counts
+        first_frame, end_frame = marks.windows[0].first_frame, marks.windows[-1].end_frame
+        temperatures = dwell_temperatures(data, first_frame, end_frame)
+        aligning_c = _aligning_c(data, first_frame, temperatures)
+        dwell = dwell_at_rest(marks, data, setup)
+        navigation = _navigation(dwell, setup)
+        flags += [fault.text for fault in setup.output_faults(dwell, navigation.noise)]
+        (window,) = navigation.dwell.windows
+        fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
+        if fit.p_value < MIN_FIT_P_VALUE:
+            flags.append(lack_of_fit_text(fit))
+    except MeasurementError as error:
+        flags.append(str(error))
+    return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags))
+
+
+def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:
+    if len(dwell.windows) != 1:
+        raise MeasurementError(
+            f"{len(dwell.windows)} navigations; a calibration check has one, straight from the alignment"
+        )
+    thinned = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+    return AlignedNavigation(replace(dwell, windows=thinned), setup.noise_in(dwell.windows))
+
+
+def _aligning_c(data: NavigationData, first_frame: int, temperatures: DwellTemperatures) -> Triple:
+    """Temperatures of the alignment; where the INS does not send them, those of the navigation."""
+    try:
+        aligning_c = dwell_temperatures(data, 0, first_frame).gyro_c
+    except MeasurementError:
+        return temperatures.gyro_c
+    return temperatures.gyro_c if any(map(math.isnan, aligning_c)) else aligning_c

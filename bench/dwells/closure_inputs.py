@@ -1,0 +1,99 @@
+"""What the closure takes from a run folder or table, and from a station."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import checked_procedure
+from gyrobench.bench.runs.folder import open_run_folder
+from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.bench.station.station import Station
+
+_MIN_SAMPLES = 2
+_STEP_S = 30.0
+_MAX_STEPS = 20_000
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Read the dwells of a table, or of a run with its temperatures between the dwells too.
+
+    Parameters
+    ----------
+    path : Path
+        A dwell table, or a run folder.
+
+    Raises
+    ------
+    DocumentError
+        There is no dwell table, or it is wrong.
+    RunFolderError
+        The folder is no run folder, or its telemetry can't be read.
+    MeasurementError
+        The table has no good dwells, or dwells of several units.
+    """
+    record = None
+    table = path
+    if path.is_dir():
+        folder = open_run_folder(path)
+        table = folder.dwells
+        record = temperature_record(read_telemetry(folder.telemetry))
+    try:
+        return campaign_of(read_dwells(table), record)
+    except MeasurementError as error:
+        raise MeasurementError(f"{table}: {error}") from error
+
+
+def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:
+    """Make a record of a run's readings at equal steps; None where a gyro's temperature was not read.
+
+    Between readings the temperature is taken as a straight line.
+    """
+    time_s = telemetry["time_s"]
+    readings = [telemetry[f"gyro_{axis}_c"] for axis in AXES]
+    valid = [np.isfinite(each) for each in readings]
+    if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
+        return None
+    first_s, last_s = float(time_s[0]), float(time_s[-1])
+    steps = min(max(round((last_s - first_s) / _STEP_S), 1), _MAX_STEPS)
+    even_s = np.linspace(first_s, last_s, steps + 1)
+    gyro_c = [
+        np.interp(even_s, time_s[known], values[known]) for values, known in zip(readings, valid, strict=True)
+    ]
+    return TemperatureRecord(even_s, np.stack(gyro_c, axis=1))
+
+
+def planned_unit(station: Station) -> PlannedUnit:
+    """The unit on a station: its sensors, and its noise where that is declared."""
+    signals, noise = station.file.ins.signals, station.file.ins.noise
+    unit = PlannedUnit(
+        has_boards=signals.gyro_electronics_temperature is not None,
+        has_case=signals.case_temperature is not None,
+    )
+    if noise == "estimated":
+        return unit
+    walk = noise.angle_random_walk_deg_per_sqrt_h
+    return replace(unit, angle_random_walk_deg_per_sqrt_h=walk, is_noise_declared=True)
+
+
+def plan_on(station: Station, document: Document) -> Plan:
+    """Plan a procedure that was changed.
+
+    Raises
+    ------
+    DocumentError
+        It is not a valid procedure, or the station can't run it.
+    """
+    return station.plan(document, checked_procedure(document))

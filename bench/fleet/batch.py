@@ -1,0 +1,371 @@
+"""Statistics of the units of one batch: mean, spread between units and between runs, outliers.
+
+Each quantity has a model of its own: the level of each gyro in each temperature bin, the difference of
+each position from that, and the size of each effect. The value of run r of unit u is
+
+    m + b_u + c_ur + e_ur
+
+with the batch's mean m, the deviation of the unit b_u and of the run c_ur, normal with variances estimated
+from the data by restricted maximum likelihood (c from repeated runs of a unit, b from the means of the
+units), and noise e_ur of known size.
+
+Quantities belong to temperature bins, not to coefficients of the declared cubic: bins are measured, while
+coefficients of a cubic are correlated and depend on the temperature range of the procedure.
+
+Each unit is compared with a prediction from the other units, so an outlier does not widen the spread that
+it is judged by. A few units estimate a spread badly, so the gyros share one variance, and all position
+differences share one, where a likelihood-ratio test does not reject a common variance. Two outliers in the
+same direction still mask each other a little.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import t as student
+
+from gyrobench.bench.bias.statistics import (
+    ExcessSigma,
+    excess_information,
+    excess_sigma,
+    excess_variance,
+    holm,
+    restricted_deviance,
+    weighted_fit,
+)
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity, RunBias, read_run_biases
+from gyrobench.bench.runs.index.run_index import RunIndex
+
+#: Least number of units for an estimate of their spread.
+MIN_UNITS = 4
+#: Family-wise false-alarm probability of all comparisons of a batch.
+FALSE_ALARM = 0.01
+#: Significance of the test for a common variance of several quantities.
+_COMMON_VARIANCE_P = 0.05
+
+
+@dataclass(frozen=True, order=True)
+class EffectSize:
+    """Rms size of an effect in deg/h; zero in runs whose search did not find it."""
+
+    effect: str
+
+    @property
+    def label(self) -> str:
+        """Name for people."""
+        return f"effect {plain_name(self.effect)}"
+
+
+BatchQuantity = Quantity | EffectSize
+
+
+@dataclass(frozen=True)
+class UnitStatistics:
+    """Statistics of one unit in one quantity.
+
+    Attributes
+    ----------
+    unit : str
+        Serial number.
+    runs : int
+        Number of its runs.
+    bias_dph, sigma_dph : float
+        Mean over its runs, and its standard uncertainty with the scatter between runs.
+    shrunken_dph, shrunken_sigma_dph : float
+        Estimate shrunk towards the batch's mean (best linear unbiased prediction).
+    expected_dph, expected_sigma_dph : float
+        Prediction of its mean from the other units, and the standard deviation of the difference.
+    p_value : float
+        Probability of a difference at least as large.
+    p_adjusted : float
+        The same, corrected for all units and quantities (Holm).
+    """
+
+    unit: str
+    runs: int
+    bias_dph: float
+    sigma_dph: float
+    shrunken_dph: float
+    shrunken_sigma_dph: float
+    expected_dph: float
+    expected_sigma_dph: float
+    p_value: float
+    p_adjusted: float = math.nan
+
+    @property
+    def is_outlier(self) -> bool:
+        """Whether it differs significantly from the other units."""
+        return self.p_adjusted < FALSE_ALARM
+
+
+@dataclass(frozen=True)
+class QuantityStatistics:
+    """Statistics of one quantity over the units of a batch.
+
+    Attributes
+    ----------
+    quantity : Quantity or EffectSize
+        The quantity.
+    mean_dph, mean_sigma_dph : float
+        The batch's mean, and its standard uncertainty.
+    between_units : ExcessSigma
+        Standard deviation between units without noise, with its 95 % interval.
+    between_runs_dph : float or None
+        Standard deviation between runs of one unit; None where no unit has two runs: it is then part
+        of the spread between units.
+    units : sequence of UnitStatistics
+        By serial number.
+    """
+
+    quantity: BatchQuantity
+    mean_dph: float
+    mean_sigma_dph: float
+    between_units: ExcessSigma
+    between_runs_dph: float | None
+    units: Sequence[UnitStatistics]
+
+
+def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[QuantityStatistics]:
+    """Fit the model to each quantity measured on at least :data:`MIN_UNITS` units.
+
+    Raises
+    ------
+    MeasurementError
+        There is no such quantity.
+    """
+    families: dict[object, list[_UnitMeans]] = defaultdict(list)
+    for quantity, runs in values.items():
+        if len({run.unit for run in runs}) >= MIN_UNITS:
+            families[_family(quantity)].append(_unit_means(quantity, runs))
+    if not families:
+        raise MeasurementError(
+            f"no gyro was measured in the same bin and positions on at least {MIN_UNITS} units. Select more "
+            "runs"
+        )
+    fitted = [stats for family in families.values() for stats in _fitted(family)]
+    adjusted = iter(holm([unit.p_value for stats in fitted for unit in stats.units]))
+    return [
+        replace(stats, units=[replace(unit, p_adjusted=float(next(adjusted))) for unit in stats.units])
+        for stats in fitted
+    ]
+
+
+def outliers(batch: Sequence[QuantityStatistics]) -> list[tuple[QuantityStatistics, UnitStatistics]]:
+    """Outlying units with the quantity in which they differ, smallest p-value first."""
+    found = [(stats, unit) for stats in batch for unit in stats.units if unit.is_outlier]
+    return sorted(found, key=lambda pair: pair[1].p_value)
+
+
+@dataclass(frozen=True, eq=False)
+class _UnitMeans:
+    """Mean and its variance (u,) of each unit in one quantity."""
+
+    quantity: BatchQuantity
+    names: list[str]
+    runs: list[int]
+    means: FloatArray
+    variances: FloatArray
+    between_runs: float | None
+
+    def without(self, unit: str) -> tuple[FloatArray, FloatArray]:
+        """Means and variances of the other units."""
+        others = np.array([name != unit for name in self.names])
+        return self.means[others], self.variances[others]
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Variance between units, the variance of that estimate, and its degrees of freedom."""
+
+    value: float
+    variance: float
+    dof: float
+
+
+def _family(quantity: BatchQuantity) -> object:
+    """Quantities that may share a variance between units: those of all gyros in one bin."""
+    if isinstance(quantity, EffectSize):
+        return quantity
+    return quantity.bin_low_c, quantity.name == LEVEL
+
+
+def _unit_means(quantity: BatchQuantity, runs: Sequence[RunBias]) -> _UnitMeans:
+    by_unit: dict[str, list[RunBias]] = defaultdict(list)
+    for run in runs:
+        by_unit[run.unit].append(run)
+    names = sorted(by_unit)
+    between_runs = _between_runs([by_unit[name] for name in names if len(by_unit[name]) > 1])
+    fits = []
+    for name in names:
+        biases, variances = _arrays(by_unit[name])
+        fits.append(weighted_fit(biases, variances + (between_runs or 0.0), np.ones((len(biases), 1))))
+    return _UnitMeans(
+        quantity,
+        names,
+        [len(by_unit[name]) for name in names],
+        np.array([fit.values[0] for fit in fits]),
+        np.array([fit.covariance[0, 0] for fit in fits]),
+        between_runs,
+    )
+
+
+def _between_runs(repeated: Sequence[Sequence[RunBias]]) -> float | None:
+    """Variance between the runs of a unit without noise, common to all units."""
+    if not repeated:
+        return None
+    biases, variances = _arrays([run for runs in repeated for run in runs])
+    return excess_variance(biases, variances, _blocks([len(runs) for runs in repeated]))
+
+
+def _fitted(family: Sequence[_UnitMeans]) -> list[QuantityStatistics]:
+    units = sorted({name for each in family for name in each.names})
+    spreads = {unit: _spreads_without(unit, family) for unit in units}
+    return [
+        _statistics(each, {unit: spreads[unit][number] for unit in each.names})
+        for number, each in enumerate(family)
+    ]
+
+
+def _statistics(each: _UnitMeans, spreads: Mapping[str, _Spread]) -> QuantityStatistics:
+    one = np.ones((len(each.names), 1))
+    between_units = excess_sigma(each.means, each.variances, one)
+    spread = between_units.value**2
+    fit = weighted_fit(each.means, each.variances + spread, one)
+    mean, mean_variance = float(fit.values[0]), float(fit.covariance[0, 0])
+    shares = spread / (spread + each.variances)
+    shrunken_dph = mean + shares * (each.means - mean)
+    shrunken_variance = shares * each.variances + (1.0 - shares) ** 2 * mean_variance
+    units = []
+    for number, name in enumerate(each.names):
+        units.append(
+            UnitStatistics(
+                name,
+                each.runs[number],
+                float(each.means[number]),
+                math.sqrt(each.variances[number]),
+                float(shrunken_dph[number]),
+                math.sqrt(shrunken_variance[number]),
+                *_predicted(each, number, spreads[name]),
+            )
+        )
+    between_runs = None if each.between_runs is None else math.sqrt(each.between_runs)
+    return QuantityStatistics(
+        each.quantity, mean, math.sqrt(mean_variance), between_units, between_runs, units
+    )
+
+
+def _spreads_without(unit: str, family: Sequence[_UnitMeans]) -> list[_Spread]:
+    """Variance between the other units in each quantity of a family."""
+    others = [each.without(unit) for each in family]
+    ones = [np.ones((len(means), 1)) for means, _ in others]
+    each_alone = [excess_variance(*other, one) for other, one in zip(others, ones, strict=True)]
+    means = np.concatenate([means for means, _ in others])
+    variances = np.concatenate([variances for _, variances in others])
+    design = _blocks([len(one) for one in ones])
+    together = excess_variance(means, variances, design)
+    worse = restricted_deviance(means, variances + together, design) - sum(
+        restricted_deviance(means, variances + alone, one)
+        for (means, variances), alone, one in zip(others, each_alone, ones, strict=True)
+    )
+    if chi2.sf(worse, max(len(family) - 1, 1)) < _COMMON_VARIANCE_P:
+        return [
+            _Spread(alone, excess_information(variances + alone, one) ** -1.0, len(one) - 1)
+            for (_, variances), alone, one in zip(others, each_alone, ones, strict=True)
+        ]
+    share = _independent(family[0].quantity)
+    information = share * excess_information(variances + together, design)
+    dof = share * (design.shape[0] - design.shape[1])
+    return [_Spread(together, 1.0 / information, dof)] * len(family)
+
+
+def _independent(quantity: BatchQuantity) -> float:
+    """Share of independent quantities in a family: differences from a mean add up to zero."""
+    if isinstance(quantity, EffectSize) or quantity.name == LEVEL or len(quantity.positions) < 3:
+        return 1.0
+    return 1.0 - 1.0 / len(quantity.positions)
+
+
+def _predicted(each: _UnitMeans, number: int, spread: _Spread) -> tuple[float, float, float]:
+    """Prediction from the other units, standard deviation of the difference, and its p-value.
+
+    Student's distribution with degrees of freedom by Satterthwaite.
+    """
+    means, variances = each.without(each.names[number])
+    fit = weighted_fit(means, variances + spread.value, np.ones((len(means), 1)))
+    expected = float(fit.values[0])
+    variance = spread.value + float(each.variances[number] + fit.covariance[0, 0])
+    distance = abs(float(each.means[number]) - expected) / math.sqrt(variance)
+    dof = min(2.0 * variance**2 / spread.variance, spread.dof)
+    return expected, math.sqrt(variance), float(2.0 * student.sf(distance, dof))
+
+
+def _blocks(sizes: Sequence[int]) -> FloatArray:
+    """Design with one column of ones for each group of values."""
+    of_group = np.repeat(np.arange(len(sizes)), sizes)
+    return np.asarray(of_group[:, np.newaxis] == np.arange(len(sizes)), dtype=np.float64)
+
+
+def _arrays(runs: Sequence[RunBias]) -> tuple[FloatArray, FloatArray]:
+    return np.array([run.bias_dph for run in runs]), np.array([run.sigma_dph for run in runs]) ** 2
+
+
+#: Verdicts of searches that are complete: an effect not found has size zero.
+_COMPLETE = ("clean", "explained")
+
+
+def read_batch(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[BatchQuantity, Sequence[RunBias]]:
+    """Read what can be compared between units: biases and sizes of effects.
+
+    Parameters
+    ----------
+    index : RunIndex
+        Where to read.
+    runs : sequence of mapping
+        Rows of its table of runs.
+    """
+    biases = read_run_biases(index, [run["path"] for run in runs])
+    values: dict[BatchQuantity, Sequence[RunBias]] = dict(biases.items())
+    values.update(_effect_sizes(index, runs).items())
+    return values
+
+
+def _effect_sizes(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[EffectSize, list[RunBias]]:
+    """Size of each effect found in any run, for all runs with a complete search.
+
+    Its uncertainty is that of an rms over the dwells searched.
+    """
+    searched = [
+        run
+        for run in runs
+        if run["verdict"] in _COMPLETE
+        and run["noise_dph"]
+        and run["dwells_searched"]
+        and not run["compensated"]
+    ]
+    sql = "SELECT path, effect, rms_dph FROM effects WHERE path IN (SELECT unnest(?))"
+    found = {
+        (row["path"], row["effect"]): row["rms_dph"]
+        for row in index.query(sql, [[run["path"] for run in searched]]).records()
+    }
+    return {
+        EffectSize(effect): [
+            RunBias(
+                run["path"],
+                run["unit"],
+                run["started_utc"],
+                found.get((run["path"], effect), 0.0),
+                run["noise_dph"] / math.sqrt(run["dwells_searched"]),
+            )
+            for run in searched
+        ]
+        for effect in sorted({effect for _, effect in found})
+    }

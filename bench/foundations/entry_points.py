@@ -1,0 +1,77 @@
+"""What other packages add by entry point: dialects of instruments and candidate effects.
+
+A package names its object in its metadata, under the group of its kind. Dialects are imported one by
+one, when a station names them: a broken package affects only the stations that use it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeVar
+
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import did_you_mean
+
+#: Groups of entry points, and the word for one entry.
+RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
+EFFECTS = "gyrobench.effects"
+_NOUNS = {EFFECTS: "effect"}
+
+ObjectT = TypeVar("ObjectT")
+
+
+def installed(group: str) -> list[str]:
+    """Names of the entries of a group, whether or not they can be imported."""
+    return sorted({entry.name for entry in _entries(group)})
+
+
+def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
+    """Import the object of one entry.
+
+    Parameters
+    ----------
+    group : str
+        One of the groups of this module.
+    name : str
+        Name of the entry, as a station file gives it.
+    kind : type
+        Required type of the object.
+
+    Raises
+    ------
+    DocumentError
+        No package or several packages provide the name, the object can't be imported, or it has another type.
+    """
+    noun = _NOUNS.get(group, "dialect")
+    found = [entry for entry in _entries(group) if entry.name == name]
+    if not found:
+        names = installed(group)
+        raise DocumentError(
+            f"no {noun} {name!r} is installed{did_you_mean(name, names)}; installed: {', '.join(names)}"
+        )
+    if len(found) > 1:
+        packages = " and ".join(sorted(map(_package, found)))
+        raise DocumentError(f"the {noun} {name!r} is provided by {packages}; uninstall all but one")
+    entry = found[0]
+    origin = f"the {noun} {name!r} of {_package(entry)}"
+    try:
+        loaded = entry.load()  # code of another package may raise anything
+    except Exception as error:
+        raise DocumentError(
+            f"{origin} can't be imported: {type(error).__name__}: {error}. Repair or uninstall that package"
+        ) from error
+    if not isinstance(loaded, kind):
+        raise DocumentError(
+            f"{origin} is no {kind.__name__} ({entry.value}). Report this to the package's author"
+        )
+    return loaded
+
+
+@cache
+def _entries(group: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=group))
+
+
+def _package(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value

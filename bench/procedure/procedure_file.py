@@ -1,0 +1,372 @@
+"""A procedure as written: its YAML file, checked step by step, and its loops unrolled.
+
+The file has loops (``repeat``) and variables (``$name``), which :func:`resolve` replaces. A step is checked
+with the values in the file; a value that is a variable is checked when the loops are unrolled.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, PlainValidator, ValidationError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+from gyrobench.bench.bias.verdicts import AcceptanceLimits
+from gyrobench.bench.foundations.documents import (
+    Document,
+    Location,
+    Problem,
+    StrictModel,
+    problems_of,
+    read_document,
+    validate,
+)
+from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.procedure.steps import STEP_KINDS, Celsius, Step, Until
+
+#: A value that a loop variable can take.
+Value = float | int | str
+
+#: How a value stands for the loop variable of that name.
+VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"
+
+_VARIABLE = re.compile(VARIABLE_PATTERN)
+_ALLOWED_STEPS = (*STEP_KINDS, "repeat")
+_MODELS: tuple[type[StrictModel], ...] = (*STEP_KINDS.values(), Until)
+_STEP_KEYS = frozenset(key for model in _MODELS for key in model.model_fields)
+
+
+@dataclass(frozen=True)
+class StepTemplate:
+    """A step as written: its kind, and its keys with variables still in them."""
+
+    kind: type[Step]
+    values: Mapping[str, Any]
+
+    def variables(self) -> dict[Location, str]:
+        """Names of the variables by the keys that lead to them: ``("until", "bias_sigma_below_dph")``."""
+        return dict(_variables_below(self.values, ()))
+
+
+def _checked_value(value: Any) -> Value:
+    if variable_in(value) is not None:
+        raise ValueError("a loop goes over values, not over other variables")
+    if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    raise ValueError("expected a number or text")
+
+
+class Repeat(StrictModel):
+    """Steps done once for every combination of values, the first variable outermost."""
+
+    over: dict[
+        Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")],
+        Annotated[list[Annotated[Value, PlainValidator(_checked_value)]], Field(min_length=1)],
+    ] = Field(min_length=1, description="values of each loop variable")
+    steps: list[Entry] = Field(min_length=1, description="what to do with them")
+
+
+class Procedure(StrictModel):
+    """A procedure file."""
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "most_repeats": "max_repeats",
+        "most_repeats_in_all": "max_repeats_total",
+    }
+
+    procedure: str = Field(
+        pattern="^[A-Za-z0-9_-]{1,80}$", description="name: letters, digits, underscore, hyphen"
+    )
+    description: str = Field(default="", description="what it measures, for people")
+    assumptions: list[str] = Field(
+        default=[], description="what the source does not state and was chosen here"
+    )
+    bin_width_c: float = Field(default=5.0, ge=0.1, le=100.0, description="width of a temperature bin, degC")
+    marked_temperatures_c: list[Celsius] = Field(
+        default=[],
+        max_length=10,
+        description="gyro temperatures that figures mark with a line, degC, such as the onset of an effect",
+    )
+    acceptance: AcceptanceLimits | None = Field(
+        default=None, description="what the gyros have to keep; without it the unit is not judged"
+    )
+    disturbed_dwell: Literal["repeat", "flag"] = Field(
+        default="repeat", description="what to do with a dwell that a fault disturbed"
+    )
+    max_repeats: int = Field(
+        default=2, ge=0, le=20, description="how often a disturbed dwell is repeated before it is flagged"
+    )
+    max_repeats_total: int = Field(
+        default=12, ge=0, le=10_000, description="how many dwells are repeated in the whole run"
+    )
+    steps: list[Entry] = Field(min_length=1, description="what to do, in order")
+
+
+def _checked_entry(entry: Any) -> StepTemplate | Repeat:
+    """Turn ``{name: {key: value}}`` into a template or a loop; a bare name has no keys."""
+    if isinstance(entry, str):
+        entry = {entry: None}
+    if not isinstance(entry, dict) or len(entry) != 1:
+        raise ValueError("expected one step, written as 'name: {key: value, ...}'")
+    [(name, values)] = entry.items()
+    if name not in _ALLOWED_STEPS:
+        allowed = ", ".join(_ALLOWED_STEPS)
+        message = (
+            f"unknown step {json.dumps(name)}{did_you_mean(name, _ALLOWED_STEPS)}; allowed here: {allowed}"
+        )
+        raise PydanticCustomError("unknown_key", message)
+    if values is not None and not isinstance(values, dict):
+        raise ValueError(f"expected the keys of '{name}', written as 'key: value'")
+    return _loop(values or {}) if name == "repeat" else _template(STEP_KINDS[name], values or {})
+
+
+def _loop(values: dict[str, Any]) -> Repeat:
+    try:
+        return Repeat.model_validate(values)
+    except ValidationError as error:
+        raise _error_below("repeat", error.errors()) from error
+
+
+def _template(kind: type[Step], values: dict[str, Any]) -> StepTemplate:
+    try:
+        kind.model_validate(values)
+    except ValidationError as error:
+        details = [detail for detail in error.errors() if not _is_about_a_variable(detail)]
+        if details:
+            raise _error_below(kind.name, details) from error
+    return StepTemplate(kind, values)
+
+
+def _is_about_a_variable(detail: ErrorDetails) -> bool:
+    return detail["type"] != "unknown_key" and variable_in(detail["input"]) is not None
+
+
+def _error_below(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
+    """Put errors of a value under the key that the value belongs to."""
+    lines = [
+        InitErrorDetails(
+            type=PydanticCustomError(detail["type"], detail["msg"]),
+            loc=(key, *detail["loc"]),
+            input=detail["input"],
+        )
+        for detail in details
+    ]
+    return ValidationError.from_exception_data(key, lines)
+
+
+Entry = Annotated[StepTemplate | Repeat, PlainValidator(_checked_entry)]
+Repeat.model_rebuild()
+Procedure.model_rebuild()
+
+
+def load_procedure(path: Path) -> tuple[Document, Procedure]:
+    """Read a procedure file and check all that can be checked without unrolling its loops.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything that is wrong, each with its place in the file.
+    """
+    document = read_document(path)
+    return document, checked_procedure(document)
+
+
+def checked_procedure(document: Document) -> Procedure:
+    """Turn a document into a procedure; see :func:`load_procedure`."""
+    procedure = validate(document, Procedure)
+    problems = [*_scope_problems(procedure.steps, ("steps",), ())]
+    if problems:
+        raise document.error(problems)
+    return procedure
+
+
+def variable_in(value: Any) -> str | None:
+    """Name of the variable that a value consists of, if it is one."""
+    match = _VARIABLE.fullmatch(value) if isinstance(value, str) else None
+    return match[1] if match else None
+
+
+def entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
+    """Where the keys of an entry stand whose list item is at ``at``."""
+    return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
+
+
+def _scope_problems(
+    entries: Sequence[StepTemplate | Repeat], at: Location, scope: tuple[str, ...]
+) -> Iterator[Problem]:
+    for index, entry in enumerate(entries):
+        here = entry_location(entry, (*at, index))
+        if isinstance(entry, Repeat):
+            yield from _loop_problems(entry, (*here, "over"), scope)
+            yield from _scope_problems(entry.steps, (*here, "steps"), (*scope, *entry.over))
+            continue
+        for keys, name in entry.variables().items():
+            if name not in scope:
+                defined = ", ".join(f"${known}" for known in scope) or "none"
+                yield Problem(
+                    (*here, *keys), f"no variable ${name}{did_you_mean(name, scope)}; defined here: {defined}"
+                )
+
+
+def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterator[Problem]:
+    used = _variables_in(loop.steps)
+    for name, values in loop.over.items():
+        if name in scope:
+            yield Problem(
+                (*at, name), f"{name} already is a variable of an enclosing repeat; take another name"
+            )
+        # A name of its own may just count repetitions; the name of a key was meant to be used.
+        if name in _STEP_KEYS and name not in used:
+            yield Problem((*at, name), f"the loop goes over {name}, but no step in it uses ${name}")
+        for index, value in enumerate(values):
+            if name == "cycle" and (not isinstance(value, int) or value < 1):
+                yield Problem(
+                    (*at, name, index), f"cycles are whole numbers from 1; found {json.dumps(value)}"
+                )
+            if name == "position" and index and value == values[index - 1]:
+                yield Problem((*at, name, index), f"the position {value} stands twice in succession")
+
+
+def _variables_below(values: Mapping[str, Any], at: Location) -> Iterator[tuple[Location, str]]:
+    for key, value in values.items():
+        name = variable_in(value)
+        if name is not None:
+            yield (*at, key), name
+        elif isinstance(value, dict):
+            yield from _variables_below(value, (*at, key))
+
+
+def _variables_in(entries: Sequence[StepTemplate | Repeat]) -> set[str]:
+    names: set[str] = set()
+    for entry in entries:
+        names |= _variables_in(entry.steps) if isinstance(entry, Repeat) else {*entry.variables().values()}
+    return names
+
+
+MAX_STEPS = 100_000
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """The value of a loop variable, and where it stands."""
+
+    value: Value
+    place: Location
+
+
+@dataclass(frozen=True)
+class ResolvedStep:
+    """A step without loops and variables.
+
+    Attributes
+    ----------
+    location : Location
+        Where the keys of the step stand in the procedure file.
+    step : Step
+        What to do.
+    cycle : int or None
+        Loop variable ``cycle``, where there is one.
+    value_places : mapping
+        Where the values stand that came from loop variables, by the keys that lead to them.
+    """
+
+    location: Location
+    step: Step
+    cycle: int | None
+    value_places: Mapping[Location, Location]
+
+
+def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
+    """Unroll the loops of a procedure and put the values in place of the variables.
+
+    Raises
+    ------
+    DocumentError
+        The loops give too many steps, or a variable has a value that its step can't take.
+    """
+    _refuse_too_many(document, procedure.steps)
+    problems: list[Problem] = []
+    steps = list(_resolve(procedure.steps, ("steps",), {}, problems))
+    if problems:
+        raise document.error(problems)
+    return steps
+
+
+def _refuse_too_many(document: Document, entries: Sequence[StepTemplate | Repeat]) -> None:
+    count = _count(entries)
+    if count > MAX_STEPS:
+        worst = max(range(len(entries)), key=lambda index: _count(entries[index : index + 1]))
+        message = f"the loops make {count} steps of this procedure; at most {MAX_STEPS} are allowed"
+        raise document.error([Problem(("steps", worst), message)])
+
+
+def _count(entries: Sequence[StepTemplate | Repeat]) -> int:
+    return sum(
+        math.prod(map(len, entry.over.values())) * _count(entry.steps) if isinstance(entry, Repeat) else 1
+        for entry in entries
+    )
+
+
+def _resolve(
+    entries: Sequence[StepTemplate | Repeat],
+    at: Location,
+    scope: Mapping[str, _Bound],
+    problems: list[Problem],
+) -> Iterator[ResolvedStep]:
+    for index, entry in enumerate(entries):
+        here = entry_location(entry, (*at, index))
+        if isinstance(entry, Repeat):
+            for values in _combinations(entry, (*here, "over")):
+                yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, problems)
+            continue
+        try:
+            yield _step(entry, here, scope)
+        except ValidationError as error:
+            problems += _traced(error, entry, here, scope)
+
+
+def _combinations(loop: Repeat, at: Location) -> Iterator[dict[str, _Bound]]:
+    bound = [
+        [_Bound(value, (*at, name, index)) for index, value in enumerate(values)]
+        for name, values in loop.over.items()
+    ]
+    for values in itertools.product(*bound):
+        yield dict(zip(loop.over, values, strict=True))
+
+
+def _step(entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]) -> ResolvedStep:
+    step = entry.kind.model_validate(_filled(entry.values, scope))
+    cycle = int(scope["cycle"].value) if "cycle" in scope else None
+    places = {keys: scope[name].place for keys, name in entry.variables().items()}
+    return ResolvedStep(at, step, cycle, places)
+
+
+def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
+    """Put the values in place of the variables."""
+    if isinstance(value, Mapping):
+        return {key: _filled(inner, scope) for key, inner in value.items()}
+    name = variable_in(value)
+    return value if name is None else scope[name].value
+
+
+def _traced(
+    error: ValidationError, entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]
+) -> Iterator[Problem]:
+    """Put problems of a value that came from a loop where the value stands."""
+    variables = entry.variables()
+    for problem in problems_of(error):
+        keys = next((keys for keys in variables if keys == problem.location[: len(keys)]), None)
+        if keys:
+            place = scope[variables[keys]].place
+            yield Problem(place, f"{problem.message} (for {keys[-1]} of {entry.kind.name})")
+        else:
+            yield Problem((*at, *problem.location), problem.message)

@@ -1,0 +1,237 @@
+"""Biases of many runs: levels and position differences by gyro and bin, and their drift over calendar time.
+
+Runs are compared by the positions that they have in common: a mean over other positions would be
+another number, although nothing changed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from gyrobench.bench.bias.statistics import excess_variance, holm, weighted_fit
+from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
+from gyrobench.bench.runs.index.run_index import RunIndex
+
+#: Name of the quantity that is the mean over the positions.
+LEVEL = "level"
+
+
+@dataclass(frozen=True)
+class RunBias:
+    """One quantity in one run.
+
+    Attributes
+    ----------
+    path, unit : str
+        The run, and its INS.
+    started_utc : datetime
+        Its start.
+    bias_dph, sigma_dph : float
+        Value and standard uncertainty.
+    """
+
+    path: str
+    unit: str
+    started_utc: datetime
+    bias_dph: float
+    sigma_dph: float
+
+
+@dataclass(frozen=True, order=True)
+class Quantity:
+    """A quantity compared between runs.
+
+    Attributes
+    ----------
+    gyro : str
+        "x", "y" or "z".
+    bin_low_c, bin_high_c : float
+        Range of the gyro's temperature.
+    name : str
+        :data:`LEVEL`, or the position whose bias minus the level it is.
+    positions : tuple of str
+        Positions averaged in the level.
+    """
+
+    gyro: str
+    bin_low_c: float
+    bin_high_c: float
+    name: str
+    positions: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """Say what it is: "X gyro at 20 to 40 °C", "X gyro at 20 to 40 °C, Z-Up minus the mean"."""
+        place = f"{gyro_label(self.gyro)} at {bin_label(self.bin_low_c, self.bin_high_c)} °C"
+        return place if self.name == LEVEL else f"{place}, {position_label(self.name)} minus the mean"
+
+
+def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[Quantity, list[RunBias]]:
+    """Read levels and differences of some runs, each quantity in the order of time.
+
+    Runs in which the INS compensated biases are left out: they measured residuals.
+    """
+    sql = (
+        "SELECT path, unit, started_utc, gyro, bin_low_c, bin_high_c, position, bias_dph, sigma_dph "
+        "FROM bins JOIN runs USING (path) WHERE bins.count > 0 AND NOT compensated "
+        "AND path IN (SELECT unnest(?)) ORDER BY started_utc, path"
+    )
+    return run_biases(index.query(sql, [list(paths)]).records())
+
+
+def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[Quantity, list[RunBias]]:
+    """Form levels and differences from biases by run, gyro, bin and position.
+
+    For each gyro and bin the positions common to most runs are used; runs that lack one are left out.
+    """
+    cells: dict[tuple[str, float, float], dict[str, dict[str, Mapping[str, Any]]]] = defaultdict(dict)
+    for row in rows:
+        of_bin = cells[row["gyro"], row["bin_low_c"], row["bin_high_c"]]
+        of_bin.setdefault(row["path"], {})[row["position"]] = row
+    result: dict[Quantity, list[RunBias]] = {}
+    for (gyro, low_c, high_c), runs in sorted(cells.items()):
+        positions = _common_positions(runs.values())
+        whole = [run for run in runs.values() if set(positions) <= run.keys()]
+        # With two positions, one difference is the negative of the other.
+        names = [LEVEL, *(positions if len(positions) > 2 else positions[1:])]
+        for name in names:
+            weights = np.full(len(positions), 1.0 / len(positions))
+            if name != LEVEL:
+                weights = np.eye(len(positions))[positions.index(name)] - weights
+            quantity = Quantity(gyro, low_c, high_c, name, positions)
+            result[quantity] = [_combined([run[each] for each in positions], weights) for run in whole]
+    return result
+
+
+def _common_positions(runs: Iterable[Mapping[str, object]]) -> tuple[str, ...]:
+    """Set of positions with the largest product of its size and the number of runs that have it."""
+    sets = Counter(frozenset(run) for run in runs)
+
+    def coverage(candidate: frozenset[str]) -> tuple[int, list[str]]:
+        having = sum(count for each, count in sets.items() if candidate <= each)
+        return having * len(candidate), sorted(candidate)
+
+    common = max(sets, key=coverage)
+    return tuple(position for position in POSITIONS if position in common)
+
+
+def _combined(rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dtype[np.float64]]) -> RunBias:
+    bias_dph = np.array([row["bias_dph"] for row in rows])
+    sigma_dph = np.array([row["sigma_dph"] for row in rows])
+    first = rows[0]
+    return RunBias(
+        first["path"],
+        first["unit"],
+        first["started_utc"],
+        float(weights @ bias_dph),
+        float(np.sqrt(weights**2 @ sigma_dph**2)),
+    )
+
+
+#: Mean length of a month, days.
+MONTH_DAYS = 365.2425 / 12.0
+#: Least number of runs at different times for a line with uncertainty.
+MIN_RUNS = 3
+#: Family-wise false-alarm probability of all comparisons of a trend.
+FALSE_ALARM = 0.01
+
+_DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Drift of one gyro's bias in one temperature bin.
+
+    Attributes
+    ----------
+    quantity : Quantity
+        The quantity.
+    runs : sequence of RunBias
+        Its measurements in order of time.
+    bias_dph, sigma_dph : float
+        Mean over the runs, and its standard uncertainty.
+    between_runs_dph : float
+        Standard deviation of the runs about the line beyond their uncertainties (turn-on bias).
+    slope_dph_per_month, slope_sigma_dph_per_month : float
+        The drift; NaN with too few runs.
+    p_value : float
+        Probability of a slope at least as steep if there is none; NaN with too few runs.
+    p_adjusted : float
+        The same, corrected for all comparisons (Holm).
+    """
+
+    quantity: Quantity
+    runs: Sequence[RunBias]
+    bias_dph: float
+    sigma_dph: float
+    between_runs_dph: float
+    slope_dph_per_month: float
+    slope_sigma_dph_per_month: float
+    p_value: float
+    p_adjusted: float
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the slope is significant."""
+        return self.p_adjusted < FALSE_ALARM
+
+
+def trends(biases: Mapping[Quantity, Sequence[RunBias]]) -> list[Trend]:
+    """Fit a line to the level of each gyro and bin of one unit.
+
+    The uncertainty of a slope includes the scatter of the runs about the line beyond their own
+    uncertainties; its p-value is that of Student's t.
+    """
+    levels = [(quantity, runs) for quantity, runs in biases.items() if quantity.name == LEVEL and runs]
+    fitted = [_fitted(quantity, runs) for quantity, runs in levels]
+    adjusted = holm([each.p_value for each in fitted])
+    return [Trend(**{**vars(each), "p_adjusted": float(p)}) for each, p in zip(fitted, adjusted, strict=True)]
+
+
+def months_since_first(runs: Sequence[RunBias]) -> list[float]:
+    """Time of each run after the first one, months."""
+    return [(run.started_utc - runs[0].started_utc).total_seconds() / _DAY_S / MONTH_DAYS for run in runs]
+
+
+def mixed_origins(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Warnings if the runs come from several benches or procedures, which can look like drift."""
+    stations = sorted({run["station"] for run in runs})
+    versions = {(run["procedure"], run["procedure_sha256"]) for run in runs}
+    texts = []
+    if len(stations) > 1:
+        texts.append(f"the runs come from the benches {', '.join(stations)}; select one with --bench.")
+    if len(versions) > 1:
+        texts.append(f"the runs follow {len(versions)} procedures or versions; select one with --procedure.")
+    return texts
+
+
+def _fitted(quantity: Quantity, runs: Sequence[RunBias]) -> Trend:
+    values = np.array([run.bias_dph for run in runs])
+    variances = np.array([run.sigma_dph for run in runs]) ** 2
+    months = np.array(months_since_first(runs))
+    constant = np.ones((len(runs), 1))
+    slope = slope_sigma = p_value = math.nan
+    design = constant
+    if len(np.unique(months)) >= MIN_RUNS:
+        design = np.column_stack([constant, months - months.mean()])
+    between = excess_variance(values, variances, design)
+    fit = weighted_fit(values, variances + between, design)
+    # Runs that agree better than their uncertainties do not reduce the uncertainty.
+    scale = max(fit.chi2 / fit.dof, 1.0) if fit.dof else 1.0
+    sigmas = np.sqrt(scale * np.diag(fit.covariance))
+    if design.shape[1] > 1:
+        slope, slope_sigma = float(fit.values[1]), float(sigmas[1])
+        p_value = float(2.0 * student.sf(abs(slope) / slope_sigma, fit.dof))
+    return Trend(
+        quantity, runs, float(fit.values[0]), float(sigmas[0]), math.sqrt(between), slope, slope_sigma,
+        p_value, math.nan,
+    )  # fmt: skip

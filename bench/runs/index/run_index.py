@@ -1,0 +1,370 @@
+"""The index of the runs of a folder or object store: one DuckDB file, made from the run folders.
+
+Everything in it comes from the run folders, so it may be removed at any time. Only runs whose files
+have changed are read again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gyrobench.bench.foundations.clock import Deadline, WallClock
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.runs.index.selection import Selection
+from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store
+from gyrobench.bench.runs.index.tables import (
+    RUN_TABLES,
+    SCHEMAS,
+    VERSION,
+    RunRecord,
+    arrow_table,
+    parse_units,
+    read_run_record,
+    rows_of,
+)
+
+if TYPE_CHECKING:
+    import duckdb
+
+INDEX = "index.duckdb"
+
+#: Runs per transaction; complete transactions survive an interruption.
+_RUNS_PER_TRANSACTION = 100
+#: Parallel requests to an object store, which answers slowly.
+_READERS = 16
+#: Wait for another process that updates the index.
+_LOCK_TIMEOUT_S = 20.0
+#: Texts of DuckDB's errors for a locked and for a damaged file.
+_LOCKED = "set lock on file"
+_DAMAGED = ("Corrupt database", "not a valid DuckDB database", "Serialization Error")
+_LOCK_POLL_S = 0.2
+_MAGIC = slice(8, 12), b"DUCK"
+_PROTECTED = {"enable_external_access": "false", "lock_configuration": "true"}
+
+ReportProgress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Result of an update: number of runs read, removed, and unchanged."""
+
+    read: int
+    gone: int
+    unchanged: int
+
+    @property
+    def text(self) -> str:
+        """For people: "12 of 300 runs read, 1 run removed"; empty if nothing changed."""
+        read = [f"{self.read} of {counted(self.read + self.unchanged, 'run')} read"] if self.read else []
+        return ", ".join([*read, *([f"{counted(self.gone, 'run')} removed"] if self.gone else [])])
+
+
+@dataclass(frozen=True)
+class QueryResult:
+    """Result of a query: names of its columns, and its rows."""
+
+    columns: list[str]
+    rows: list[tuple[Any, ...]]
+
+    def records(self) -> list[dict[str, Any]]:
+        """Rows as values by column."""
+        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
+
+class RunIndex:
+    """The index of one store.
+
+    Parameters
+    ----------
+    store : RunStore
+        The run folders.
+    path : Path, optional
+        The index; by default ``index.duckdb`` beside the runs, and for an object store a file
+        in the user's cache.
+    """
+
+    def __init__(self, store: RunStore, path: Path | None = None) -> None:
+        self._duckdb = require("duckdb")
+        self._store = store
+        self.path = path or _default_path(store)
+
+    def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> Changes:
+        """Bring the index up to date.
+
+        Parameters
+        ----------
+        rebuild : bool
+            Whether to read all runs again.
+        progress : callable, optional
+            Called with the number of changed runs read so far and in total.
+
+        Raises
+        ------
+        RunFolderError
+            The runs can't be found or the index can't be written.
+        DocumentError
+            The table of units is wrong.
+        """
+        found = {run.path: run for run in self._store.runs()}
+        units_tag = self._store.tag(UNITS)
+        if rebuild or not self._is_usable():
+            self._remove()
+        known = self._fingerprints()
+        changed = [run for path, run in found.items() if known.get(path) != run.fingerprint]
+        gone = [path for path in known if path not in found and path != UNITS]
+        if changed or gone or known.get(UNITS) != units_tag or not self.path.exists():
+            make_folder(self.path.parent)
+            with self._connect(read_only=False) as connection:
+                _make_tables(connection)
+                _remove_runs(connection, gone)
+                self._read_changed(connection, changed, progress)
+                self._read_units(connection, units_tag)
+        return Changes(len(changed), len(gone), len(found) - len(changed))
+
+    def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
+        """Query the index, read-only and without access to other files.
+
+        Raises
+        ------
+        DocumentError
+            The query is invalid.
+        """
+        with self._connect(read_only=True) as connection:
+            try:
+                queries = connection.extract_statements(sql)
+                if len(queries) != 1:
+                    raise DocumentError(f"{len(queries)} queries given. Give one")
+                cursor = connection.execute(sql, list(parameters))
+                return QueryResult([column[0] for column in cursor.description or ()], cursor.fetchall())
+            except self._duckdb.Error as error:
+                raise DocumentError(f"invalid query: {error}") from error
+
+    def problems(self) -> dict[str, str]:
+        """Reasons by run folder that can't be read."""
+        return dict(self.query("SELECT path, problem FROM files WHERE problem <> '' ORDER BY path").rows)
+
+    def _read_changed(
+        self,
+        connection: duckdb.DuckDBPyConnection,
+        changed: Sequence[RunFiles],
+        progress: ReportProgress | None,
+    ) -> None:
+        with ThreadPoolExecutor(1 if self._store.is_local else _READERS) as readers:
+            for first in range(0, len(changed), _RUNS_PER_TRANSACTION):
+                runs = changed[first : first + _RUNS_PER_TRANSACTION]
+                outcomes = list(readers.map(partial(_outcome, self._store), runs))
+                connection.begin()
+                _remove_runs(connection, [run.path for run in runs])
+                _insert(connection, "files", [_file_row(*each) for each in zip(runs, outcomes, strict=True)])
+                records = [each for each in outcomes if isinstance(each, RunRecord)]
+                for table, rows in rows_of(records).items():
+                    _insert(connection, table, rows)
+                connection.commit()
+                if progress:
+                    progress(first + len(runs), len(changed))
+
+    def _read_units(self, connection: duckdb.DuckDBPyConnection, tag: str) -> None:
+        units = parse_units(self._store.read(UNITS).decode("utf-8-sig", "replace"), UNITS) if tag else []
+        connection.begin()
+        connection.execute("DELETE FROM units")
+        connection.execute("DELETE FROM files WHERE path = ?", [UNITS])
+        _insert(connection, "units", [asdict(unit) for unit in units])
+        _insert(connection, "files", [{"path": UNITS, "fingerprint": tag, "problem": ""}])
+        connection.execute("UPDATE runs SET batch = '', hardware = ''")
+        connection.execute(
+            "UPDATE runs SET batch = units.batch, hardware = units.hardware FROM units "
+            "WHERE runs.unit = units.unit"
+        )
+        connection.commit()
+
+    def _fingerprints(self) -> dict[str, str]:
+        """Fingerprints of the runs in the index; none for one with a problem, which is read again."""
+        if not self.path.exists():
+            return {}
+        return dict(self.query("SELECT path, CASE problem WHEN '' THEN fingerprint END FROM files").rows)
+
+    def _is_usable(self) -> bool:
+        """Whether there is an index with the columns of this program."""
+        if not self.path.exists():
+            return False
+        if not _is_duckdb(self.path):
+            raise RunFolderError(
+                f"{self.path}: not an index of runs. Choose another file with --index, or remove this one"
+            )
+        try:
+            return self.query("SELECT max(number) FROM version").rows == [(VERSION,)]
+        except DocumentError:
+            return False
+
+    def _remove(self) -> None:
+        if self.path.exists() and not _is_duckdb(self.path):
+            raise RunFolderError(f"{self.path}: not an index of runs, so it is not replaced. Remove it")
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise RunFolderError(f"{self.path}: can't be removed: {error.strerror}") from error
+
+    def _connect(self, *, read_only: bool) -> duckdb.DuckDBPyConnection:
+        clock = WallClock()
+        deadline = Deadline(clock, _LOCK_TIMEOUT_S)
+        while True:
+            try:
+                connection: duckdb.DuckDBPyConnection = self._duckdb.connect(
+                    str(self.path), read_only=read_only, config=dict(_PROTECTED) if read_only else {}
+                )
+                return connection
+            except self._duckdb.Error as error:
+                is_held = _LOCKED in str(error)
+                if not is_held or deadline.expired():
+                    raise self._not_opened(error, is_held=is_held) from error
+            clock.sleep(_LOCK_POLL_S)
+
+    def _not_opened(self, error: duckdb.Error, *, is_held: bool) -> RunFolderError:
+        if is_held:
+            return RunFolderError(
+                f"{self.path}: another process is using this index. Wait until it has finished"
+            )
+        if any(mark in str(error) for mark in _DAMAGED):
+            raise DocumentError(f"{self.path}: damaged. Rebuild it with --rebuild") from error
+        text = str(error).splitlines()[0]
+        return RunFolderError(
+            f"{self.path}: can't be opened: {text}. Rebuild it with --rebuild, or choose another file with "
+            "--index"
+        )
+
+
+def _default_path(store: RunStore) -> Path:
+    if store.is_local:
+        return Path(store.root) / INDEX
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    name = hashlib.sha256(store.url.encode()).hexdigest()[:16]
+    return cache / "gyrobench" / f"index-{name}.duckdb"
+
+
+def _is_duckdb(path: Path) -> bool:
+    place, mark = _MAGIC
+    try:
+        with path.open("rb") as stream:
+            return stream.read(place.stop)[place] == mark
+    except OSError as error:
+        raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
+
+
+def _make_tables(connection: duckdb.DuckDBPyConnection) -> None:
+    for name in SCHEMAS:
+        columns = arrow_table(name, [])
+        connection.register("columns", columns)
+        connection.execute(f"CREATE TABLE IF NOT EXISTS {name} AS SELECT * FROM columns")  # noqa: S608 - ours
+        connection.unregister("columns")
+    connection.execute(f"CREATE TABLE IF NOT EXISTS version AS SELECT {VERSION} AS number")
+
+
+def _remove_runs(connection: duckdb.DuckDBPyConnection, paths: Sequence[str]) -> None:
+    for table in (*RUN_TABLES, "files"):
+        if paths:
+            connection.execute(f"DELETE FROM {table} WHERE path IN (SELECT unnest(?))", [list(paths)])  # noqa: S608 - ours
+
+
+def _insert(connection: duckdb.DuckDBPyConnection, table: str, rows: Sequence[dict[str, Any]]) -> None:
+    connection.register("added", arrow_table(table, rows))
+    connection.execute(f"INSERT INTO {table} BY NAME SELECT * FROM added")  # noqa: S608 - ours
+    connection.unregister("added")
+
+
+def _outcome(store: RunStore, run: RunFiles) -> RunRecord | str:
+    """Read a run, or give the reason why it can't be read."""
+    try:
+        return read_run_record(run, store.read)
+    except GyrobenchError as error:
+        return str(error)
+
+
+def _file_row(run: RunFiles, outcome: RunRecord | str) -> dict[str, Any]:
+    problem = outcome if isinstance(outcome, str) else ""
+    return {"path": run.path, "fingerprint": run.fingerprint, "problem": problem}
+
+
+def find_runs(index: RunIndex, selection: Selection) -> list[dict[str, Any]]:
+    """Selected rows of the table of runs, newest first."""
+    condition, parameters = selection.condition()
+    sql = f"SELECT * FROM runs WHERE {condition} ORDER BY started_utc DESC, path DESC"  # noqa: S608 - ours
+    return index.query(sql, parameters).records()
+
+
+Grouping = Literal["unit", "batch", "bench", "procedure", "month"]
+
+#: SQL expression of each group's name; versions of a procedure differ in the beginning of the SHA-256.
+_NAMES: dict[Grouping, str] = {
+    "unit": "unit",
+    "batch": "batch",
+    "bench": "station",
+    "procedure": "concat(procedure, ' ', left(procedure_sha256, 7))",
+    "month": "strftime(started_utc, '%Y-%m')",
+}
+
+_SQL = """
+WITH chosen AS (SELECT *, {name} AS name FROM runs WHERE {condition}),
+levels AS (
+    SELECT path, gyro, sum(bias_dph / sigma_dph ** 2) / sum(1 / sigma_dph ** 2) AS bias_dph
+    FROM bins WHERE count > 0 GROUP BY path, gyro
+),
+biases AS (
+    SELECT name, {columns}
+    FROM chosen JOIN levels USING (path) WHERE NOT compensated GROUP BY name
+),
+counts AS (
+    SELECT name, count(*) AS runs, count(DISTINCT unit) AS units,
+        count(*) FILTER (verdict = 'clean') AS clean,
+        count(*) FILTER (verdict = 'explained') AS explained,
+        count(*) FILTER (verdict IN ('ambiguous', 'unexplained')) AS other,
+        count(*) FILTER (acceptance = 'accepted') AS accepted,
+        count(*) FILTER (acceptance = 'marginal') AS marginal,
+        count(*) FILTER (acceptance = 'rejected') AS rejected,
+        median(error_before_dph) AS error_before_dph, median(error_after_dph) AS error_after_dph
+    FROM chosen GROUP BY name
+)
+SELECT * FROM counts LEFT JOIN biases USING (name) ORDER BY name
+"""
+
+
+def group_runs(index: RunIndex, by: Grouping, selection: Selection) -> list[dict[str, Any]]:
+    """Count verdicts and average biases of the selected runs by group.
+
+    A run's bias is the weighted mean over its bins and positions; the spread is the standard deviation
+    over the runs. Runs in which the INS compensated biases are left out of both.
+    """
+    condition, parameters = selection.condition()
+    columns = ", ".join(
+        f"{function}(bias_dph) FILTER (gyro = '{gyro}') AS {kind}_{gyro}_dph"
+        for gyro in "xyz"
+        for kind, function in (("bias", "avg"), ("spread", "stddev_samp"))
+    )
+    sql = _SQL.format(name=_NAMES[by], condition=condition, columns=columns)
+    return index.query(sql, parameters).records()
+
+
+def runs_in_index(root: str, index: RunIndex, selection: Selection) -> list[Path]:
+    """Absolute paths of the selected runs of an index.
+
+    Raises
+    ------
+    RunFolderError
+        No run is selected, or the store is an object store, which can't be written.
+    """
+    store = open_store(root)
+    if not store.is_local:
+        raise RunFolderError(f"{root}: runs in an object store can't be changed. Copy them to a folder first")
+    paths = [Path(store.root) / run["path"] for run in find_runs(index, selection)]
+    if not paths:
+        raise RunFolderError(f"{root}: no run matches the selection. List them with: gyrobench runs {root}")
+    return paths

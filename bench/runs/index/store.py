@@ -1,0 +1,211 @@
+"""Run folders in a folder or an object store: where they are, and whether they changed."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.runs.folder import (
+    ACCEPTANCE,
+    BIAS_BINS,
+    CLOSURE,
+    COMPENSATION,
+    DWELLS,
+    JOURNAL,
+    PROVENANCE,
+)
+
+if TYPE_CHECKING:
+    from fsspec.spec import AbstractFileSystem
+
+#: Result of a search for effects.
+CLOSURE_FILE = f"{CLOSURE}/closure.json"
+#: Table of the units, in the root of the runs.
+UNITS = "units.csv"
+
+#: Page of that search as data, with the hash of the dwells searched.
+CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"
+
+_OF_A_RUN = (JOURNAL, PROVENANCE, DWELLS, BIAS_BINS, ACCEPTANCE, COMPENSATION)
+#: Maximum depth of run folders; it also ends a walk through cyclic links.
+_MAX_DEPTH = 8
+_MAX_BYTES = 1_000_000_000
+#: Keys that change with a file: the tag of the store if it has one, else the time.
+_TAGS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "created")
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """One run folder of a store.
+
+    Attributes
+    ----------
+    path : str
+        Relative to the root; "." where the root is the run.
+    files : mapping of str to str
+        Size and tag of each file that the index reads, by name.
+    """
+
+    path: str
+    files: Mapping[str, str]
+
+    @property
+    def fingerprint(self) -> str:
+        """Text that changes with any file."""
+        return json.dumps(dict(sorted(self.files.items())))
+
+
+@dataclass(frozen=True)
+class RunStore:
+    """A folder, or a part of an object store, that holds run folders.
+
+    Attributes
+    ----------
+    url : str
+        As given: a path, or any URL that fsspec knows, as ``s3://bucket/runs`` or ``memory://runs``.
+    file_system, root
+        Its fsspec file system, and the path in it.
+    """
+
+    url: str
+    file_system: AbstractFileSystem = field(repr=False)
+    root: str
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it is a folder of this machine."""
+        return "file" in _protocols(self.file_system)
+
+    def runs(self) -> Iterator[RunFiles]:
+        """Find run folders in order of their paths; folders inside a run are not searched.
+
+        Raises
+        ------
+        RunFolderError
+            The root does not exist or can't be read.
+        """
+        for folder, inner, files in self._walk():
+            if JOURNAL in files:
+                found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
+                if CLOSURE in inner:
+                    found |= self._closure(folder)
+                inner.clear()
+                yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
+            else:
+                # In place: sets the order of the walk.
+                ordered = sorted(inner.items())
+                inner.clear()
+                inner.update(ordered)
+
+    def read(self, path: str) -> bytes:
+        """Content of a file.
+
+        Raises
+        ------
+        RunFolderError
+            It can't be read, or is too large.
+        """
+        whole = f"{self.root.rstrip('/')}/{path}"
+        try:
+            size = self.file_system.size(whole)
+            if size is not None and size > _MAX_BYTES:
+                raise RunFolderError(f"{path}: {size} bytes exceed the limit of {_MAX_BYTES}")
+            return bytes(self.file_system.cat_file(whole))
+        except RunFolderError:
+            raise
+        except OSError as error:
+            raise RunFolderError(f"{path}: can't be read: {error.strerror or error}") from error
+
+    def tag(self, path: str) -> str:
+        """Size and tag of a file; empty if it does not exist."""
+        try:
+            return _tag(self.file_system.info(f"{self.root.rstrip('/')}/{path}"))
+        except OSError:
+            return ""
+
+    def _closure(self, folder: str) -> dict[str, str]:
+        tags = {}
+        for name in (CLOSURE_FILE, CLOSURE_FINDINGS):
+            with contextlib.suppress(FileNotFoundError):
+                tags[name] = _tag(self.file_system.info(f"{folder}/{name}"))
+        return tags
+
+    def _walk(self) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+        try:
+            if not self.file_system.isdir(self.root):
+                raise RunFolderError(
+                    f"{self.url}: no such folder. Give the folder that contains the run folders"
+                )
+            yield from self.file_system.walk(self.root, maxdepth=_MAX_DEPTH, detail=True)
+        except RunFolderError:
+            raise
+        except OSError as error:
+            raise RunFolderError(f"{self.url}: can't be read: {error.strerror or error}") from error
+
+
+def open_store(url: str) -> RunStore:
+    """Open a folder or an object store by path or URL.
+
+    Raises
+    ------
+    RunFolderError
+        The URL is not supported.
+    """
+    url_to_fs = require("fsspec.core").url_to_fs
+    try:
+        file_system, root = url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise RunFolderError(f"{url}: can't be opened: {error}") from error
+    return RunStore(url, file_system, root)
+
+
+def _protocols(file_system: AbstractFileSystem) -> tuple[str, ...]:
+    protocol = file_system.protocol
+    return (protocol,) if isinstance(protocol, str) else tuple(protocol)
+
+
+def _tag(info: Mapping[str, Any]) -> str:
+    return f"{info.get('size')} {next((info[name] for name in _TAGS if info.get(name)), '')}"
+
+
+def runs_named(names: Sequence[str]) -> list[Path]:
+    """Absolute paths of run folders, each once.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
+
+    Raises
+    ------
+    RunFolderError
+        A name matches no run folder.
+    """
+    paths = [path for name in names for path in _named(name)]
+    return list(dict.fromkeys(paths))
+
+
+def _named(name: str) -> Iterator[Path]:
+    matches = [name] if Path(name).exists() else sorted(glob.glob(name))  # noqa: PTH207 - may be absolute
+    places = [Path(match) for match in matches]
+    found = False
+    for place in places:
+        for path in _below(place.absolute()):
+            found = True
+            yield path
+    if not found:
+        raise RunFolderError(f"{name}: no run folder found. Give run folders, or folders that contain some")
+
+
+def _below(place: Path) -> Iterator[Path]:
+    if (place / JOURNAL).is_file():
+        yield place
+    elif place.is_dir():
+        yield from (place / run.path for run in open_store(str(place)).runs())

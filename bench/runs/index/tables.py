@@ -1,0 +1,391 @@
+"""Tables of the index: what they hold of one run, read from the files of its folder, and the units."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from typing import Any, TypeVar
+
+import pyarrow as pa
+from pydantic import BaseModel, ValidationError
+
+from gyrobench.bench.bias.bins import BiasBin, parse_bins
+from gyrobench.bench.bias.dwell_table import DwellRow, parse_dwells
+from gyrobench.bench.foundations.csv_tables import CsvTable
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.folder import (
+    ACCEPTANCE,
+    BIAS_BINS,
+    COMPENSATION,
+    DWELLS,
+    JOURNAL,
+    PROCEDURE,
+    PROVENANCE,
+)
+from gyrobench.bench.runs.index.store import CLOSURE_FILE, CLOSURE_FINDINGS, RunFiles
+from gyrobench.bench.runs.journal import facts_of, parse_journal
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A row of ``units.csv``.
+
+    Attributes
+    ----------
+    unit : str
+        Serial number, as in the runs.
+    batch : str
+        Batch of its gyros.
+    hardware, note : str
+        Further information; may be empty.
+    """
+
+    unit: str
+    batch: str
+    hardware: str
+    note: str
+
+
+def parse_units(text: str, name: str) -> list[Unit]:
+    """Read CSV text with the columns unit and batch, optionally hardware and note.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    name : str
+        Name of the file for messages.
+
+    Raises
+    ------
+    DocumentError
+        Lists all errors with their lines.
+    """
+    table = CsvTable(text, name, required=("unit", "batch"))
+    seen: dict[str, int] = {}
+    units = []
+    for index in range(len(table)):
+        unit = table.name(index, "unit")
+        first = seen.setdefault(unit, index)
+        if first != index:
+            table.problem(index, "unit", f"unit {unit} is also in line {table.lines[first]}")
+        units.append(
+            Unit(unit, table.name(index, "batch"), table.text(index, "hardware"), table.text(index, "note"))
+        )
+    table.raise_problems()
+    return units
+
+
+#: State of a run whose journal has no end: killed, or still running.
+NOT_ENDED = "not ended"
+#: Verdict of a search on dwells that have been re-evaluated since.
+STALE = "stale"
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+class _Provenance(BaseModel):
+    """Part of provenance.json."""
+
+    gyrobench: str = ""
+    started_utc: datetime
+    options: dict[str, Any] = {}
+    files_sha256: dict[str, str] = {}
+
+
+class FoundEffectRecord(BaseModel):
+    """One effect that a search found; see closure.json."""
+
+    effect: str
+    form: str = ""
+    axes: list[str] = []
+    rms_dph: float
+    p_value: float
+    tied_with: list[str] = []
+
+
+class _Closure(BaseModel):
+    """Part of closure.json."""
+
+    verdict: str = ""
+    effects: list[FoundEffectRecord] = []
+    noise_dph: float | None = None
+    error_before_dph: float | None = None
+    error_after_dph: float | None = None
+    dwells_searched: int | None = None
+
+
+class _Findings(BaseModel):
+    """Part of findings.json: hash of the dwells searched."""
+
+    dwells_sha256: str = ""
+
+
+class _Acceptance(BaseModel):
+    """Part of acceptance.json."""
+
+    verdict: str = ""
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """One row of the table of runs; empty text and None mean unknown.
+
+    Attributes
+    ----------
+    path : str
+        Relative to the root of the runs.
+    unit, station, procedure, procedure_sha256, gyrobench : str
+        Serial number, bench, procedure and its version, version of the program.
+    clock, world : str
+        Clock of the run, and world behind emulated instruments.
+    started_utc : datetime
+        Start, UTC without time zone.
+    duration_h : float
+        From its journal.
+    ended, reason : str
+        From its journal; or :data:`NOT_ENDED`.
+    dwells, flagged : int
+        Number of dwells measured, and flagged.
+    compensated : bool
+        Whether the INS compensated biases: the measured ones are residuals.
+    verdict : str
+        Verdict of the search for effects.
+    noise_dph, error_before_dph, error_after_dph, dwells_searched
+        Errors found by the search.
+    acceptance : str
+        Verdict on the acceptance limits.
+    """
+
+    path: str
+    unit: str
+    station: str
+    procedure: str
+    procedure_sha256: str
+    gyrobench: str
+    clock: str
+    world: str
+    started_utc: datetime
+    duration_h: float
+    ended: str
+    reason: str
+    dwells: int
+    flagged: int
+    compensated: bool
+    verdict: str
+    noise_dph: float | None
+    error_before_dph: float | None
+    error_after_dph: float | None
+    dwells_searched: int | None
+    acceptance: str
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """All rows of one run."""
+
+    row: RunRow
+    dwells: list[DwellRow]
+    bins: list[BiasBin]
+    effects: list[FoundEffectRecord]
+
+
+def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
+    """Read a run.
+
+    Parameters
+    ----------
+    files : RunFiles
+        Files of its folder.
+    read : callable
+        Returns the content of a file, given its path from the root.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be read, or is damaged; the message says which and why.
+    DocumentError
+        A table is wrong.
+    """
+    if PROVENANCE not in files.files:
+        raise RunFolderError(f"{files.path}: has a journal but no {PROVENANCE}. Not a complete run folder")
+    folder = _Folder(files, read)
+    provenance = folder.document(PROVENANCE, _Provenance)
+    closure = _search_of(folder)
+    dwells = parse_dwells(*folder.text(DWELLS)) if DWELLS in files.files else []
+    bins = parse_bins(*folder.text(BIAS_BINS)) if BIAS_BINS in files.files else []
+    journal = folder.path(JOURNAL)
+    facts = facts_of(parse_journal(read(journal), journal))
+    units = sorted({each.unit for each in dwells} - {""})
+    row = RunRow(
+        path=files.path,
+        procedure_sha256=provenance.files_sha256.get(PROCEDURE, ""),
+        gyrobench=provenance.gyrobench,
+        clock=str(provenance.options.get("clock", "")),
+        world=str(provenance.options.get("world", "")),
+        started_utc=_plain_utc(provenance.started_utc),
+        dwells=len(dwells),
+        flagged=sum(bool(each.flags) for each in dwells),
+        compensated=COMPENSATION in files.files,
+        verdict=closure.verdict,
+        noise_dph=closure.noise_dph,
+        error_before_dph=closure.error_before_dph,
+        error_after_dph=closure.error_after_dph,
+        dwells_searched=closure.dwells_searched,
+        acceptance=folder.document(ACCEPTANCE, _Acceptance).verdict,
+        unit=", ".join(units) or facts.unit,
+        station=facts.station,
+        procedure=facts.procedure,
+        duration_h=facts.last_s / 3600.0,
+        ended=facts.ended or NOT_ENDED,
+        reason=facts.reason,
+    )
+    return RunRecord(row, dwells, bins, closure.effects)
+
+
+def _search_of(folder: _Folder) -> _Closure:
+    """Result of the search, if the dwells have not changed since."""
+    closure = folder.document(CLOSURE_FILE, _Closure)
+    seen = folder.document(CLOSURE_FINDINGS, _Findings).dwells_sha256
+    if not closure.verdict or not seen or DWELLS not in folder.files.files:
+        return closure
+    is_same = hashlib.sha256(folder.read(folder.path(DWELLS))).hexdigest() == seen
+    return closure if is_same else _Closure(verdict=STALE)
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """Files of a run, read by name."""
+
+    files: RunFiles
+    read: Callable[[str], bytes]
+
+    def path(self, name: str) -> str:
+        return name if self.files.path == "." else f"{self.files.path}/{name}"
+
+    def text(self, name: str) -> tuple[str, str]:
+        """Content of a table, and its name for messages."""
+        path = self.path(name)
+        try:
+            return self.read(path).decode("utf-8-sig"), path
+        except UnicodeDecodeError as error:
+            raise RunFolderError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from error
+
+    def document(self, name: str, model: type[ModelT]) -> ModelT:
+        """Content of a JSON document; the model's defaults if it does not exist."""
+        if name not in self.files.files:
+            return model()
+        path = self.path(name)
+        try:
+            return model.model_validate_json(self.read(path))
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"]))
+            raise RunFolderError(f"{path}: damaged: {f'{place}: ' if place else ''}{first['msg']}") from error
+
+
+def _plain_utc(time: datetime) -> datetime:
+    """UTC without time zone; a time without zone is taken as UTC."""
+    return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+
+
+#: Increased with every change of the columns; an index of another version is rebuilt.
+VERSION = 1
+
+_TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
+_TYPES = {"str": _TEXT, "float": _NUMBER, "float | None": _NUMBER, "int": _COUNT, "int | None": _COUNT}
+_OTHER_TYPES = {"bool": pa.bool_(), "datetime": pa.timestamp("us")}
+_DWELL_SCALARS = (
+    "azimuth_deg",
+    "start_s",
+    "end_s",
+    "since_power_on_s",
+    "chamber_set_c",
+    "chamber_c",
+    "case_c",
+)
+_DWELL_TRIPLES = {
+    "gyro_c": "gyro_{}_c",
+    "gyro_rate_c_per_h": "gyro_{}_rate_c_per_h",
+    "bias_dph": "bias_{}_dph",
+    "sigma_dph": "sigma_{}_dph",
+}
+
+
+def _schema_of(model: type, *first: tuple[str, pa.DataType]) -> pa.Schema:
+    types = _TYPES | _OTHER_TYPES
+    return pa.schema([*first, *((each.name, types[str(each.type)]) for each in fields(model))])
+
+
+#: Columns by table. Names and units are those of the files of a run; ``path`` is that of the run.
+SCHEMAS: Mapping[str, pa.Schema] = {
+    "runs": _schema_of(RunRow).append(pa.field("batch", _TEXT)).append(pa.field("hardware", _TEXT)),
+    "bins": _schema_of(BiasBin, ("path", _TEXT)),
+    "dwells": pa.schema(
+        [
+            *((name, _TEXT) for name in ("path", "run")),
+            *((name, _COUNT) for name in ("dwell", "cycle")),
+            ("position", _TEXT),
+            *((name, _NUMBER) for name in _DWELL_SCALARS),
+            *((name.format(axis), _NUMBER) for name in _DWELL_TRIPLES.values() for axis in AXES),
+            ("fit_p_value", _NUMBER),
+            ("flags", _TEXT),
+        ]
+    ),
+    "effects": pa.schema(
+        [
+            *((name, _TEXT) for name in ("path", "effect", "form", "axes")),
+            *((name, _NUMBER) for name in ("rms_dph", "p_value")),
+            ("tied_with", _TEXT),
+        ]
+    ),
+    "units": _schema_of(Unit),
+    "files": pa.schema([(name, _TEXT) for name in ("path", "fingerprint", "problem")]),
+}
+#: Tables with rows of runs.
+RUN_TABLES = ("runs", "bins", "dwells", "effects")
+
+
+def arrow_table(name: str, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
+    """Rows as an Arrow table; missing values and numbers that are not finite become null."""
+    return pa.Table.from_pylist([_without_nan(row) for row in rows], schema=SCHEMAS[name])
+
+
+def rows_of(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]]]:
+    """Rows by table that some runs have."""
+    return {
+        "runs": [asdict(record.row) for record in records],
+        "bins": [{"path": record.row.path, **asdict(each)} for record in records for each in record.bins],
+        "dwells": [_dwell_values(record.row.path, row) for record in records for row in record.dwells],
+        "effects": [
+            {
+                "path": record.row.path,
+                **each.model_dump(),
+                "axes": "".join(each.axes),
+                "tied_with": ", ".join(each.tied_with),
+            }
+            for record in records
+            for each in record.effects
+        ],
+    }
+
+
+def _dwell_values(path: str, row: DwellRow) -> dict[str, Any]:
+    triples = {
+        column.format(axis): value
+        for name, column in _DWELL_TRIPLES.items()
+        for axis, value in zip(AXES, getattr(row, name), strict=True)
+    }
+    names = ("run", "dwell", "cycle", "position", *_DWELL_SCALARS, "fit_p_value", "flags")
+    return {"path": path, **{name: getattr(row, name) for name in names}, **triples}
+
+
+def _without_nan(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in row.items()
+    }

@@ -1,0 +1,278 @@
+"""The station file's sections `rate_table` and `chamber`: common keys, and those of their dialect."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Annotated, Any, ClassVar, Literal, Self, cast
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    create_model,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
+
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, installed, load
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.chamber import ChamberDialect
+from gyrobench.drivers.rate_table import TableDialect
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Direction = Literal["east", "north", "up", "west", "south", "down"]
+
+_USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")
+
+
+def _low_first(ends: list[float]) -> list[float]:
+    if ends[0] >= ends[1]:
+        raise ValueError("the lower end comes first, then the higher one")
+    return ends
+
+
+def without_password(address: str) -> str:
+    """Refuse ``scheme://user:password@host``: the station file is copied into every run folder."""
+    if _USER_IN_ADDRESS.search(address):
+        raise ValueError(
+            "an address can't hold a user or password: every run folder has a copy of this file. "
+            "Reach the port by a tunnel or a device server without password",
+        )
+    return address
+
+
+Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_first)]
+Port = Annotated[
+    str, Field(min_length=1, description="serial device or pyserial URL"), AfterValidator(without_password)
+]
+Identity = Annotated[
+    str,
+    Field(
+        max_length=200,
+        description="text that the instrument's own identification must contain, for instance its "
+        "serial number",
+    ),
+]
+
+
+Dialect = TableDialect[Any] | ChamberDialect[Any]
+
+
+class DialectSection(StrictModel):
+    """An instrument on a serial port.
+
+    What is read from a file is of a class that has the dialect's own keys as well, and so is an
+    instance of the dialect's options.
+    """
+
+    #: Group of the installed dialects, and what each of them is.
+    group: ClassVar[str]
+    kind: ClassVar[type[Dialect]]
+
+    dialect: str = Field(description="command language")
+    identity: Identity = ""
+    port: Port
+    baudrate: int | None = Field(
+        default=None, gt=0, description="bit/s of a serial device; the dialect's usual one if not given"
+    )
+    parity: Literal["N", "E", "O"] | None = Field(
+        default=None,
+        description="none, even or odd, of a serial device; the dialect's usual one if not given",
+    )
+
+    @property
+    def installed_dialect(self) -> Dialect:
+        """The dialect itself."""
+        return load(self.group, self.dialect, self.kind)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_the_keys_of_its_dialect(cls, data: Any, handler: Any) -> Self:
+        is_complete = "dialect" in cls.model_fields and cls.model_fields["dialect"].annotation is not str
+        if is_complete or not isinstance(data, dict):
+            return cast(Self, handler(data))
+        if "dialect" not in data:
+            raise _wrong(cls, "missing", f"the key 'dialect' is missing; {_installed(cls)}", data)
+        name = data["dialect"]
+        if not isinstance(name, str):
+            raise _wrong(cls, "dialect", f"a dialect is a name; {_installed(cls)}", name)
+        try:
+            complete = section_of(cls, name)
+        except DocumentError as error:
+            raise _wrong(cls, "dialect", str(error), name) from error
+        return cast(Self, complete.model_validate(data))
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        if cls.model_fields["dialect"].annotation is not str:
+            return handler(core_schema)
+        complete = [section_of(cls, name) for name in _that_load(cls)]
+        return {"oneOf": [handler(section.__pydantic_core_schema__) for section in complete]}
+
+
+@cache
+def section_of(section: type[DialectSection], name: str) -> type[DialectSection]:
+    """Class of a section with the keys of one dialect added.
+
+    Raises
+    ------
+    DocumentError
+        There is no such dialect, or its keys can't be added.
+    """
+    options: type[StrictModel] = load(section.group, name, section.kind).options
+    taken = sorted(options.model_fields.keys() & section.model_fields.keys())
+    if taken:
+        raise DocumentError(
+            f"the dialect {name!r} has keys that every such section has ({', '.join(taken)}). "
+            "Report this to the package's author"
+        )
+    dialect: Any = (Literal[name], Field(description="command language"))
+    bases: Any = (options, section)  # a message names the section's own keys first
+    complete = create_model(f"{section.__name__}_{name}", __base__=bases, dialect=dialect)
+    return cast(type[DialectSection], complete)
+
+
+def _that_load(section: type[DialectSection]) -> list[str]:
+    names = []
+    for name in installed(section.group):
+        try:
+            section_of(section, name)
+        except DocumentError:
+            continue  # a broken package of somebody else keeps its keys to itself
+        names.append(name)
+    return names
+
+
+def _installed(section: type[DialectSection]) -> str:
+    return f"installed: {', '.join(installed(section.group))}"
+
+
+def _wrong(section: type[DialectSection], kind: str, message: str, found: Any) -> ValidationError:
+    # A message may have braces, which the error would take for places of its context.
+    escaped = message.replace("{", "{{").replace("}", "}}")
+    detail = InitErrorDetails(
+        type=PydanticCustomError(cast(Any, kind), cast(Any, escaped)), loc=("dialect",), input=found
+    )
+    return ValidationError.from_exception_data(section.__name__, [detail])
+
+
+#: The angle of the outer axis that a single-axis table does not have.
+_NO_OUTER_DEG = (0.0, 0.0)
+
+
+class Mounting(StrictModel):
+    """Where each body axis of the unit points with the table's angles at zero."""
+
+    x: Direction = Field(description="body axis x")
+    y: Direction = Field(description="body axis y")
+    z: Direction = Field(description="body axis z")
+
+
+class TableLimits(StrictModel):
+    """What the table may do."""
+
+    rate_dps: Positive = Field(description="fastest turn of either axis, deg/s")
+    acceleration_dps2: Positive = Field(description="largest acceleration, deg/s2")
+    jerk_dps3: Positive = Field(description="largest jerk, deg/s3")
+    outer_deg: Range | None = Field(
+        default=None, description="lowest and highest angle of the outer axis, deg; none with a single axis"
+    )
+    inner_deg: Range = Field(description="lowest and highest angle of the inner axis, deg")
+
+
+class RateTableSection(DialectSection):
+    """The rate table: two axes, or the inner one alone."""
+
+    group: ClassVar[str] = RATE_TABLES
+    kind: ClassVar[type[Dialect]] = TableDialect
+
+    outer_axis_number: int = Field(
+        default=1, ge=1, le=9, description="the controller's number of the outer axis"
+    )
+    inner_axis_number: int = Field(
+        default=2, ge=1, le=9, description="the controller's number of the inner axis"
+    )
+    outer_axis: Direction | None = Field(
+        default=None,
+        description="where the outer axis points, angles at zero; left out for a table with a single axis",
+    )
+    inner_axis: Direction = Field(description="where the inner axis points, angles at zero")
+    mounting: Mounting = Field(description="where the unit's body axes point, angles at zero")
+    limits: TableLimits = Field(description="what the table may do")
+
+    @model_validator(mode="after")
+    def _one_or_two_axes(self) -> Self:
+        if self.is_single_axis:
+            if self.limits.outer_deg is not None or "outer_axis_number" in self.model_fields_set:
+                raise ValueError(
+                    "outer_axis is missing; a table with a single axis has neither outer_axis nor "
+                    "outer_axis_number nor limits.outer_deg"
+                )
+            return self
+        if self.limits.outer_deg is None:
+            raise ValueError("limits.outer_deg is missing: the range of the outer axis")
+        if self.outer_axis_number == self.inner_axis_number:
+            raise ValueError("outer_axis_number and inner_axis_number must differ")
+        if len(self.axis_numbers) > getattr(self.installed_dialect, "max_axes"):  # noqa: B009
+            raise ValueError(
+                f"a table of the dialect {self.dialect} has a single axis: leave out outer_axis, "
+                "outer_axis_number and limits.outer_deg"
+            )
+        return self
+
+    @property
+    def is_single_axis(self) -> bool:
+        """Whether the inner axis is the only one."""
+        return self.outer_axis is None
+
+    @property
+    def axis_numbers(self) -> tuple[int, ...]:
+        """The controller's numbers of the axes in use, in ascending order."""
+        if self.is_single_axis:
+            return (self.inner_axis_number,)
+        return tuple(sorted((self.outer_axis_number, self.inner_axis_number)))
+
+    @property
+    def outer_limits_deg(self) -> tuple[float, float]:
+        """Range of the outer axis; zero alone where there is none."""
+        return _NO_OUTER_DEG if self.limits.outer_deg is None else _pair(self.limits.outer_deg)
+
+    @property
+    def inner_limits_deg(self) -> tuple[float, float]:
+        """Range of the inner axis."""
+        return _pair(self.limits.inner_deg)
+
+
+def _pair(ends: list[float]) -> tuple[float, float]:
+    low, high = ends
+    return low, high
+
+
+class ChamberLimits(StrictModel):
+    """What the chamber may do."""
+
+    low_c: float = Field(description="lowest set point, degC")
+    high_c: float = Field(description="highest set point, degC")
+    ramp_c_per_min: Positive = Field(description="fastest ramp, degC/min")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.low_c >= self.high_c:
+            raise ValueError(f"low_c ({self.low_c:g}) must be below high_c ({self.high_c:g})")
+        return self
+
+
+class ChamberSection(DialectSection):
+    """The thermal chamber."""
+
+    group: ClassVar[str] = CHAMBERS
+    kind: ClassVar[type[Dialect]] = ChamberDialect
+
+    limits: ChamberLimits = Field(description="what the chamber may do")

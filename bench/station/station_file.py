@@ -1,0 +1,331 @@
+"""The station file's model."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
+
+from gyrobench.bench.foundations.documents import Document, StrictModel, read_document, validate
+from gyrobench.bench.navigation.error_model import MAX_LATITUDE
+from gyrobench.bench.station.instrument_sections import (
+    ChamberSection,
+    Identity,
+    NotNegative,
+    Positive,
+    RateTableSection,
+    without_password,
+)
+from gyrobench.bench.station.interlocks import Interlocks
+from gyrobench.bench.station.receivers import Receiver
+from gyrobench.drivers.ins.command_map import CommandMap
+from gyrobench.drivers.ins.signal_map import SignalMap
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_SERVED_INTERFACES = ("slcan", "socketcand", "emulator")
+_SCHEMES_HERE = ("emulator", "replay")
+
+
+def why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
+    """Say which address belongs to no emulated bench on this computer; empty where all do.
+
+    Parameters
+    ----------
+    addresses : iterable of str
+        Ports of table and chamber, channel of the CAN bus.
+    interface, host : str
+        python-can's interface of the bus, and the host that its options name.
+    """
+    if interface not in _SERVED_INTERFACES:
+        return f"ins.interface: {interface} reaches a real bus"
+    if host and host not in _LOOPBACK:
+        return f"{host} is another computer"
+    for address in addresses:
+        if address.startswith("/dev/") and not address.startswith("/dev/pts/"):
+            return f"{address} is a real port"
+        url = urlsplit(address)
+        if url.scheme and url.scheme not in _SCHEMES_HERE and url.hostname not in _LOOPBACK:
+            return f"{address} is no address of this computer"
+    return ""
+
+
+#: Where an INS can still gyrocompass.
+_HIGHEST_DEG = round(math.degrees(MAX_LATITUDE), 6)
+
+
+class Location(StrictModel):
+    """Where the bench stands."""
+
+    latitude_deg: float = Field(
+        description="geodetic latitude, deg; near the poles gyrocompassing has no answer",
+        json_schema_extra={"minimum": -_HIGHEST_DEG, "maximum": _HIGHEST_DEG},
+    )
+    height_m: float = Field(default=0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
+    latitude_uncertainty_arcmin: float = Field(
+        default=0.02, ge=0.0, le=60.0, description="standard uncertainty of the latitude, arcmin"
+    )
+
+    @field_validator("latitude_deg")
+    @classmethod
+    def _can_gyrocompass(cls, latitude_deg: float) -> float:
+        if not abs(latitude_deg) <= _HIGHEST_DEG:
+            raise ValueError(
+                f"gyrocompassing has no answer at {latitude_deg:g} deg; latitudes go from "
+                f"-{_HIGHEST_DEG:g} to {_HIGHEST_DEG:g} deg"
+            )
+        return latitude_deg
+
+
+def _no_secret(key: str) -> str:
+    if _SECRET.search(key):
+        raise ValueError(f"'{key}' looks like a secret: every run folder has a copy of this file")
+    return key
+
+
+_SECRET = re.compile(r"passw|secret|token|credential|api_?key", re.IGNORECASE)
+
+
+class InsNoise(StrictModel):
+    """Noise of the INS, from its data sheet or an Allan deviation."""
+
+    angle_random_walk_deg_per_sqrt_h: Positive = Field(description="of each gyro, deg/sqrt(h)")
+    velocity_random_walk_ug_per_sqrt_hz: NotNegative = Field(
+        default=0.0, description="of each accelerometer, ug/sqrt(Hz)"
+    )
+    velocity_output_mps: NotNegative = Field(
+        default=0.0, description="noise of the velocity output beyond its resolution, m/s"
+    )
+    heading_output_deg: NotNegative = Field(
+        default=0.0, description="noise of the heading output beyond its resolution, deg"
+    )
+
+
+_ESTIMATED = "estimated"
+_WRITE_NOISE = (
+    "write `estimated`, which takes it from the INS's own output in each dwell, or give "
+    + ", ".join(InsNoise.model_fields)
+)
+
+
+def _kind_of_noise(value: Any) -> str | None:
+    if isinstance(value, dict | InsNoise):
+        return "declared"
+    return _ESTIMATED if value == _ESTIMATED else None
+
+
+#: Told apart first, so that a mistake in one kind is not reported for the other kind as well.
+Noise = Annotated[
+    Annotated[InsNoise, Tag("declared")] | Annotated[Literal["estimated"], Tag(_ESTIMATED)],
+    Discriminator(_kind_of_noise, custom_error_type="no_such_noise", custom_error_message=_WRITE_NOISE),
+]
+
+
+class InsUncertainty(StrictModel):
+    """Standard uncertainties of the INS's errors other than bias and noise; its last calibration tells."""
+
+    accelerometer_bias_ug: NotNegative = Field(
+        default=1000.0, description="bias of each accelerometer, ug; large ones leave it to the data"
+    )
+    accelerometer_drift_ug_per_h: NotNegative = Field(
+        default=2.0, description="change of each accelerometer's bias in a dwell, ug/h"
+    )
+    accelerometer_misalignment_arcsec: NotNegative = Field(
+        default=5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
+    )
+    gyro_scale_factor_ppm: NotNegative = Field(default=5.0, description="scale factor of each gyro, ppm")
+    gyro_misalignment_arcsec: NotNegative = Field(default=2.0, description="of each gyro, arcsec")
+    tilt_step_arcsec: NotNegative = Field(
+        default=1.0, description="tilt of the sensors on their mount from a turn, arcsec"
+    )
+    bias_slope_dph_per_c: NotNegative = Field(
+        default=0.001, description="change of a gyro's bias with its temperature, deg/h/K"
+    )
+
+
+class InsSection(StrictModel):
+    """The INS and its CAN bus."""
+
+    interface: str = Field(
+        min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
+    )
+    channel: Annotated[str, AfterValidator(without_password)] = Field(
+        min_length=1, description="python-can channel"
+    )
+    bitrate: int | None = Field(default=None, gt=0, description="bit/s, where the interface sets it")
+    options: dict[Annotated[str, AfterValidator(_no_secret)], str | int | float | bool] = Field(
+        default={}, description="further options of the python-can interface"
+    )
+    dbc: str = Field(
+        pattern=r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$",
+        description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
+    )
+    identity: Identity = ""
+    signals: SignalMap = Field(description="which signal carries which quantity")
+    commands: CommandMap = Field(default=CommandMap(), description="which message carries which command")
+    noise: Noise = Field(description=_WRITE_NOISE)
+    uncertainty: InsUncertainty = Field(
+        default=InsUncertainty(), description="what is not known of the INS beside bias and noise"
+    )
+
+
+class ThermalEstimateSection(StrictModel):
+    """How the gyros follow the chamber; for estimates of duration only."""
+
+    time_constant_s: Positive = Field(default=2400.0, description="of the gyros behind the air, s")
+    self_heating_c: float = Field(default=15.0, description="gyros above the air in the steady state, K")
+    room_c: float = Field(default=23.0, description="temperature of the room, degC")
+
+
+class UnitSection(StrictModel):
+    """The unit under test on this bench."""
+
+    power: Literal["chamber_event", "operator", "always_on"] = Field(description="what switches its supply")
+    power_event: int = Field(default=2, ge=1, le=8, description="event output of the chamber's controller")
+    thermal: ThermalEstimateSection = Field(
+        default=ThermalEstimateSection(),
+        description="how the gyros follow the chamber; for estimates of duration",
+    )
+
+
+def _off(value: Any) -> Any:
+    return None if value == "off" else value
+
+
+class SafeState(StrictModel):
+    """What the bench is left in at any end."""
+
+    chamber_c: Annotated[
+        float | None, BeforeValidator(_off, json_schema_input_type=float | Literal["off"] | None)
+    ] = Field(description="safe set point, degC, or off")
+    unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
+    on_pause: Literal["keep", "safe"] = Field(
+        default="keep", description="while a run is paused: keep everything as it is, or the safe state"
+    )
+
+
+class GuardSection(StrictModel):
+    """The process that makes the bench safe when the engine can't."""
+
+    silence_s: float = Field(
+        default=60.0,
+        ge=5.0,
+        le=600.0,
+        description="an engine silent for so long is killed, and the bench made safe, s; healthy "
+        "exchanges and calculations keep the engine silent for up to 20 s",
+    )
+
+
+class StationFile(StrictModel):
+    """A station file."""
+
+    station: str = Field(pattern="^[A-Za-z0-9_-]{1,80}$", description="name of the bench")
+    description: str = Field(default="", description="what bench it is, for people")
+    clock: Literal["wall", "virtual"] = Field(
+        default="wall", description="virtual: time passes as fast as the work allows; for emulated benches"
+    )
+    speed: float = Field(
+        default=1.0,
+        ge=1.0,
+        le=100.0,
+        description="seconds of the bench in one of this computer, as `gyrobench emulate --speed` has it",
+    )
+    location: Location = Field(description="where it stands")
+    tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(
+        default=1.0, description="period of the engine, s"
+    )
+    poll_period_s: Annotated[float, Field(ge=0.01, le=10.0)] = Field(
+        default=0.1, description="how often the CAN bus is emptied, s"
+    )
+    instruments_period_s: Annotated[float, Field(ge=0.5, le=60.0)] = Field(
+        default=5.0, description="how often table, chamber and INS status are read, s"
+    )
+    rate_table: RateTableSection = Field(description="the rate table")
+    chamber: ChamberSection = Field(description="the thermal chamber")
+    ins: InsSection = Field(description="the INS and its CAN bus")
+    unit: UnitSection = Field(description="the unit under test")
+    safe_state: SafeState = Field(description="what the bench is left in at any end")
+    guard: GuardSection = Field(
+        default=GuardSection(), description="the process that makes the bench safe when the engine can't"
+    )
+    interlocks: Interlocks = Field(
+        default=Interlocks(), description="what is watched, and what becomes of the run after a trip"
+    )
+    messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
+        default=[],
+        description="who off the bench is told how a run goes; an emulated bench tells it too",
+    )
+
+    @model_validator(mode="after")
+    def _safe_within_limits(self) -> Self:
+        limits, safe_c = self.chamber.limits, self.safe_state.chamber_c
+        if safe_c is not None and not limits.low_c <= safe_c <= limits.high_c:
+            raise ValueError(
+                f"safe_state.chamber_c ({safe_c:g}) is outside the chamber's limits "
+                f"({limits.low_c:g} to {limits.high_c:g})"
+            )
+        if self.safe_state.unit == "off" and self.unit.power != "chamber_event":
+            raise ValueError(
+                f"safe_state.unit: off can't be done with unit.power: {self.unit.power}; use keep"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _interlocks_beyond_limits(self) -> Self:
+        """What the limits allow must trip nothing: procedures are checked against the limits alone."""
+        problems = self.interlocks.inside_limits(
+            chamber_c=(self.chamber.limits.low_c, self.chamber.limits.high_c),
+            ramp_c_per_min=self.chamber.limits.ramp_c_per_min,
+            rate_dps=self.rate_table.limits.rate_dps,
+            outer_deg=self.rate_table.outer_limits_deg,
+            inner_deg=self.rate_table.inner_limits_deg,
+        )
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    @model_validator(mode="after")
+    def _virtual_only_where_emulated(self) -> Self:
+        if self.clock == "virtual" and not self.is_emulated():
+            raise ValueError("clock: virtual needs every instrument emulated; real ones need clock: wall")
+        return self
+
+    @model_validator(mode="after")
+    def _fast_only_where_emulated(self) -> Self:
+        addresses = (self.rate_table.port, self.chamber.port, self.ins.channel)
+        host = str(self.ins.options.get("host", ""))
+        why_not = why_not_fast(addresses, self.ins.interface, host) if self.speed != 1.0 else ""
+        if self.speed != 1.0 and self.clock == "virtual":
+            why_not = "clock: virtual goes as fast as it can; use clock: wall"
+        if why_not:
+            raise ValueError(f"speed: {self.speed:g} is for an emulated bench on this computer; {why_not}")
+        return self
+
+    def is_emulated(self) -> bool:
+        """Whether every instrument is emulated inside this process."""
+        ports = (self.rate_table.port, self.chamber.port)
+        return self.ins.interface == "emulator" and all(port.startswith("emulator://") for port in ports)
+
+
+def load_station_file(path: Path) -> tuple[Document, StationFile]:
+    """Read and check a station file.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything wrong with it, with places.
+    """
+    document = read_document(path)
+    return document, validate(document, StationFile)

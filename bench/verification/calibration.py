@@ -1,0 +1,207 @@
+"""An earlier calibration: its dwells, and the biases that it gives at any temperature."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow, Triple, read_dwells
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import weighted_mean
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.verification.calibration_check_bias import KnownAccelerometers
+
+#: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K.
+_ACCELEROMETER_SLOPE_UG = 10.0
+
+
+class Calibration:
+    """Biases of gyros and accelerometers by position and temperature of the gyros.
+
+    Parameters
+    ----------
+    rows : iterable of DwellRow
+        Dwells of one unit, in any order; those with flags are left out.
+    prior : PriorKnowledge
+        What is known where nothing was measured.
+    """
+
+    def __init__(self, rows: Iterable[DwellRow], prior: PriorKnowledge) -> None:
+        self._rows = [row for row in rows if not row.flags]
+        self._prior = prior
+
+    def gyro_dph(self, position: str, axis: int, temperature_c: float) -> tuple[float, float] | None:
+        """Bias of a gyro and its standard uncertainty, deg/h; None where it was not measured near."""
+        points = [
+            (row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis])
+            for row in self._rows
+            if row.position == position
+        ]
+        return InterpolatedCurve(points, self._prior.bias_slope * RADPS_TO_DPH).at(temperature_c)
+
+    def accelerometers(self, position: str, gyro_c: Triple) -> KnownAccelerometers:
+        """Accelerometer biases in a position; prior knowledge where they were not measured near.
+
+        Parameters
+        ----------
+        position : str
+            Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+        gyro_c : tuple of float
+            Temperatures of the gyros; each stands for that of the accelerometer beside it.
+        """
+        known = [self._accelerometer_ug(position, axis, gyro_c[axis]) for axis in range(len(AXES))]
+        bias, sigma = UG_TO_MPS2 * np.array(known).T
+        return KnownAccelerometers(bias, sigma)
+
+    def _accelerometer_ug(self, position: str, axis: int, temperature_c: float) -> tuple[float, float]:
+        """Bias of one accelerometer; gravity that its misalignment lets in is part of it.
+
+        That part is another one in other positions, and the same for all dwells of a position.
+        """
+        gravity_ug = self._prior.accelerometer_misalignment * STANDARD_GRAVITY / UG_TO_MPS2
+        measured = {name: self._in_position(name, axis, temperature_c) for name in POSITIONS}
+        own = measured.pop(position)
+        values = [own] if own else []
+        others = [each for each in measured.values() if each]
+        if others:
+            mean = weighted_mean(
+                [value for value, _ in others], [math.hypot(sigma, gravity_ug) for _, sigma in others]
+            )
+            values.append((mean.value, math.hypot(mean.sigma, gravity_ug)))
+        if not values:
+            return 0.0, self._prior.accelerometer_bias / UG_TO_MPS2
+        together = weighted_mean([value for value, _ in values], [sigma for _, sigma in values])
+        return together.value, together.sigma
+
+    def _in_position(self, position: str, axis: int, temperature_c: float) -> tuple[float, float] | None:
+        """Measured bias of one accelerometer; None for the vertical one."""
+        if POSITIONS[position].up_axis == axis:
+            return None
+        points = [
+            (row.gyro_c[axis], row.accelerometer_ug[axis], row.accelerometer_sigma_ug[axis])
+            for row in self._rows
+            if row.position == position
+        ]
+        return InterpolatedCurve(points, _ACCELEROMETER_SLOPE_UG).at(temperature_c)
+
+
+#: How far beyond the outermost temperature that was measured a curve goes, K.
+REACH_K = 2.0
+#: Values within this are averaged, K.
+AVERAGED_K = 5.0
+
+# Values that scatter so improbably about their mean make it less certain.
+_CHANCE = 0.01
+
+
+class InterpolatedCurve:
+    """Values at some temperatures, and straight lines between them.
+
+    Values at nearly the same temperature are averaged. A line across a gap is wrong by what the
+    curve bends there; taken for that is the next term of Newton's interpolation, from the bend that
+    the neighbouring temperatures show beyond its own noise. Where there are two temperatures in
+    all, the change from one to the other is taken for a parabola that is level at one end.
+
+    Parameters
+    ----------
+    points : iterable of tuple
+        Temperature in degrees Celsius, value, standard uncertainty; NaN among them is passed over.
+    slope_sigma : float
+        Standard uncertainty of a slope that nothing is known of, per K.
+    """
+
+    def __init__(self, points: Iterable[tuple[float, float, float]], slope_sigma: float) -> None:
+        self._slope_sigma = slope_sigma
+        measured = sorted(point for point in points if not any(map(math.isnan, point)))
+        nodes = [_averaged(group) for group in _grouped(measured)]
+        self._temperature_c, self._value, self._sigma = np.array(nodes).reshape(-1, 3).T
+        self._ends_c = (measured[0][0], measured[-1][0]) if measured else (math.inf, -math.inf)
+
+    def at(self, temperature_c: float) -> tuple[float, float] | None:
+        """Value and standard uncertainty; None where nothing was measured near or on both sides."""
+        first_c, last_c = self._ends_c
+        if not first_c - REACH_K <= temperature_c <= last_c + REACH_K:
+            return None
+        nodes = self._temperature_c
+        if nodes[0] < temperature_c < nodes[-1]:
+            return self._between(temperature_c)
+        end = 0 if temperature_c <= nodes[0] else -1
+        away = self._slope_sigma * abs(temperature_c - nodes[end])
+        return float(self._value[end]), math.hypot(self._sigma[end], away)
+
+    def _between(self, temperature_c: float) -> tuple[float, float]:
+        nodes = self._temperature_c
+        low = int(np.searchsorted(nodes, temperature_c, side="right")) - 1
+        above_c, below_c = temperature_c - nodes[low], nodes[low + 1] - temperature_c
+        shares = np.array([below_c, above_c]) / (above_c + below_c)
+        pair = slice(low, low + 2)
+        noise = np.linalg.norm(shares * self._sigma[pair])
+        return float(shares @ self._value[pair]), math.hypot(noise, self._bend(low) * above_c * below_c)
+
+    def _bend(self, low: int) -> float:
+        """Second divided difference at the gap above a node: the largest of those that touch it."""
+        nodes = self._temperature_c
+        if len(nodes) == 2:
+            weights = np.array([-1.0, 1.0]) / (nodes[1] - nodes[0]) ** 2
+            return self._beyond_noise(slice(0, 2), weights)
+        firsts = range(max(low - 1, 0), min(low + 1, len(nodes) - 2))
+        triples = [slice(first, first + 3) for first in firsts]
+        return max(self._beyond_noise(triple, _divided_difference(nodes[triple])) for triple in triples)
+
+    def _beyond_noise(self, nodes: slice, weights: FloatArray) -> float:
+        """Size of a weighted sum of values, less what their noise adds to it."""
+        total, noise = weights @ self._value[nodes], np.linalg.norm(weights * self._sigma[nodes])
+        return math.sqrt(max(float(total**2 - noise**2), 0.0))
+
+
+def _divided_difference(nodes: FloatArray) -> FloatArray:
+    """Weights of three values in their second divided difference."""
+    apart = nodes[:, np.newaxis] - nodes + np.eye(3)
+    return np.asarray(1.0 / apart.prod(axis=1))
+
+
+def _grouped(points: Iterable[tuple[float, float, float]]) -> list[list[tuple[float, float, float]]]:
+    """Cut points in the order of temperature into groups of one temperature each."""
+    groups: list[list[tuple[float, float, float]]] = []
+    for point in points:
+        if groups and point[0] - groups[-1][0][0] <= AVERAGED_K:
+            groups[-1].append(point)
+        else:
+            groups.append([point])
+    return groups
+
+
+def _averaged(group: list[tuple[float, float, float]]) -> tuple[float, float, float]:
+    temperatures, values, sigmas = zip(*group, strict=True)
+    mean = weighted_mean(values, sigmas)
+    scatter = math.sqrt(mean.chi2_reduced) if mean.p_value < _CHANCE else 1.0
+    return weighted_mean(temperatures, sigmas).value, mean.value, mean.sigma * scatter
+
+
+def read_calibration(path: Path) -> list[DwellRow]:
+    """Read the dwells of a calibration.
+
+    Parameters
+    ----------
+    path : Path
+        A run folder, or a dwell table.
+
+    Raises
+    ------
+    DocumentError
+        There is no dwell table, it is wrong, or none of its dwells gave a bias.
+    """
+    table = RunFolder(path).dwells if path.is_dir() else path
+    if not table.is_file():
+        what = f"holds no {table.name}, so it is no calibration" if path.is_dir() else "does not exist"
+        raise DocumentError(f"{path}: {what}. Give a run folder or the dwell table of a calibration")
+    rows = read_dwells(table)
+    if all(row.flags for row in rows):
+        raise DocumentError(f"{table}: has no dwell that gave a bias. Give another calibration")
+    return rows

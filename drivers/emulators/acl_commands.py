@@ -1,0 +1,403 @@
+"""The ACL, the command language of the Acutrol 3000 (manual TM-8004): its text, and the commands of an axis.
+
+A message is a row of units ``:MAIN:Sub argument,argument`` joined by ``;``. A unit that starts
+without a colon continues in the node of the unit before it. Keywords may be shortened to their
+leading letters; an ambiguous one means the first in the list below. Several values of one answer are
+joined by ``;``, as the manual shows for the oscillator.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode
+
+MAX_MESSAGE_CHARACTERS = 32768
+_MAX_NUMBER_CHARACTERS = 28
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_HEADER = re.compile(r"(\*[A-Za-z]+|:?[A-Za-z]+(:[A-Za-z]+)*)(\??)", re.ASCII)
+
+#: The keywords, in the order in which an abbreviation is searched for.
+KEYWORDS: dict[str, tuple[str, ...]] = {
+    "INTERLOCK": ("CLOSE", "OPEN", "RESET"),
+    "MODE": ("POSITION", "RATE", "ARATE", "SYNTHESIS", "TRACK", "OFF", "HOME"),
+    "DEMAND": ("POSITION", "RATE", "ACCELERATION", "DELTAPOSITION", "SHORTVECTOR", "VECTOR"),
+    "LIMIT": ("RATE", "ACCELERATION", "HIGHPOSITION", "LOWPOSITION", "VTRIP", "GLOBAL", "ABSOLUTE"),
+    "READ": ("POSITION", "RATE", "ACCELERATION", "VECTOR", "SHORTVECTOR", "VARIABLE"),
+    "STATUS": ("CSR", "ECP", "MSG"),
+    "QUERY": ("ERROR", "SYSTEM"),
+    "UTILITY": ("LOCKOUT", "FORMAT"),
+}
+
+Argument = float | str
+Arguments = Sequence[Argument]
+#: Returns the answer of a query, nothing for a command.
+Handler = Callable[[Arguments], str]
+#: Handlers by keywords and by whether they answer a query.
+Handlers = dict[tuple[tuple[str, ...], bool], Handler]
+
+_LIMIT_DECIMALS = 4
+_REGISTER = re.compile(r"A(\d+)(STATE|DYN|SWFLT|INTLK)", re.ASCII)
+_SINGLE_LIMITS = {
+    "RATE": "rate_dps",
+    "ACCELERATION": "acceleration_dps2",
+    "HIGHPOSITION": "high_deg",
+    "LOWPOSITION": "low_deg",
+}
+
+
+class Unit(NamedTuple):
+    """One command or query, its keywords written out."""
+
+    header: tuple[str, ...]
+    is_query: bool
+    arguments: tuple[Argument, ...]
+
+
+@lru_cache(maxsize=512)
+def parse_message(text: str) -> tuple[Unit, ...]:
+    """Split a message into its units.
+
+    Raises
+    ------
+    AclError
+        The text is not valid ACL.
+    """
+    units = []
+    node: tuple[str, ...] = ()
+    for part in text.split(";"):
+        unit = _parse_unit(part.strip(), node)
+        if not unit.header[0].startswith("*"):
+            node = unit.header[:-1]
+        units.append(unit)
+    return tuple(units)
+
+
+def _parse_unit(text: str, node: tuple[str, ...]) -> Unit:
+    header_text, *rest = text.split(maxsplit=1) if text else [""]
+    match = _HEADER.fullmatch(header_text)
+    if match is None:
+        raise AclError(ErrorCode.SYNTAX)
+    arguments = tuple(_parse_argument(word.strip()) for word in rest[0].split(",")) if rest else ()
+    return Unit(_written_out(match[1], node), bool(match[3]), arguments)
+
+
+def _written_out(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
+    header = header.upper()
+    if header.startswith("*"):
+        return (header,)
+    path = () if header.startswith(":") else node
+    for word in header.removeprefix(":").split(":"):
+        path = (*path, _keyword(word, path))
+    return path
+
+
+def _keyword(word: str, path: tuple[str, ...]) -> str:
+    known = KEYWORDS if not path else KEYWORDS[path[0]] if len(path) == 1 else ()
+    found = find_keyword(word, tuple(known))
+    if found is None:
+        raise AclError(ErrorCode.UNKNOWN_COMMAND)
+    return found
+
+
+def find_keyword(word: str, known: tuple[str, ...]) -> str | None:
+    """First of the known keywords that starts with the word, in any case."""
+    return next((keyword for keyword in known if word and keyword.startswith(word.upper())), None)
+
+
+def _parse_argument(word: str) -> Argument:
+    if _NUMBER.fullmatch(word):
+        if len(word) >= _MAX_NUMBER_CHARACTERS:
+            raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
+        if not math.isfinite(value := float(word)):
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        return value
+    if not word:
+        raise AclError(ErrorCode.SYNTAX)
+    return word.upper()
+
+
+def format_number(value: float, decimals: int) -> str:
+    """Write a number in NR2: fixed point, no exponent, no plus sign, no negative zero."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def number(argument: Argument) -> float:
+    """Take an argument as a number."""
+    if isinstance(argument, str):
+        raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
+    return argument
+
+
+def whole_number(argument: Argument) -> int:
+    """Take an argument as a whole number."""
+    value = number(argument)
+    if not value.is_integer():
+        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    return int(value)
+
+
+def expect(arguments: Arguments, *counts: int) -> None:
+    """Refuse another number of arguments."""
+    if len(arguments) not in counts:
+        raise AclError(ErrorCode.WRONG_PARAMETER_COUNT)
+
+
+class AxisCommands:
+    """Handlers of the commands and queries that name an axis."""
+
+    def __init__(self, axes: Mapping[int, AclAxis], decimals: int) -> None:
+        self._axes = dict(axes)
+        self._decimals = decimals
+
+    def handlers(self) -> Handlers:
+        """All commands and queries of the axes."""
+        return {
+            **self._interlock_and_mode(),
+            **self._demands(),
+            **self._limits(),
+            **self._reads(),
+            (("STATUS", "CSR"), True): self._status_register,
+            (("STATUS", "ECP"), True): self._legacy_status,
+            (("STATUS", "ECP"), False): self._legacy_status,
+        }
+
+    def _interlock_and_mode(self) -> Handlers:
+        commands: Handlers = {
+            (("INTERLOCK", "CLOSE"), False): self._each(0, AclAxis.close),
+            (("INTERLOCK", "OPEN"), False): self._each(0, AclAxis.open),
+            (("INTERLOCK", "RESET"), False): self._reset,
+            (("INTERLOCK",), True): self._ask(lambda axis: axis.interlock),
+            (("MODE",), False): self._set_mode,
+            (("MODE",), True): self._ask(lambda axis: axis.mode.name.capitalize()),
+            (("MODE", "HOME"), False): self._each(0, AclAxis.home),
+        }
+        for mode in Mode:
+            commands[("MODE", mode.name), False] = self._each(0, partial(AclAxis.set_mode, mode=mode))
+        return commands
+
+    def _demands(self) -> Handlers:
+        return {
+            (("DEMAND", "POSITION"), False): self._each(1, AclAxis.demand_position),
+            (("DEMAND", "RATE"), False): self._each(1, AclAxis.demand_rate),
+            (("DEMAND", "ACCELERATION"), False): self._each(1, AclAxis.demand_acceleration),
+            (("DEMAND", "DELTAPOSITION"), False): self._each(1, AclAxis.demand_delta),
+            (("DEMAND", "SHORTVECTOR"), False): self._each(2, _demand_short_vector),
+            (("DEMAND", "VECTOR"), False): self._each(3, _demand_vector),
+            (("DEMAND", "POSITION"), True): self._ask_number(lambda axis: axis.demands.position_deg),
+            (("DEMAND", "RATE"), True): self._ask_number(lambda axis: axis.demands.rate_dps),
+            (("DEMAND", "ACCELERATION"), True): self._ask_number(lambda axis: axis.demands.acceleration_dps2),
+        }
+
+    def _reads(self) -> Handlers:
+        position = self._ask_number(lambda axis: axis.state.position_deg)
+        rate = self._ask_number(lambda axis: axis.state.rate_dps)
+        acceleration = self._ask_number(lambda axis: axis.state.acceleration_dps2)
+        reads: dict[str, Handler] = {
+            "POSITION": position,
+            "RATE": rate,
+            "ACCELERATION": acceleration,
+            "SHORTVECTOR": lambda words: ";".join((position(words), rate(words))),
+            "VECTOR": lambda words: ";".join(ask(words) for ask in (position, rate, acceleration)),
+            "VARIABLE": self._variable,
+        }
+        # the question mark of a read may be left out
+        return {(("READ", name), query): read for name, read in reads.items() for query in (True, False)}
+
+    def _limits(self) -> Handlers:
+        commands: Handlers = {
+            (("LIMIT",), False): self._set_mode_limits,
+            (("LIMIT",), True): self._mode_limits,
+            (("LIMIT", "VTRIP"), False): self._limit_setter(AclAxis.set_trip_rate),
+            (("LIMIT", "VTRIP"), True): self._limit_query(lambda axis, mode: axis.trip_rates_dps[mode]),
+            (("LIMIT", "GLOBAL"), False): self._each(4, _set_global_limits),
+            (("LIMIT", "ABSOLUTE"), True): self._ask(_absolute_limits),
+        }
+        for name, bound in _SINGLE_LIMITS.items():
+            commands[("LIMIT", name), False] = self._limit_setter(partial(_set_bound, bound))
+            commands[("LIMIT", name), True] = self._limit_query(partial(_bound, bound))
+        return commands
+
+    def _one(self, argument: Argument) -> AclAxis:
+        axis_number = whole_number(argument)
+        if axis_number not in self._axes:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        return self._axes[axis_number]
+
+    def _several(self, argument: Argument) -> list[AclAxis]:
+        return list(self._axes.values()) if argument == "ALL" else [self._one(argument)]
+
+    def _each(self, count: int, act: Callable[..., None]) -> Handler:
+        """Command with an axis or ALL and then ``count`` numbers."""
+
+        def command(arguments: Arguments) -> str:
+            expect(arguments, count + 1)
+            values = [number(argument) for argument in arguments[1:]]
+            for axis in self._several(arguments[0]):
+                act(axis, *values)
+            return ""
+
+        return command
+
+    def _ask(self, answer: Callable[[AclAxis], str]) -> Handler:
+        """Query of one axis."""
+
+        def query(arguments: Arguments) -> str:
+            expect(arguments, 1)
+            return answer(self._one(arguments[0]))
+
+        return query
+
+    def _ask_number(self, value: Callable[[AclAxis], float]) -> Handler:
+        return self._ask(lambda axis: format_number(value(axis), self._decimals))
+
+    def _reset(self, arguments: Arguments) -> str:
+        """Reset all axes; some clients name an axis, which has no effect."""
+        expect(arguments, 0, 1)
+        for argument in arguments:
+            self._several(argument)
+        for axis in self._axes.values():
+            axis.reset()
+        return ""
+
+    def _set_mode(self, arguments: Arguments) -> str:
+        expect(arguments, 2)
+        mode = _mode(arguments[1])
+        for axis in self._several(arguments[0]):
+            axis.set_mode(mode)
+        return ""
+
+    def _set_mode_limits(self, arguments: Arguments) -> str:
+        expect(arguments, 5)
+        values = [number(argument) for argument in arguments[2:]]
+        bounds = dict(zip(("rate_dps", "acceleration_dps2", "jerk_dps3"), values, strict=True))
+        for axis in self._several(arguments[0]):
+            axis.set_limits(_mode(arguments[1]), **bounds)
+        return ""
+
+    def _mode_limits(self, arguments: Arguments) -> str:
+        expect(arguments, 2)
+        limits = self._one(arguments[0]).limits[_mode(arguments[1])]
+        return _limit_values(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
+
+    def _limit_setter(self, act: Callable[[AclAxis, Mode, float], None]) -> Handler:
+        """Command with a mode, an axis or ALL, and a number."""
+
+        def command(arguments: Arguments) -> str:
+            expect(arguments, 3)
+            for axis in self._several(arguments[1]):
+                act(axis, _mode(arguments[0]), number(arguments[2]))
+            return ""
+
+        return command
+
+    def _limit_query(self, value: Callable[[AclAxis, Mode], float]) -> Handler:
+        """Query of one axis in one mode."""
+
+        def query(arguments: Arguments) -> str:
+            expect(arguments, 2)
+            return _limit_values(value(self._one(arguments[1]), _mode(arguments[0])))
+
+        return query
+
+    def _variable(self, arguments: Arguments) -> str:
+        expect(arguments, 1)
+        axis_number, variable = divmod(whole_number(arguments[0]), 1000)
+        axis = self._one(float(axis_number))
+        state = axis.state
+        following_error_deg = axis.following_error_deg
+        values = {
+            8: state.position_deg - following_error_deg,
+            30: following_error_deg,
+            82: state.position_deg,
+            83: state.rate_dps,
+            165: state.position_deg,
+            166: state.position_deg,
+            176: state.acceleration_dps2,
+        }
+        if variable not in values:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        return format_number(values[variable], self._decimals)
+
+    def _status_register(self, arguments: Arguments) -> str:
+        expect(arguments, 1, 2)
+        value = self._register(str(arguments[0]))
+        if len(arguments) == 1:
+            return str(value)
+        bit = whole_number(arguments[1])
+        if not 0 <= bit < 32:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        return str(value >> bit & 1)
+
+    def _register(self, name: str) -> int:
+        """Value of a status register; ACP, SUP and RI are always zero."""
+        if name == "SI":
+            return sum(axis.faulted << axis_number - 1 for axis_number, axis in self._axes.items())
+        if name in ("ACP", "SUP", "RI"):
+            return 0
+        match = _REGISTER.fullmatch(name)
+        if match is None:
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        axis = self._one(float(match[1]))
+        if match[2] == "STATE":
+            return axis.state_register()
+        if match[2] == "DYN":
+            return axis.dynamics_register()
+        return axis.software_faults if match[2] == "SWFLT" else axis.latched_interlocks
+
+    def _legacy_status(self, arguments: Arguments) -> str:
+        expect(arguments, 2)
+        axis, word = self._one(arguments[0]), whole_number(arguments[1])
+        if word not in (1, 2):
+            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        return str(int(axis.mode) if word == 1 else axis.legacy_register())
+
+
+def _mode(argument: Argument) -> Mode:
+    name = find_keyword(str(argument), tuple(Mode.__members__))
+    if name is None:
+        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    return Mode[name]
+
+
+def _set_bound(bound: str, axis: AclAxis, mode: Mode, value: float) -> None:
+    axis.set_limits(mode, **{bound: value})
+
+
+def _bound(bound: str, axis: AclAxis, mode: Mode) -> float:
+    return float(getattr(axis.limits[mode], bound))
+
+
+def _limit_values(*values: float) -> str:
+    return ";".join(format_number(value, _LIMIT_DECIMALS) for value in values)
+
+
+def _absolute_limits(axis: AclAxis) -> str:
+    absolute = axis.absolute_limits
+    dynamic = (absolute.rate_dps, absolute.acceleration_dps2, absolute.jerk_dps3)
+    return _limit_values(*dynamic, absolute.low_deg, absolute.high_deg, max(axis.trip_rates_dps.values()))
+
+
+def _set_global_limits(
+    axis: AclAxis, low_deg: float, high_deg: float, trip_dps: float, tracking_error_deg: float
+) -> None:
+    if tracking_error_deg <= 0.0:
+        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    for mode in Mode:
+        axis.set_limits(mode, low_deg=low_deg, high_deg=high_deg)
+        axis.set_trip_rate(mode, trip_dps)
+    axis.tracking_error_limit_deg = tracking_error_deg
+
+
+def _demand_short_vector(axis: AclAxis, position_deg: float, rate_dps: float) -> None:
+    axis.demand_position(position_deg)
+    axis.demand_rate(rate_dps)
+
+
+def _demand_vector(axis: AclAxis, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+    _demand_short_vector(axis, position_deg, rate_dps)
+    axis.demand_acceleration(acceleration_dps2)

@@ -1,0 +1,182 @@
+"""Emulated CAN adapters with the emulated INS on their bus: slcan (LAWICEL protocol) and socketcand."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+
+import can
+
+from gyrobench.drivers.emulators.can_ins import CanNode
+from gyrobench.drivers.emulators.dialect import Connection
+
+#: Name of the bus that the socketcand daemon offers.
+BUS_NAME = "can0"
+_CR, _BEL = b"\r", b"\a"
+_MAX_LINE, _MAX_COMMAND = 64, 200
+_DATA_FRAME = re.compile(
+    r"(?:t(?P<base>[0-9A-Fa-f]{3})|T(?P<extended>[0-9A-Fa-f]{8}))"
+    r"(?P<length>[0-8])(?P<data>(?:[0-9A-Fa-f]{2})*)"
+)
+#: Settings without effect here: bit rate, no time stamps, acceptance code and mask; the empty line.
+_SETTING = re.compile(r"S[0-8]|s[0-9A-Fa-f]{4}|Z0|[Mm][0-9A-Fa-f]{8}|")
+_COMMAND = re.compile(rb"<\s*([^<>]*?)\s*>")
+_SEND = re.compile(r"send ([0-9A-Fa-f]{1,8}) ([0-8])((?: [0-9A-Fa-f]{1,2})*)")
+_BASE_DIGITS = 3
+
+
+class CanAdapter(ABC):
+    """An adapter between a byte stream and the INS's bus.
+
+    Parameters
+    ----------
+    bus : CanNode
+        The bus with the INS on it.
+    connection : Connection
+        Broken while the adapter is bus-off; the client must then reopen the bus.
+    """
+
+    latency_s = 0.0
+
+    def __init__(self, bus: CanNode, connection: Connection) -> None:
+        self._bus = bus
+        self._connection = connection
+        self._opened: int | None = None
+        self._input = b""
+        self._received = bytearray()
+        bus.listeners.append(self._on_bus)
+
+    def greet(self) -> bytes:
+        """Greeting of a new client."""
+        return b""
+
+    @abstractmethod
+    def feed(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes; see :class:`gyrobench.drivers.emulators.dialect.SerialInstrument`."""
+
+    def from_bus(self) -> bytes:
+        """Encoded frames received from the bus since the last call."""
+        frames = bytes(self._received)
+        self._received.clear()
+        return frames
+
+    def _open_bus(self) -> bool:
+        if not self._connection.broken:
+            self._opened = self._connection.generation
+        return not self._connection.broken
+
+    @property
+    def _is_open(self) -> bool:
+        return self._opened == self._connection.generation
+
+    def _send(self, identifier: str, extended: bool, data: bytes, length: str) -> bool:
+        """Send a frame to the bus, its identifier in hexadecimal; returns whether it is valid."""
+        try:
+            message = can.Message(
+                arbitration_id=int(identifier, 16), data=data, is_extended_id=extended, check=True
+            )
+        except ValueError:
+            return False
+        if len(data) != int(length):
+            return False
+        self._bus.receive(message)
+        return True
+
+    def _on_bus(self, messages: list[can.Message]) -> None:
+        if self._is_open:
+            for message in messages:
+                self._received += self._encode(message)
+
+    @abstractmethod
+    def _encode(self, message: can.Message) -> bytes:
+        """Bytes of a frame from the bus."""
+
+
+class SlcanAdapter(CanAdapter):
+    """An adapter on a serial line; every line ends with a carriage return.
+
+    ``O`` opens the channel, ``L`` opens it in listen-only mode, ``C`` closes it, ``Sn`` and ``sxxyy`` set the
+    bit rate, ``V`` and ``N`` read version and number; ``tiiildd..`` and ``Tiiiiiiiildd..`` are data frames in
+    either direction. A valid command is answered with CR (for a frame, ``z`` or ``Z`` and CR), another with
+    BEL.
+    """
+
+    _listen_only = False
+
+    def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
+        """Take bytes; return the answers to the lines that they complete."""
+        *lines, rest = (self._input + data).split(_CR)
+        self._input = rest[: _MAX_LINE + 1]
+        return b"".join(self._execute(line[: _MAX_LINE + 1].decode("ascii", "replace")) for line in lines)
+
+    def _execute(self, line: str) -> bytes:
+        match line:
+            case "O" | "L":
+                self._listen_only = line == "L"
+                return _CR if self._open_bus() else _BEL
+            case "C":
+                self._opened = None
+                return _CR
+            case "V":
+                return b"V1013\r"
+            case "N":
+                return b"NEMUL\r"
+        if self._is_open and (frame := _DATA_FRAME.fullmatch(line)):
+            extended = frame["base"] is None
+            identifier = frame["extended"] if extended else frame["base"]
+            data = bytes.fromhex(frame["data"])
+            if self._listen_only or not self._send(identifier, extended, data, frame["length"]):
+                return _BEL
+            return b"Z\r" if extended else b"z\r"
+        return _CR if _SETTING.fullmatch(line) else _BEL
+
+    def _encode(self, message: can.Message) -> bytes:
+        return f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex().upper()}\r".encode()
+
+
+class SocketcandDaemon(CanAdapter):
+    """A daemon on a TCP connection: CAN as text in angle brackets, with one bus.
+
+    It implements the commands of python-can's client: ``open``, ``rawmode``, ``send`` and ``echo``; frames go
+    out as ``< frame ID SECONDS DATA >``. An unknown command, or one in the wrong state, is answered with an
+    error.
+    """
+
+    _raw = False
+
+    def greet(self) -> bytes:
+        """Reset the state for a new client."""
+        self._opened, self._raw = None, False
+        self._input = b""
+        self._received.clear()
+        return b"< hi >"
+
+    def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
+        """Take bytes; return the answers to the commands that they complete."""
+        self._input += data
+        reply, end = b"", 0
+        for command in _COMMAND.finditer(self._input):
+            reply += self._execute(command[1].decode("ascii", "replace"))
+            end = command.end()
+        self._input = self._input[end:][-_MAX_COMMAND:]
+        return reply
+
+    def _execute(self, command: str) -> bytes:
+        if command == f"open {BUS_NAME}" and self._open_bus():
+            return b"< ok >"
+        if command == "rawmode" and self._is_open:
+            self._raw = True
+            return b"< ok >"
+        if command == "echo":
+            return b"< echo >"
+        if self._raw and self._is_open and (sent := _SEND.fullmatch(command)):
+            data = bytes(int(byte, 16) for byte in sent[3].split())
+            valid = self._send(sent[1], len(sent[1]) > _BASE_DIGITS, data, sent[2])
+            return b"" if valid else b"< error wrong frame >"
+        return b"< error unknown command >"
+
+    def _encode(self, message: can.Message) -> bytes:
+        if not self._raw:
+            return b""
+        data = message.data.hex().upper()
+        return f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} {data} >".encode()

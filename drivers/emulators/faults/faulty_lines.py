@@ -1,0 +1,122 @@
+"""Wrappers that put faults between an emulated instrument and its clients: serial line and CAN bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import NamedTuple
+
+import can
+
+from gyrobench.drivers.emulators.can_ins import CanInsEmulator
+from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
+
+
+class Reply(NamedTuple):
+    """What comes from the instrument, and its delay beyond the usual latency."""
+
+    data: bytes
+    delay_s: float = 0.0
+
+
+class Exchange:
+    """One request, and the correct answer to it.
+
+    Attributes
+    ----------
+    request : bytes
+        What was sent.
+    earlier_reply : bytes
+        The reply to the previous request.
+    """
+
+    def __init__(self, request: bytes, earlier_reply: bytes, ask: Callable[[], bytes]) -> None:
+        self.request = request
+        self.earlier_reply = earlier_reply
+        self._ask = ask
+
+    @cached_property
+    def answer(self) -> bytes:
+        """The correct reply; the instrument executes the request when this is first read."""
+        return self._ask()
+
+
+#: Gives the reply in place of the correct one; None leaves the exchange unchanged.
+Disturbance = Callable[[Exchange], Reply | None]
+#: Makes the frames that arrive from those that were sent.
+FrameFilter = Callable[[list[can.Message]], list[can.Message]]
+
+
+class FaultySerial:
+    """An emulated instrument with disturbances of its exchanges.
+
+    Attributes
+    ----------
+    latency_s : float
+        Latency of the reply that :meth:`feed` last returned.
+    powered : bool
+        Whether the instrument receives and answers at all.
+    connection : Connection
+        The plug.
+    disturbances : list of callable
+        Only the first one that acts on an exchange is applied.
+    """
+
+    def __init__(self, instrument: SerialInstrument) -> None:
+        self._instrument = instrument
+        self.latency_s = instrument.latency_s
+        self.connection = Connection()
+        self.powered = True
+        self.disturbances: list[Disturbance] = []
+        self._earlier_reply = b""
+
+    def feed(self, data: bytes, now_s: float) -> bytes:
+        """Take bytes; see :class:`gyrobench.drivers.emulators.dialect.SerialInstrument`."""
+        self.latency_s = self._instrument.latency_s
+        if not self.powered:
+            return b""
+        exchange = Exchange(data, self._earlier_reply, lambda: self._instrument.feed(data, now_s))
+        for disturbance in tuple(self.disturbances):
+            reply = disturbance(exchange)
+            if reply is not None:
+                break
+        else:
+            reply = Reply(exchange.answer)
+        if "answer" in vars(exchange):
+            self._earlier_reply = exchange.answer or self._earlier_reply
+        self.latency_s += reply.delay_s
+        return reply.data
+
+
+class FaultyCan:
+    """The emulated INS behind filters of its frames.
+
+    Attributes
+    ----------
+    listeners : list of callable
+        As those of :class:`gyrobench.drivers.emulators.can_ins.CanInsEmulator`.
+    connection : Connection
+        Broken while the controller is bus-off.
+    filters : list of callable
+        Filters of the frames, applied in this order.
+    """
+
+    def __init__(self, ins: CanInsEmulator) -> None:
+        self._ins = ins
+        self.listeners: list[Callable[[list[can.Message]], None]] = []
+        self.connection = Connection()
+        self.filters: list[FrameFilter] = []
+        ins.listeners.append(self._forward)
+
+    def receive(self, message: can.Message) -> None:
+        """Take a frame to the INS."""
+        if not self.connection.broken:
+            self._ins.receive(message)
+
+    def _forward(self, messages: list[can.Message]) -> None:
+        if self.connection.broken:
+            return
+        for frame_filter in tuple(self.filters):
+            messages = frame_filter(messages)
+        for listener in self.listeners:
+            listener(messages)

@@ -1,0 +1,74 @@
+"""pyserial handler of ``emulator://`` addresses: an emulated instrument as a serial port.
+
+Read time-outs and latencies run on the bench's clock.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from serial.serialutil import PortNotOpenError, SerialException
+
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.drivers.clocked_port import ClockedPort
+from gyrobench.drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
+from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
+
+
+class Serial(ClockedPort):  # the name that pyserial looks for
+    """Port of one emulated instrument."""
+
+    _bench: EmulatedBench
+    _instrument: SerialInstrument
+    _connection: Connection
+
+    def open(self) -> None:
+        """Connect to the instrument of the address."""
+        if self.is_open:
+            raise SerialException("Port is already open.")
+        try:
+            name, address = parse_address(self.portstr or "")
+            self._bench = emulated_bench(address)
+            self._bench.advance()
+        except GyrobenchError as error:
+            raise SerialException(str(error)) from error
+        if name not in self._bench.serial:
+            names = ", ".join(sorted(self._bench.serial))
+            raise SerialException(f"no emulated instrument {name!r}; available: {names}")
+        self.clock = self._bench.clock
+        self._instrument = self._bench.serial[name]
+        self._connection = self._bench.connections[name]
+        self._generation = self._connection.generation
+        if self._connection.broken:
+            raise SerialException(f"could not open port {self.portstr}: [Errno 2] No such file or directory")
+        self._due: deque[tuple[float, bytes]] = deque()
+        self._arrived = bytearray()
+        self.is_open = True
+
+    def write(self, data: bytes, /) -> int:  # type: ignore[override]
+        """Send bytes to the instrument; its reply arrives after its latency."""
+        if not self.is_open:
+            raise PortNotOpenError
+        self._bench.advance()
+        self._check_connected()
+        now_s = self.clock.now()
+        reply = self._instrument.feed(bytes(data), now_s)
+        if reply:
+            self._due.append((now_s + self._instrument.latency_s, reply))
+        return len(data)
+
+    def next_due_s(self) -> float | None:
+        """Time at which the instrument's next reply arrives."""
+        return self._due[0][0] if self._due else None
+
+    def take(self) -> bytes:
+        """Replies that have arrived."""
+        self._check_connected()
+        data = b""
+        while self._due and self._due[0][0] <= self.clock.now():
+            data += self._due.popleft()[1]
+        return data
+
+    def _check_connected(self) -> None:
+        if self._connection.generation != self._generation:
+            raise SerialException("[Errno 5] Input/output error: the device is gone")

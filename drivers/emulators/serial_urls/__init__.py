@@ -1,1 +1,0 @@
-"""pyserial URL handlers; pyserial looks for a module named after the scheme."""

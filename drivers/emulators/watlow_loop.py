@@ -1,0 +1,78 @@
+"""Common part of the Watlow F4 and F4T: eight outputs, the first one for the chamber, and the ramp."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from gyrobench.drivers.emulators.dialect import OnEvent
+from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+
+#: The output that switches the chamber.
+CHAMBER_OUTPUT = 1
+OUTPUTS = range(1, 9)
+MAX_RAMP = 999.0
+
+
+class RampAction(IntEnum):
+    """When the working set point ramps."""
+
+    OFF = 0
+    AT_START = 1
+    AT_EVERY_CHANGE = 2
+
+
+class WatlowLoop:
+    """Control loop 1 over the air of an emulated chamber.
+
+    Attributes
+    ----------
+    outputs : dict of int to bool
+        State of each output.
+    action : RampAction
+        When the set point ramps; call :meth:`apply_ramp` after a change of any of these three.
+    ramp_rate : float
+        Ramp rate in degrees per minute, or per hour with ``per_hour``.
+    degrees_per_kelvin : float
+        1 for degC, 1.8 for degF.
+    """
+
+    def __init__(self, air: ChamberAir, on_event: OnEvent | None, ramp_rate: float) -> None:
+        self.air = air
+        self.outputs = {number: air.running and number == CHAMBER_OUTPUT for number in OUTPUTS}
+        self.action = RampAction.OFF
+        self.ramp_rate = ramp_rate
+        self.per_hour = False
+        self.degrees_per_kelvin = 1.0
+        self._on_event = on_event
+
+    def switch(self, number: int, on: bool) -> None:
+        """Switch an output."""
+        if on == self.outputs[number]:
+            return
+        self.outputs[number] = on
+        if number == CHAMBER_OUTPUT:
+            self.air.running = on
+            if on and self.action is RampAction.AT_START:
+                self.air.ramp_rate_c_per_min = self._ramp_c_per_min
+        if self._on_event:
+            self._on_event(number, on)
+
+    def switch_all_off(self) -> None:
+        """Switch all outputs off, as on loss of power."""
+        for number in OUTPUTS:
+            self.switch(number, False)
+
+    def set_set_point(self, set_point_c: float) -> None:
+        """Change the set point."""
+        self.air.set_point_c = set_point_c
+        if self.action is RampAction.AT_START and self.air.running:
+            self.air.ramp_rate_c_per_min = None
+
+    def apply_ramp(self) -> None:
+        """Ramp to later set points as the settings say."""
+        every_change = self.action is RampAction.AT_EVERY_CHANGE
+        self.air.ramp_rate_c_per_min = self._ramp_c_per_min if every_change else None
+
+    @property
+    def _ramp_c_per_min(self) -> float:
+        return self.ramp_rate / (60.0 if self.per_hour else 1.0) / self.degrees_per_kelvin

@@ -1,0 +1,207 @@
+"""Gyro compensation inside the INS: a loaded table of coefficients, evaluated on the INS's own sensors.
+
+Bias subtracted from gyro i, with its optics at T, its electronics at B and Up in body axes::
+
+    polynomial(T) + rate dT/dt + gradient (B - T)
+    + ((saturating . Up) / (1 + exp(-c)) + (growing . Up) ln(1 + exp(c))) (B - T),  c = (onset - T) / width
+    + gravity . Up + warm_up exp(-t / tau) + hysteresis (play(T) - T)
+
+with T, B - T and dT/dt clamped to the limits in the table. ``play`` follows T with a slack of the half
+width on either side, from the temperature at power-on.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from enum import IntEnum
+
+import numba
+import numpy as np
+
+from gyrobench.bench.foundations.arrays import FloatArray
+
+
+class Coefficient(IntEnum):
+    """Place of a coefficient in a gyro's row; vectors and the polynomial take several places."""
+
+    POLYNOMIAL = 0
+    LOW_C = 6
+    HIGH_C = 7
+    RATE = 8
+    RATE_LIMIT = 9
+    GRADIENT = 10
+    DIFFERENCE_LOW = 11
+    DIFFERENCE_HIGH = 12
+    SATURATING = 13
+    GROWING = 16
+    ONSET_C = 19
+    ONSET_WIDTH = 20
+    GRAVITY = 21
+    WARM_UP = 24
+    WARM_UP_TIME = 25
+    HYSTERESIS = 26
+    HALF_WIDTH = 27
+
+
+#: Number of coefficients of each gyro.
+COEFFICIENTS = 28
+
+_LAST_COEFFICIENT = 5
+#: Bound of the subtracted bias, deg/h.
+_MAX_BIAS_DPH = 3600.0
+_MIN_WIDTH_C, _MIN_TIME_S = 1e-3, 1.0
+_RECORD_EVERY_S = 10
+#: Time constant of each of the two filters behind the rate of temperature.
+_FILTER_S = 120.0
+
+
+def empty_table() -> FloatArray:
+    """A table (3, 28) that subtracts nothing."""
+    table = np.zeros((3, COEFFICIENTS))
+    table[:, Coefficient.LOW_C] = -100.0
+    table[:, Coefficient.HIGH_C] = 150.0
+    return table
+
+
+def checksum(table: FloatArray) -> int:
+    """CRC-32 of a table as little-endian 32-bit floats, gyro by gyro."""
+    return zlib.crc32(table.astype("<f4").tobytes())
+
+
+class TemperatureHistory:
+    """The INS's readings of its gyros' temperatures since power-on.
+
+    Attributes
+    ----------
+    optics_c, electronics_c : ndarray, shape (3,)
+        The last readings.
+    record_c : list of ndarray, each of shape (3,)
+        Optics every ten seconds.
+    seconds : int
+        Readings since power-on, one a second.
+    """
+
+    def __init__(self) -> None:
+        self.optics_c = np.zeros(3)
+        self.electronics_c = np.zeros(3)
+        self.record_c: list[FloatArray] = []
+        self.seconds = 0
+        self._filtered_c = np.zeros((2, 3))
+
+    def read(self, optics_c: FloatArray, electronics_c: FloatArray) -> None:
+        """Add the readings of one more second."""
+        self.optics_c, self.electronics_c = optics_c, electronics_c
+        if self.seconds == 0:
+            self._filtered_c[:] = optics_c
+        if self.seconds % _RECORD_EVERY_S == 0:
+            self.record_c.append(optics_c)
+        self.seconds += 1
+        _filter(self._filtered_c, optics_c)
+
+    @property
+    def rate_c_per_h(self) -> FloatArray:
+        """Rate of each gyro's optics, some minutes late, shape (3,)."""
+        return np.asarray((self._filtered_c[0] - self._filtered_c[1]) * (3600.0 / _FILTER_S))
+
+
+class InsCompensation:
+    """An applied table.
+
+    Parameters
+    ----------
+    table : ndarray, shape (3, 28)
+        One row for each gyro, laid out by :class:`Coefficient`.
+    history : TemperatureHistory
+        Readings since power-on; the play starts there.
+
+    Attributes
+    ----------
+    bias_dph : ndarray, shape (3,)
+        Bias subtracted from each gyro at present.
+    checksum : int
+        Checksum of the table.
+    """
+
+    def __init__(self, table: FloatArray, history: TemperatureHistory, up_body: FloatArray) -> None:
+        self.checksum = checksum(table)
+        self._table = table.copy()
+        first_c = history.record_c[0] if history.record_c else history.optics_c
+        self._play_c = np.clip(first_c, table[:, Coefficient.LOW_C], table[:, Coefficient.HIGH_C])
+        for optics_c in history.record_c:
+            _follow(self._play_c, optics_c, self._table)
+        self.update(history, up_body)
+
+    def update(self, history: TemperatureHistory, up_body: FloatArray) -> None:
+        """Update the subtracted bias.
+
+        Parameters
+        ----------
+        up_body : ndarray, shape (3,)
+            Up in body axes as estimated by the INS; zero before alignment.
+        """
+        _follow(self._play_c, history.optics_c, self._table)
+        self.bias_dph = _bias_dph(
+            self._table, history.optics_c, history.electronics_c, history.rate_c_per_h, up_body,
+            float(history.seconds), self._play_c,
+        )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def _filter(filtered_c: FloatArray, optics_c: FloatArray) -> None:
+    for i in range(3):
+        filtered_c[1, i] += (filtered_c[0, i] - filtered_c[1, i]) / _FILTER_S
+        filtered_c[0, i] += (optics_c[i] - filtered_c[0, i]) / _FILTER_S
+
+
+@numba.njit(cache=True)
+def _clamped(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+@numba.njit(cache=True)
+def _follow(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None:
+    for i in range(3):
+        row = table[i]
+        at_c, slack_c = (
+            _clamped(optics_c[i], row[Coefficient.LOW_C], row[Coefficient.HIGH_C]),
+            abs(row[Coefficient.HALF_WIDTH]),
+        )
+        play_c[i] = _clamped(play_c[i], at_c - slack_c, at_c + slack_c)
+
+
+@numba.njit(cache=True)
+def _bias_dph(
+    table: FloatArray, optics_c: FloatArray, electronics_c: FloatArray, rate_c_per_h: FloatArray,
+    up_body: FloatArray, on_s: float, play_c: FloatArray,
+) -> FloatArray:  # fmt: skip
+    bias = np.zeros(3)
+    for i in range(3):
+        row = table[i]
+        at_c = _clamped(optics_c[i], row[Coefficient.LOW_C], row[Coefficient.HIGH_C])
+        rate = _clamped(rate_c_per_h[i], -abs(row[Coefficient.RATE_LIMIT]), abs(row[Coefficient.RATE_LIMIT]))
+        hotter_k = _clamped(
+            electronics_c[i] - optics_c[i], row[Coefficient.DIFFERENCE_LOW], row[Coefficient.DIFFERENCE_HIGH]
+        )
+        cold = _clamped(
+            (row[Coefficient.ONSET_C] - at_c) / max(row[Coefficient.ONSET_WIDTH], _MIN_WIDTH_C), -500.0, 500.0
+        )
+        saturated, grown = 1.0 / (1.0 + math.exp(-cold)), math.log1p(math.exp(cold))
+        attitude = gravity = polynomial = 0.0
+        for axis in range(3):
+            attitude += row[Coefficient.SATURATING + axis] * saturated * up_body[axis]
+            attitude += row[Coefficient.GROWING + axis] * grown * up_body[axis]
+            gravity += row[Coefficient.GRAVITY + axis] * up_body[axis]
+        for degree in range(_LAST_COEFFICIENT, -1, -1):
+            polynomial = polynomial * at_c + row[Coefficient.POLYNOMIAL + degree]
+        warm_up = row[Coefficient.WARM_UP] * math.exp(-on_s / max(row[Coefficient.WARM_UP_TIME], _MIN_TIME_S))
+        total = (
+            polynomial
+            + row[Coefficient.RATE] * rate
+            + (row[Coefficient.GRADIENT] + attitude) * hotter_k
+            + gravity
+            + warm_up
+            + row[Coefficient.HYSTERESIS] * (play_c[i] - at_c)
+        )
+        bias[i] = _clamped(total, -_MAX_BIAS_DPH, _MAX_BIAS_DPH)
+    return bias

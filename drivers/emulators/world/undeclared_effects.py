@@ -1,0 +1,318 @@
+"""Undeclared effects of a world: what acts on the gyro biases beyond the polynomials of the world file.
+
+Each class is one kind of entry of the key ``undeclared_effects``. Effects are evaluated once a second, in
+order of time, and add up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Discriminator, Field, Tag
+from typing_extensions import override
+
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.documents import StrictModel
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+#: One value for each body axis.
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+#: Three rows of three values, in body axes.
+Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
+
+_HOUR_S, _DAY_S = 3600.0, 86_400.0
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What the gyros are exposed to at one moment.
+
+    Attributes
+    ----------
+    time_s : float
+        Since the start of the world.
+    since_power_on_s : float or None
+        Time since power-on; None while the unit is off.
+    optics_c, electronics_c : ndarray, shape (3,)
+        Temperatures of each gyro.
+    optics_rate_c_per_h : ndarray, shape (3,)
+        Change of each gyro's optics in the last second.
+    convected_w : ndarray, shape (3,)
+        The part of the heat flow from electronics to optics that depends on attitude.
+    up_body : ndarray, shape (3,)
+        Up in body axes.
+    compressor_duty : float
+        Share of the time that the chamber's compressor runs.
+    """
+
+    time_s: float
+    since_power_on_s: float | None
+    optics_c: FloatArray
+    electronics_c: FloatArray
+    optics_rate_c_per_h: FloatArray
+    convected_w: FloatArray
+    up_body: FloatArray
+    compressor_duty: float
+
+
+#: Called once a second in order of time: returns what an effect adds to the biases, deg/h, shape (3,).
+AddedBias = Callable[[Conditions], FloatArray]
+
+
+class Effect(StrictModel):
+    """An effect as the world file describes it."""
+
+    def start(self) -> AddedBias:
+        """Start the effect, with its memory if it has one."""
+        return self.added_dph
+
+    def added_dph(self, now: Conditions) -> FloatArray:
+        """Bias that an effect without memory adds under these conditions, deg/h, shape (3,)."""
+        raise NotImplementedError(f"{type(self).__name__} defines neither added_dph nor start")
+
+
+class TemperatureRate(Effect):
+    """The bias follows the rate of temperature of each gyro's optics."""
+
+    kind: Literal["temperature_rate"] = Field(description="name of the effect")
+    sensitivity_dph_per_c_per_h: Vector = Field(
+        description="bias of each gyro per rate of its optics, deg/h per K/h"
+    )
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
+
+
+class ThermalGradient(Effect):
+    """The bias follows the difference between electronics and optics temperature of each gyro."""
+
+    kind: Literal["thermal_gradient"] = Field(description="name of the effect")
+    sensitivity_dph_per_c: Vector = Field(
+        description="bias of each gyro per kelvin of electronics above optics, deg/h/K"
+    )
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        return np.array(self.sensitivity_dph_per_c) * (now.electronics_c - now.optics_c)
+
+
+class AttitudeThermal(Effect):
+    """Convection carries heat from the electronics to one side of the optics.
+
+    The bias follows the part of that heat flow that depends on the direction of gravity, and grows as
+    the optics get colder than the onset temperature.
+    """
+
+    kind: Literal["attitude_thermal"] = Field(description="name of the effect")
+    sensitivity_dph_per_w: Vector = Field(
+        description="bias of each gyro per watt of heat that depends on attitude, deg/h/W"
+    )
+    onset_c: Positive = Field(default=50.0, description="below this the effect grows, degC")
+    onset_width_c: Positive = Field(default=2.0, description="width of the onset, K")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        below = (self.onset_c - now.optics_c) / self.onset_width_c
+        onset = np.logaddexp(0.0, below) * self.onset_width_c / self.onset_c
+        return np.asarray(np.array(self.sensitivity_dph_per_w) * now.convected_w * onset)
+
+
+class ThermalHysteresis(Effect):
+    """A part with friction follows the temperature of each gyro's optics with play.
+
+    The bias follows the lead of that part over the temperature: plus the half width after enough cooling,
+    minus the half width after enough heating, at any rate and at rest.
+    """
+
+    kind: Literal["thermal_hysteresis"] = Field(description="name of the effect")
+    half_width_c: Positive = Field(description="half of the play, K")
+    sensitivity_dph_per_c: Vector = Field(description="bias of each gyro per kelvin of play used, deg/h/K")
+
+    @override
+    def start(self) -> AddedBias:
+        sensitivity = np.array(self.sensitivity_dph_per_c)
+        follower_c: FloatArray | None = None  # without stress at the first temperature
+
+        def added_dph(now: Conditions) -> FloatArray:
+            nonlocal follower_c
+            before_c = now.optics_c if follower_c is None else follower_c
+            low_c, high_c = now.optics_c - self.half_width_c, now.optics_c + self.half_width_c
+            follower_c = np.minimum(np.maximum(before_c, low_c), high_c)
+            return np.asarray(sensitivity * (follower_c - now.optics_c))
+
+        return added_dph
+
+
+class WarmUp(Effect):
+    """A bias that decays after each power-on."""
+
+    kind: Literal["warm_up"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="bias at power-on of each gyro, deg/h")
+    time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        if now.since_power_on_s is None:
+            return np.zeros(3)
+        return np.array(self.bias_dph) * math.exp(-now.since_power_on_s / self.time_constant_s)
+
+
+class TimeDrift(Effect):
+    """Biases that drift at a constant rate from the start of the world, as the gyros age."""
+
+    kind: Literal["time_drift"] = Field(description="name of the effect")
+    drift_dph_per_day: Vector = Field(description="drift of each gyro, deg/h per day")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        return np.array(self.drift_dph_per_day) * now.time_s / _DAY_S
+
+
+class BiasJump(Effect):
+    """Biases that change once, at a time counted from the start of the world."""
+
+    kind: Literal["bias_jump"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="jump of each gyro, deg/h")
+    at_h: NotNegative = Field(description="time of the jump since the start of the world, h")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        return np.array(self.bias_dph) * (now.time_s >= self.at_h * _HOUR_S)
+
+
+class SupplyRipple(Effect):
+    """Biases that follow the mains supply, which varies with a building's load over hours."""
+
+    kind: Literal["supply_ripple"] = Field(description="name of the effect")
+    amplitude_dph: Vector = Field(description="amplitude of each gyro, deg/h")
+    period_h: Positive = Field(description="period, h")
+    phase_deg: float = Field(default=0.0, description="phase at the start of the world, deg")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        phase = math.tau * now.time_s / (self.period_h * _HOUR_S) + math.radians(self.phase_deg)
+        return np.array(self.amplitude_dph) * math.sin(phase)
+
+
+def _shape(value: Any) -> str:
+    return "matrix" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "vector"
+
+
+#: The shape is decided first, so that a mistake in one is not reported for the other as well.
+_VectorOrMatrix = Annotated[
+    Annotated[Vector, Tag("vector")] | Annotated[Matrix, Tag("matrix")], Discriminator(_shape)
+]
+
+
+class GSensitivity(Effect):
+    """Block and dither springs bend under their own weight: biases linear in the direction of gravity.
+
+    Three values are the sensitivity of each gyro to Up along its own axis; of a matrix, row i
+    column j is that of gyro i to Up along axis j.
+    """
+
+    kind: Literal["g_sensitivity"] = Field(description="name of the effect")
+    sensitivity_dph_per_g: _VectorOrMatrix = Field(
+        description="bias per g along the gyro's own axis, three values, or three rows of three, deg/h/g"
+    )
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        sensitivity = np.array(self.sensitivity_dph_per_g)
+        return np.asarray((np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity) @ now.up_body)
+
+
+class ChamberState(Effect):
+    """Vibration of the chamber's compressor: a bias in proportion to the compressor's duty cycle."""
+
+    kind: Literal["chamber_state"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="bias of each gyro while the compressor runs, deg/h")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        return np.array(self.bias_dph) * now.compressor_duty
+
+
+class ModeHop(Effect):
+    """The path length control moves its mirrors back by one mode at fixed temperature intervals.
+
+    Modes of even and odd number see the mirrors differently: the bias acts in every second mode,
+    beginning with the one above the first reset.
+    """
+
+    kind: Literal["mode_hop"] = Field(description="name of the effect")
+    bias_dph: Vector = Field(description="bias of each gyro in every second mode, deg/h")
+    first_reset_c: float = Field(description="temperature of the first change of mode, degC")
+    reset_every_c: Positive = Field(description="kelvin between changes of mode")
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        mode = np.floor((now.optics_c - self.first_reset_c) / self.reset_every_c)
+        return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
+
+
+def _two_gyros(names: list[str]) -> list[str]:
+    if len(set(names)) != 2:
+        raise ValueError("two different gyros are needed, as in [x, y]")
+    return names
+
+
+class DitherCrossing(Effect):
+    """At one temperature two gyros dither at the same frequency and drive each other.
+
+    The frequencies separate in proportion to the mean temperature of both gyros' optics, so the biases
+    are a resonance line over it.
+    """
+
+    kind: Literal["dither_crossing"] = Field(description="name of the effect")
+    gyros: Annotated[
+        list[Literal["x", "y", "z"]], Field(min_length=2, max_length=2), AfterValidator(_two_gyros)
+    ] = Field(description="the two gyros")
+    crossing_c: float = Field(description="mean temperature at which both dither alike, degC")
+    half_width_c: Positive = Field(description="half width of the resonance, K")
+    bias_dph: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
+        description="bias of each of the two at the crossing, deg/h"
+    )
+
+    @override
+    def added_dph(self, now: Conditions) -> FloatArray:
+        pair = ["xyz".index(gyro) for gyro in self.gyros]
+        detuning = (now.optics_c[pair].mean() - self.crossing_c) / self.half_width_c
+        added_dph = np.zeros(3)
+        added_dph[pair] = np.array(self.bias_dph) / (1.0 + detuning**2)
+        return added_dph
+
+
+#: One entry of a world file's ``undeclared_effects``.
+UndeclaredEffect = Annotated[
+    TemperatureRate
+    | ThermalGradient
+    | AttitudeThermal
+    | ThermalHysteresis
+    | WarmUp
+    | TimeDrift
+    | BiasJump
+    | SupplyRipple
+    | GSensitivity
+    | ChamberState
+    | ModeHop
+    | DitherCrossing,
+    Field(discriminator="kind"),
+]
+
+
+class UndeclaredBias:
+    """The sum of all undeclared effects of a world."""
+
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        self._effects = [effect.start() for effect in effects]
+
+    def added_dph(self, now: Conditions) -> FloatArray:
+        """Sum of all effects, deg/h, shape (3,); to be called once a second in order of time."""
+        return np.sum([effect(now) for effect in self._effects], axis=0) if self._effects else np.zeros(3)

@@ -1,0 +1,217 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.bias_filter import BiasFilter, estimate_state_space
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import UP, angle_between, rotation_matrix
+from gyrobench.bench.navigation.positions import POSITIONS
+from tests.bench.bias import disturbances
+from tests.bench.bias.emulated_dwells import CLEAN, LATITUDE_DEG, UG, emulate, noise_model, sensors, site
+
+NOISE = noise_model(0.0006)
+DEFAULT = PriorKnowledge()
+BIAS_DPH, ACCELEROMETER_UG = np.array([0.05, -0.05, 0.05]), np.array([100.0, -100.0, -100.0])
+#: A fifth of what a rotational INS of 1 nmi in 24 h bears.
+EXACT_DPH = 2e-4
+
+
+def estimate(dwell, prior=DEFAULT, noise=NOISE, latitude_deg=LATITUDE_DEG):
+    return estimate_state_space(dwell, site(latitude_deg), noise, prior)
+
+
+def error_dph(dwell, bias_dph=BIAS_DPH, **known):
+    return estimate(dwell, **known).bias_dph - bias_dph
+
+
+@pytest.mark.parametrize("latitude_deg", [-60.0, -0.5, 60.0])
+@pytest.mark.parametrize("position", POSITIONS)
+def test_without_noise_the_bias_is_exact(position, latitude_deg):
+    ins = sensors(BIAS_DPH, ACCELEROMETER_UG)
+    dwell = emulate(position, ins, latitude_deg=latitude_deg, outer_level=True)
+    assert np.abs(error_dph(dwell, latitude_deg=latitude_deg)).max() < EXACT_DPH
+
+
+@pytest.mark.parametrize("window_s", [60.0, 300.0, 1200.0])
+def test_the_bias_is_exact_in_short_and_long_windows(window_s):
+    for signs in ([1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1]):
+        bias_dph, accelerometer_ug = 0.05 * np.array(signs), -100.0 * np.array(signs)
+        dwell = emulate("x_down", sensors(bias_dph, accelerometer_ug), window_s=window_s)
+        assert np.abs(error_dph(dwell, bias_dph)).max() < EXACT_DPH
+
+
+@pytest.mark.parametrize("position", ["z_up", "y_down"])
+def test_the_bias_is_exact_after_a_slow_turn(position):
+    """Even though the table's word is of the way alone, and not of when it was where."""
+    for bias_dph in (BIAS_DPH, -BIAS_DPH):
+        dwell = emulate(position, sensors(bias_dph, ACCELEROMETER_UG), turn_s=300.0, outer_level=True)
+        assert np.abs(error_dph(dwell, bias_dph)).max() < EXACT_DPH
+
+
+@pytest.mark.parametrize("position", POSITIONS)
+def test_the_bias_is_exact_with_another_mechanisation(dwell_of, position):
+    dwell = dwell_of(
+        position=position,
+        gyro_bias_dph=tuple(BIAS_DPH),
+        accelerometer_bias_mps2=tuple(ACCELEROMETER_UG * UG),
+    )
+    assert np.abs(error_dph(dwell)).max() < EXACT_DPH
+
+
+def test_finds_the_level_accelerometers_and_leaves_the_vertical_one_to_the_prior():
+    found = estimate(emulate("y_up", sensors(BIAS_DPH, ACCELEROMETER_UG)))
+    level = [0, 2]
+    np.testing.assert_allclose(found.accelerometer_bias[level] / UG, ACCELEROMETER_UG[level], atol=1.0)
+    assert found.accelerometer_sigma[level].max() < 20.0 * UG
+    assert found.accelerometer_sigma[1] == pytest.approx(DEFAULT.accelerometer_bias, rel=1e-4)
+
+
+@pytest.mark.parametrize("heading_deg", [0.05, 0.5, -1.0])
+def test_an_ins_that_started_with_a_wrong_heading_does_not_matter(heading_deg):
+    change = disturbances.heading_error("z_up", heading_deg)
+    dwell, usual = (
+        emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG, gyro_bias_change=each)) for each in (change, None)
+    )
+    started = angle_between(dwell.windows[0].C_nb[0], usual.windows[0].C_nb[0])
+    assert started == pytest.approx(np.radians(abs(heading_deg)), rel=0.02)
+    assert np.abs(error_dph(dwell)).max() < EXACT_DPH
+
+
+@pytest.mark.parametrize(
+    "stops_deg", [(30.0, 210.0), (0.0, -180.0), (0.0, 120.0), (0.0, 180.0, 0.0), (0.0, 90.0, 180.0, 270.0)]
+)
+def test_the_bias_is_exact_with_any_azimuths_and_turns(stops_deg):
+    dwell = emulate("z_down", sensors(BIAS_DPH, ACCELEROMETER_UG), stops_deg=stops_deg)
+    assert np.abs(error_dph(dwell)).max() < EXACT_DPH
+
+
+def feed(dwell, sizes, noise=NOISE):
+    """A filter that got the epochs of a dwell in chunks of these sizes, again and again."""
+    bias_filter = BiasFilter(site(), noise, DEFAULT)
+    for number, window in enumerate(dwell.windows):
+        bias_filter.begin_window(
+            window.time_s[0], window.C_nb[0], dwell.turns[number - 1] if number else None
+        )
+        edges = [0, *np.cumsum(sizes * len(window.time_s))]
+        for a, b in pairwise(edge for edge in edges if edge < len(window.time_s) + max(sizes)):
+            part = slice(a, b)
+            gyro_c = None if window.gyro_c is None else window.gyro_c[part]
+            bias_filter.add(window.time_s[part], window.velocity_enu_mps[part, :2], window.C_nb[part], gyro_c)
+    return bias_filter
+
+
+@pytest.mark.parametrize(("epoch_s", "sizes"), [(1.0, [1]), (1.0, [7, 100]), (0.1, [10]), (0.1, [7, 1, 33])])
+def test_epochs_in_any_chunks_give_the_same_estimate(epoch_s, sizes):
+    dwell = emulate(
+        "y_up", sensors(BIAS_DPH, ACCELEROMETER_UG, NOISE), noise=NOISE, random=np.random.default_rng(23),
+        epoch_s=epoch_s, window_s=120.0, gyro_c=lambda time_s: np.multiply.outer(0.01 * time_s, np.ones(3)),
+    )  # fmt: skip
+    whole, chunks = estimate(dwell), feed(dwell, sizes).estimate()
+    np.testing.assert_allclose(chunks.bias_dph, whole.bias_dph, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(chunks.sigma_dph, whole.sigma_dph, rtol=1e-9)
+    assert chunks.fit.chi2 == pytest.approx(whole.fit.chi2, rel=1e-6)
+    np.testing.assert_allclose(chunks.fit.time_s, whole.fit.time_s)
+
+
+def test_uncertainty_falls_while_the_dwell_goes_on():
+    dwell = emulate(ins=sensors(BIAS_DPH), noise=NOISE)
+    bias_filter = feed(
+        replace(dwell, windows=dwell.windows[:1], C_nb_table=dwell.C_nb_table[:1], turns=()), [601]
+    )
+    after = dwell.windows[1]
+    bias_filter.begin_window(after.time_s[0], after.C_nb[0], dwell.turns[0])
+    sigmas = []
+    for part in np.split(np.arange(len(after.time_s)), [2, 60, 180, 300, 450]):
+        bias_filter.add(after.time_s[part], after.velocity_enu_mps[part, :2], after.C_nb[part])
+        sigmas.append(bias_filter.estimate().sigma_dph)
+    assert np.all(np.diff(sigmas, axis=0) < 0.0)
+    np.testing.assert_allclose(sigmas[-1], estimate(dwell).sigma_dph, rtol=1e-9)
+
+
+def test_the_clock_of_the_ins_may_start_anywhere():
+    dwell = emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG))
+    later = replace(
+        dwell,
+        windows=tuple(replace(w, time_s=w.time_s + 1e9) for w in dwell.windows),
+        turns=tuple(replace(turn, time_s=turn.time_s + 1e9) for turn in dwell.turns),
+    )
+    np.testing.assert_allclose(estimate(later).bias_dph, estimate(dwell).bias_dph, rtol=0, atol=1e-7)
+
+
+def test_times_that_are_a_little_uneven_leave_no_epoch_out():
+    dwell, random = emulate(ins=sensors(BIAS_DPH)), np.random.default_rng(25)
+    jittered = replace(
+        dwell,
+        windows=tuple(replace(w, time_s=w.time_s + random.uniform(0.0, 5e-4, 601)) for w in dwell.windows),
+    )
+    np.testing.assert_allclose(estimate(jittered).sigma_dph, estimate(dwell).sigma_dph, rtol=1e-6)
+
+
+def test_missing_and_uneven_epochs_cost_little_and_bias_nothing():
+    dwell, random = emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG), epoch_s=0.1), np.random.default_rng(24)
+    windows = []
+    for w in dwell.windows:
+        # One epoch somewhere in each second, or none.
+        kept = np.append(0, 10 * np.arange(600) + random.integers(1, 10, 600))
+        kept = kept[random.random(601) < 0.9]
+        windows.append(
+            replace(w, time_s=w.time_s[kept], velocity_enu_mps=w.velocity_enu_mps[kept], C_nb=w.C_nb[kept])
+        )
+    uneven = replace(dwell, windows=tuple(windows))
+    assert np.abs(error_dph(uneven)).max() < EXACT_DPH
+    np.testing.assert_allclose(estimate(uneven).sigma_dph, estimate(dwell).sigma_dph, rtol=0.02)
+
+
+@pytest.mark.parametrize("arw", [1e-5, 1e-3, 1e-1])
+@pytest.mark.parametrize("white", [(0.0, 0.0), (1e-9, 1e-12), (0.01, 1e-4)])
+def test_any_noise_can_be_declared(arw, white):
+    noise = replace(NoiseModel.from_datasheet(arw, 5.0), velocity_white=white[0], heading_white=white[1])
+    found = estimate(emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG)), noise=noise)
+    assert np.abs(found.bias_dph - BIAS_DPH).max() < EXACT_DPH + 0.01 * found.sigma_dph.max()
+    assert found.sigma_dph.min() > 0.99 * np.sqrt(3.0) * arw
+    assert found.fit.p_value > 0.9
+
+
+def test_refuses_a_dwell_without_a_turn():
+    dwell = emulate(window_s=60.0)
+    one = replace(dwell, windows=dwell.windows[:1], C_nb_table=dwell.C_nb_table[:1], turns=())
+    with pytest.raises(MeasurementError, match="no navigation after a turn: the biases are not observable"):
+        estimate(one)
+
+
+def test_refuses_an_estimate_before_there_is_navigation_after_the_turn():
+    dwell = emulate(window_s=60.0)
+    bias_filter = BiasFilter(site(), NOISE, DEFAULT)
+    with pytest.raises(MeasurementError, match="no navigation after a turn"):
+        bias_filter.estimate()
+    before, after = dwell.windows
+    bias_filter.begin_window(before.time_s[0], before.C_nb[0])
+    bias_filter.add(before.time_s, before.velocity_enu_mps[:, :2], before.C_nb)
+    with pytest.raises(MeasurementError, match="a window after the first one needs the turn"):
+        bias_filter.begin_window(after.time_s[0], after.C_nb[0])
+    bias_filter.begin_window(after.time_s[0], after.C_nb[0], dwell.turns[0])
+    with pytest.raises(MeasurementError, match="no navigation after a turn"):
+        bias_filter.estimate()
+
+
+def test_a_turn_that_tells_nothing_leaves_the_level_gyros_unknown():
+    """Back to where it started: only the prior parts biases from initial errors, and it says so."""
+    table = [rotation_matrix(UP, 0.0)] * 2
+    dwell = replace(emulate(ins=sensors(BIAS_DPH), stops_deg=(0.0, 0.0)), C_nb_table=tuple(table))
+    found = estimate(dwell)
+    assert found.sigma_dph[0] > 0.5
+    assert np.all(np.abs(found.bias_dph - BIAS_DPH) < 3.0 * found.sigma_dph)
+
+
+@pytest.mark.parametrize("settle_s", [60.0, 600.0])
+def test_a_long_rest_after_the_turn_changes_nothing(settle_s):
+    truth = sensors(bias_dph=(0.05, 0.05, 0.05))
+    dwell = emulate("z_up", truth, settle_s=settle_s)
+    estimate = estimate_state_space(dwell, site(), NOISE, CLEAN)
+    assert np.abs(estimate.bias_dph - 0.05).max() < 2e-4
+    level = np.abs(estimate.accelerometer_bias[:2])
+    assert np.all(level < 0.5 * estimate.accelerometer_sigma[:2])

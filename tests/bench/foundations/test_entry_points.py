@@ -1,0 +1,73 @@
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from gyrobench.bench.foundations import entry_points
+from gyrobench.bench.foundations.entry_points import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.drivers.chamber import ChamberDialect, watlow_f4
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
+from gyrobench.drivers.rate_table import TableDialect
+
+
+@pytest.fixture
+def offered(monkeypatch):
+    """Make packages offer dialects of chambers."""
+
+    def offer(**values):
+        entries = tuple(EntryPoint(name, value, CHAMBERS) for name, value in values.items())
+        monkeypatch.setattr(entry_points, "_entries", lambda group: entries)
+
+    return offer
+
+
+def test_own_dialects_are_installed_each_with_an_emulator():
+    assert installed(RATE_TABLES) == ["acutrol3000", "ideal_aerosmith"]
+    assert installed(CHAMBERS) == ["thermotron_8800", "watlow_f4", "watlow_f4t"]
+    assert installed(EMULATORS) == sorted(installed(RATE_TABLES) + installed(CHAMBERS))
+
+
+@pytest.mark.parametrize("name", ["acutrol3000", "ideal_aerosmith"])
+def test_own_dialects_of_tables_can_be_imported(name):
+    assert load(RATE_TABLES, name, TableDialect).max_axes >= 1
+    assert callable(load(EMULATORS, name, TableEmulation).make)
+
+
+@pytest.mark.parametrize(
+    ("name", "tcp_port"), [("thermotron_8800", 8888), ("watlow_f4", None), ("watlow_f4t", 5025)]
+)
+def test_own_dialects_of_chambers_can_be_imported(name, tcp_port):
+    assert load(CHAMBERS, name, ChamberDialect).line.tcp_port == tcp_port
+    assert callable(load(EMULATORS, name, ChamberEmulation).make)
+
+
+def test_an_unknown_name_is_reported_with_the_installed_ones():
+    with pytest.raises(
+        DocumentError,
+        match=r"no dialect 'watlow_f5' is installed \(did you mean 'watlow_f4'\?\); installed: ther",
+    ):
+        load(CHAMBERS, "watlow_f5", ChamberDialect)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("no_such_package.module:DIALECT", r"can't be imported: ModuleNotFoundError: No module named"),
+        ("gyrobench.drivers.chamber.watlow_f4:NOTHING", "can't be imported: AttributeError"),
+        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*Report this to the package"),
+        ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is no ChamberDialect"),
+    ],
+)
+def test_a_broken_package_affects_only_its_users(offered, value, message):
+    offered(broken=value, watlow_f4="gyrobench.drivers.chamber.watlow_f4:DIALECT")
+    with pytest.raises(DocumentError, match=f"the dialect 'broken' of .*{message}"):
+        load(CHAMBERS, "broken", ChamberDialect)
+    assert load(CHAMBERS, "watlow_f4", ChamberDialect) is watlow_f4.DIALECT
+    assert installed(CHAMBERS) == ["broken", "watlow_f4"]
+
+
+def test_a_dialect_provided_by_two_packages_is_refused(monkeypatch):
+    twice = tuple(EntryPoint("acme", f"package_{which}:DIALECT", CHAMBERS) for which in "ab")
+    monkeypatch.setattr(entry_points, "_entries", lambda group: twice)
+    with pytest.raises(DocumentError, match="'acme' is provided by package_a:DIALECT and package_b:DIALECT"):
+        load(CHAMBERS, "acme", ChamberDialect)

@@ -1,0 +1,95 @@
+"""The Python interface, as a person types it."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+import gyrobench
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return gyrobench.run("ten_minute_check", world="ideal", out=tmp_path_factory.mktemp("api") / "run")
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = "import sys, gyrobench; print([m for m in ('numpy', 'pydantic', 'can') if m in sys.modules])"
+    answer = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"
+
+
+def test_tables_of_a_run_have_units_text_and_numbers(run):
+    assert isinstance(run.dwells, pd.DataFrame)
+    assert run.dwells.attrs["units"]["bias_x_dph"] == "deg/h"
+    assert run.dwells["position"].tolist() == ["z_up"]
+    assert run.dwells["flags"].tolist() == [""]
+    assert run.bias_bins["bias_dph"].notna().sum() == 3
+    assert {"time_s", "chamber_c", "gyro_x_c"} <= set(run.telemetry)
+    assert run.telemetry.attrs["units"]["chamber_c"] == "degC"
+
+
+def test_a_bias_from_the_arrays_of_a_dwell_is_that_of_the_table(run):
+    """The table takes the turn from the rate table, the arrays from the INS: 0.02 sigma apart at most."""
+    navigation = run.navigation(1)
+    estimate = gyrobench.estimate_bias(
+        navigation.ins_time_s,
+        navigation.velocity_enu_mps,
+        navigation.attitude,
+        windows_s=run.windows_s(1),
+        position="z_up",
+        latitude_deg=36.4,
+        height_m=60.0,
+        arw_deg_per_sqrt_h=0.0006,
+        vrw_ug_per_sqrt_hz=5.0,
+        velocity_lsb_mps=1e-4,
+    )
+    sigma = run.dwells.filter(regex="^sigma_._dph$").to_numpy()[0]
+    bias = run.dwells.filter(regex="^bias_._dph$").to_numpy()[0]
+    assert np.all(np.abs(estimate.bias_dph - bias) < 0.02 * sigma)
+    assert np.allclose(estimate.sigma_dph, sigma, rtol=0.01)
+
+
+def test_frames_of_a_dwell_are_bytes_as_they_came(run):
+    frames = run.frames(1)
+    assert len(frames) > 10_000
+    assert frames["timestamp_s"].is_monotonic_increasing
+    assert all(len(data) == length for data, length in zip(frames["data"], frames["length"], strict=True))
+
+
+def test_figures_are_matplotlib_s(run):
+    figures = run.figures()
+    assert {"temperature", "bias_x", "bias_y", "bias_z"} <= set(figures)
+    assert all(isinstance(figure, Figure) for figure in figures.values())
+
+
+def test_a_search_takes_a_file_or_a_data_frame(tmp_path):
+    table = gyrobench.run("quick_campaign", "quick", world="quick", out=tmp_path / "run").dwells
+    from_frame, from_folder = gyrobench.close_loop(table), gyrobench.close_loop(tmp_path / "run")
+    assert from_frame.verdict == from_folder.verdict
+    assert from_frame.error_before_dph == pytest.approx(from_folder.error_before_dph)
+
+
+def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):
+    with pytest.raises(RunFolderError, match="no run folder"):
+        gyrobench.open_run(tmp_path)
+    with pytest.raises(RunFolderError, match="no finished dwell 7"):
+        run.frames(7)
+    with pytest.raises(MeasurementError, match="there is no position 'up'"):
+        gyrobench.estimate_bias(
+            np.arange(3.0),
+            np.zeros((3, 3)),
+            np.zeros((3, 3, 3)),
+            windows_s=[(0.0, 2.0)],
+            position="up",
+            latitude_deg=36.4,
+            arw_deg_per_sqrt_h=0.001,
+        )
+    with pytest.raises(DocumentError):
+        gyrobench.run("no_such_procedure", out=tmp_path / "never")
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        gyrobench.nothing  # noqa: B018

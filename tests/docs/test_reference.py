@@ -1,0 +1,17 @@
+"""The reference pages are those that the models and the command line give."""
+
+import subprocess
+import sys
+
+from tests.docs.pages import DOCS
+
+
+def test_the_committed_reference_is_the_generated_one():
+    command = [sys.executable, str(DOCS / "make_reference.py"), "--check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_it_reads_as_plain_markdown():
+    text = (DOCS / "reference" / "procedure.md").read_text(encoding="utf-8")
+    assert "| `procedure` | name: letters, digits, underscore, hyphen | text | required |" in text
