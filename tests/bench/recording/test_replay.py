@@ -47,7 +47,7 @@ def written(tmp_path, text):
         ),
     ],
 )
-def test_a_call_that_can_not_be_made_is_told_with_its_place(tmp_path, text, message):
+def test_a_call_that_can_not_be_made_is_reported_with_its_place(tmp_path, text, message):
     with pytest.raises(DocumentError, match=rf"test\.rec{message}"):
         replay(written(tmp_path, text))
 

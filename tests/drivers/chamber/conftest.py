@@ -15,7 +15,7 @@ from gyrobench.drivers.serial_line import SerialLine
 
 
 class FarEnd(threading.Thread):
-    """Serves whatever hangs on the master sides of pseudo-terminals, until it is stopped."""
+    """Serves the master sides of pseudo-terminals, until it is stopped."""
 
     def __init__(self, handlers: dict[int, Callable[[bytes], None]]) -> None:
         super().__init__(daemon=True)

@@ -45,7 +45,7 @@ def test_the_air_and_the_state_of_the_sensor_are_read_in_one_exchange(bench):
     assert chamber.read().temperature_c == -40.0
 
 
-def test_a_reading_tells_what_was_changed_at_the_panel(bench):
+def test_a_reading_has_changes_at_the_panel(bench):
     chamber = bench.driver()
     chamber.set_temperature(60.0, 1.0)
     chamber.switch(True)
@@ -99,7 +99,7 @@ def test_another_event_may_switch_the_chamber(bench):
     assert bench.events == [(3, True)]
 
 
-def test_it_says_what_it_is(make_bench):
+def test_identity(make_bench):
     assert make_bench().driver().identify() == (
         "Watlow F4, model number 5270, Modbus address 1, ramps to set points"
     )
@@ -243,7 +243,7 @@ def test_stale_input_is_not_taken_for_the_answer(bench):
     assert [chamber.read().temperature_c for _ in range(3)] == [31.0] * 3
 
 
-def test_the_line_rests_after_each_exchange(bench):
+def test_the_line_is_silent_after_each_exchange(bench):
     clock = VirtualClock()
     chamber = bench.driver(clock)
     chamber.read()

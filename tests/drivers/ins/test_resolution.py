@@ -94,7 +94,7 @@ def test_the_step_of_a_floating_point_signal_is_that_at_its_largest_value(signal
     assert yaw.sufficient
 
 
-def test_a_coarse_quaternion_is_told_by_its_coarsest_component(make_signal_map, codec_with):
+def test_a_coarse_quaternion_is_found_by_its_coarsest_component(make_signal_map, codec_with):
     codec = codec_with({'(1E-006,0) [-180|180] "deg"': '(3.05e-05,0) [0|0] ""'})
     quaternion = (
         "quaternion: {w: ROLL_PITCH.ROLL, x: ROLL_PITCH.ROLL, y: HEIGHT_VELOCITY_D.HEIGHT, "

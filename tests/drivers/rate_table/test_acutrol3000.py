@@ -1,3 +1,5 @@
+"""The driver of the Acutrol 3000 and the framing of its replies."""
+
 import struct
 import threading
 import time
@@ -18,7 +20,7 @@ from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.rate_table import RateTable, TableReading
-from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
+from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, Acutrol3000, ReplyFraming, set_bits
 
 FAST = AxisParameters(
     rate_limit_dps=2000.0,
@@ -146,7 +148,7 @@ def test_releasing_stops_the_table_before_it_opens_the_servos(table, controller)
     assert controller.feed(b":utility:lockout?\n", 1e6)[8:] == b"OFF"
 
 
-def test_an_axis_that_does_not_come_to_rest_is_told_after_the_servos_are_open(rig):
+def test_an_axis_that_does_not_come_to_rest_is_a_fault_after_the_servos_are_open(rig):
     controller = Acutrol3000Emulator(rig.bench.world.axes)
     line, _ = rig.line("table", controller)
     table = Acutrol3000(line)
@@ -165,7 +167,7 @@ def test_a_table_that_was_never_prepared_can_be_released(table):
     assert table.faults() == []
 
 
-def test_a_trip_is_told_in_words_and_ends_the_wait_for_the_position(table, controller):
+def test_a_trip_is_reported_in_words_and_ends_the_wait_for_the_position(table, controller):
     table.prepare()
     table.move_to({1: 300.0, 2: 0.0}, rate_dps=100.0)
     controller.trip(2, SoftwareFault.FINE_FEEDBACK_LOSS, table._line.clock.now())
@@ -196,7 +198,7 @@ def test_what_the_controller_refuses_is_refused_by_name_and_the_line_stays_in_st
     assert table.read().rate_dps == (0.0, 0.0)
 
 
-def test_a_reading_tells_whether_the_axes_are_under_servo_control(table, controller):
+def test_a_reading_has_the_servo_state(table, controller):
     assert not table.read().is_servoed
     table.prepare()
     assert table.read().is_servoed
@@ -386,3 +388,54 @@ def test_no_reply_makes_the_driver_raise_anything_but_instrument_errors(serve, s
                 requests[request](table)
 
         check()
+
+
+words = {"little": "<II", "big": ">II"}
+
+
+@given(st.sampled_from(["little", "big"]), st.integers(0, 2**32 - 1), st.integers(1, 32768))
+def test_any_reply_with_text_shows_its_byte_order(order, code, length):
+    assert ReplyFraming().decode(struct.pack(words[order], code, length)) == (code, length)
+
+
+def test_a_reply_without_text_leaves_the_byte_order_open():
+    framing = ReplyFraming()
+    assert framing.decode(bytes(8)) == (0, 0)
+    assert framing.decode(struct.pack(">II", 0, 7)) == (0, 7)
+
+
+def test_an_error_without_text_is_read_in_the_known_byte_order():
+    framing = ReplyFraming()
+    framing.decode(struct.pack(">II", 0, 2))
+    assert framing.decode(struct.pack(">II", 200, 0)) == (200, 0)
+
+
+def test_an_error_without_text_in_an_unknown_byte_order_is_still_an_error():
+    assert ReplyFraming().decode(struct.pack(">II", 200, 0)) == (200, 0)
+
+
+def test_a_length_that_no_message_has_is_no_reply():
+    assert ReplyFraming().decode(b"\x00\x00\x00\x00\x31\x30\x2e\x30") is None
+
+
+def test_a_reply_in_the_other_byte_order_is_no_reply_but_the_next_one_is():
+    framing = ReplyFraming()
+    framing.decode(struct.pack("<II", 0, 2))
+    assert framing.decode(struct.pack(">II", 0, 2)) is None
+    assert framing.decode(struct.pack(">II", 0, 2)) == (0, 2)
+
+
+@given(st.lists(st.binary(min_size=8, max_size=8), max_size=5))
+def test_no_prefix_gives_a_length_beyond_the_longest_message(prefixes):
+    framing = ReplyFraming()
+    for prefix in prefixes:
+        decoded = framing.decode(prefix)
+        assert decoded is None or 0 <= decoded[1] <= 32768
+
+
+@pytest.mark.parametrize(
+    ("register", "expected"),
+    [(0, []), (0b10, ["rate trip"]), (0b10010, ["rate trip", "fault 4"])],
+)
+def test_bits_have_names_or_at_least_numbers(register, expected):
+    assert set_bits(register, SOFTWARE_FAULTS, "fault") == expected

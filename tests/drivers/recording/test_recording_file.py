@@ -66,7 +66,7 @@ def test_remarks_and_empty_lines_are_left_out(tmp_path):
         ("instrument: table\n---\n0.2 > 41\n0.1 < 42\n", r":4:1: its time is before that of the line above"),
     ],
 )
-def test_a_mistake_is_told_with_its_place(tmp_path, text, message):
+def test_a_mistake_is_reported_with_its_place(tmp_path, text, message):
     with pytest.raises(DocumentError, match=rf"test\.rec{message}"):
         read_recording(written(tmp_path, text))
 

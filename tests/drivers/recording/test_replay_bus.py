@@ -74,6 +74,6 @@ def test_a_command_is_refused(log):
             bus.send(message)
 
 
-def test_a_log_that_is_not_there_is_told(tmp_path):
+def test_a_missing_log_is_an_error(tmp_path):
     with pytest.raises(ConnectionFailedError, match=r"can't replay .*absent\.log"):
         open_bus("replay", str(tmp_path / "absent.log"), VirtualClock())

@@ -80,7 +80,7 @@ def test_other_lines_and_later_ones_are_not_recorded(instrument, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_can_not_be_made_is_told(tmp_path):
+def test_a_folder_that_can_not_be_created_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RunFolderError), recording_lines(tmp_path / "file", HEADERS):
         pass
