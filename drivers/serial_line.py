@@ -16,11 +16,13 @@ import serial
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
 from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
-from gyrobench.drivers.recording.tap import tapped
+from gyrobench.drivers.recording.recording_file import RecordingFile, new_line_recording
 
 _WRITE_TIMEOUT_S = 5.0
 #: A line that is not silent within this many times the silence required never will be.
 _MAX_SILENCES = 5
+#: Bytes recorded of the unread input that is discarded.
+_MAX_DISCARDED = 65536
 
 for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
@@ -88,6 +90,7 @@ class SerialLine:
     """
 
     _open = False
+    _recording: RecordingFile | None = None
 
     def __init__(
         self, instrument: str, url: str, clock: Clock, baudrate: int = 9600, parity: str = "N"
@@ -123,8 +126,8 @@ class SerialLine:
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",
             ) from error
-        self._port = tapped(self.instrument, port, self.clock, self._baudrate, self._parity)
-        self._open = True
+        self._port, self._open = port, True
+        self._recording = new_line_recording(self.instrument, self.clock, self._baudrate, self._parity)
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
@@ -132,6 +135,8 @@ class SerialLine:
             self._open = False
             with contextlib.suppress(*_port_errors()):  # the port is already gone
                 self._port.close()
+            if self._recording is not None:
+                self._recording.close()
 
     def write(self, data: bytes) -> None:
         """Send bytes.
@@ -142,6 +147,7 @@ class SerialLine:
             The port went away.
         """
         try:
+            self._record(True, data)
             self._port.write(data)
             self._port.flush()
         except _port_errors() as error:
@@ -159,7 +165,7 @@ class SerialLine:
         """
         try:
             self._port.timeout = deadline.remaining_s() / self.clock.speed
-            data = bytes(self._port.read(count))
+            data = self._read(count)
         except _port_errors() as error:
             raise self._gone(error) from error
         if len(data) < count:
@@ -173,6 +179,8 @@ class SerialLine:
     def discard_input(self) -> None:
         """Discard unread input, so that the next reply is the next one read."""
         try:
+            if self._recording is not None:
+                self._record_unread()
             self._port.reset_input_buffer()
         except _port_errors() as error:
             raise self._gone(error) from error
@@ -199,6 +207,21 @@ class SerialLine:
             f"bytes arrive on {self.url} all the time without a request. Check whether another program or "
             "master uses this line.",
         )
+
+    def _record(self, is_sent: bool, data: bytes) -> None:
+        if self._recording is not None:
+            self._recording.add(is_sent, data)
+
+    def _read(self, count: int) -> bytes:
+        data = bytes(self._port.read(count))
+        self._record(False, data)
+        return data
+
+    def _record_unread(self) -> None:
+        self._port.timeout = 0
+        left = _MAX_DISCARDED
+        while left > 0 and (waiting := self._port.in_waiting):
+            left -= len(self._read(min(waiting, left)))
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
         if isinstance(error.__cause__, ReplayError):

@@ -6,35 +6,8 @@ import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 _CHUNK = 4096
-
-
-class Port(Protocol):
-    """A byte stream to the program that connects."""
-
-    url: str
-
-    def fileno(self) -> int:
-        """Descriptor to wait on."""
-        ...
-
-    def read(self) -> bytes:
-        """Bytes that have arrived, without waiting."""
-        ...
-
-    def write(self, data: bytes) -> int:
-        """Send what fits in the buffer; returns how many bytes that was."""
-        ...
-
-    def unplug(self) -> None:
-        """Disappear like an unplugged device; a connected program gets errors."""
-        ...
-
-    def plug_in(self) -> None:
-        """Appear again under the same ``url``."""
-        ...
 
 
 class PseudoTerminal:
@@ -173,3 +146,6 @@ class TcpPort:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+Port = PseudoTerminal | TcpPort

@@ -343,12 +343,8 @@ def set_bits(register: int, names: Mapping[int, str], other: str) -> list[str]:
     return [names.get(bit, f"{other} {bit}") for bit in range(register.bit_length()) if register >> bit & 1]
 
 
-class Acutrol3000Options(StrictModel):
-    """No additional keys."""
-
-
-def _open(line: SerialLine, axes: Sequence[int], options: Acutrol3000Options) -> Acutrol3000:  # noqa: ARG001
+def _open(line: SerialLine, axes: Sequence[int], options: StrictModel) -> Acutrol3000:  # noqa: ARG001
     return Acutrol3000(line, axes)
 
 
-DIALECT = TableDialect(_open, Acutrol3000Options, LineDefaults(tcp_port=9878))
+DIALECT = TableDialect(_open, StrictModel, LineDefaults(tcp_port=9878))

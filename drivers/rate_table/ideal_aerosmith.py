@@ -202,13 +202,9 @@ def _plain(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-class IdealAerosmithOptions(StrictModel):
-    """No additional keys."""
-
-
-def _open(line: SerialLine, axes: Sequence[int], options: IdealAerosmithOptions) -> IdealAerosmith:  # noqa: ARG001
+def _open(line: SerialLine, axes: Sequence[int], options: StrictModel) -> IdealAerosmith:  # noqa: ARG001
     (axis,) = axes
     return IdealAerosmith(line, axis)
 
 
-DIALECT = TableDialect(_open, IdealAerosmithOptions, LineDefaults(baudrate=9600), max_axes=1)
+DIALECT = TableDialect(_open, StrictModel, LineDefaults(baudrate=9600), max_axes=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +15,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import cant_be_written, read_limited
+from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited
 
 MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"
@@ -199,3 +199,45 @@ class RecordingFile:
         """End the recording; a second call does nothing."""
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+#: Folders and headers of the recordings that are on; lines are opened deep inside the bench, in any thread.
+_recordings: list[tuple[Path, Mapping[str, RecordingHeader]]] = []
+
+
+@contextlib.contextmanager
+def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Iterator[None]:
+    """Record every line that is opened meanwhile, into a new file at each opening.
+
+    Parameters
+    ----------
+    folder : Path
+        Created if absent. Files are named after the instrument and numbered.
+    headers : mapping of str to RecordingHeader
+        By the instrument's name in errors: "rate table", "chamber". Lines of other instruments are
+        not recorded.
+
+    Raises
+    ------
+    RunFolderError
+        The folder can't be created; opening a line raises it if its file can't be.
+    """
+    make_folder(folder)
+    recording = (folder, headers)
+    _recordings.append(recording)
+    try:
+        yield
+    finally:
+        _recordings.remove(recording)
+
+
+def new_line_recording(instrument: str, clock: Clock, baudrate: int, parity: str) -> RecordingFile | None:
+    """Begin the recording of a line that is opened; None if no recording of its instrument is on."""
+    for folder, headers in _recordings:
+        if instrument in headers:
+            header = headers[instrument].model_copy(update={"baudrate": baudrate, "parity": parity})
+            number = 1
+            while (path := folder / f"{header.instrument}-{number:03d}.rec").exists():
+                number += 1
+            return RecordingFile(path, header, clock)
+    return None

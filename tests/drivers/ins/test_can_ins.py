@@ -13,18 +13,13 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.ins import (
-    CanIns,
-    CommandMap,
-    Compensation,
-    EulerSequence,
-    FrameBlock,
-    InsMode,
-    decode_navigation,
-    open_bus,
-)
-from gyrobench.drivers.ins.command_map import TERMS, TermIndices
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.can_bus import FrameBlock, open_bus
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, TermIndices
 from gyrobench.drivers.ins.ins_status import STALE_S
+from gyrobench.drivers.ins.navigation_data import decode_navigation
+from gyrobench.drivers.ins.readout import InsMode
 
 POLYNOMIAL = Compensation(
     np.array([[0.0, 0.0], [0.5, -0.25], [0.0, 0.0]]), np.full(3, -20.0), np.full(3, 70.0)

@@ -9,8 +9,7 @@ import pytest
 
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
-from gyrobench.drivers.ins import Compensation
-from gyrobench.drivers.ins.command_map import TERMS, CommandMap, check_commands, checksum
+from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, check_commands, checksum
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph, play
 
 

@@ -163,7 +163,7 @@ def test_an_identifier_of_29_bits_is_not_one_of_11(multiplexed):
     assert multiplexed.arbitration_id("MUX") == 512 | EXTENDED_ID
     block = block_of(multiplexed, "MUX", [bytes(8)] * 2)
     block.arbitration_id[1] = 512
-    assert len(multiplexed.select(block, "MUX")) == 1
+    assert len(multiplexed.rows(block, "MUX")) == 1
 
 
 def test_velocity_of_the_example_has_the_bytes_of_the_ins1000_layout(codec):

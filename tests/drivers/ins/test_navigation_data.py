@@ -5,9 +5,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gyrobench.drivers.ins import Alignment, FrameBlock, InsMode, concatenate, decode_navigation
 from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
-from gyrobench.drivers.ins.navigation_data import EpochCounts
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
+from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_navigation
+from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 HEADING_ID, VELOCITY_ID, TIME_ID, STATUS_ID = 0x007, 0x004, 0x001, 0x010
 

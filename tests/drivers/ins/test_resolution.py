@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
 
-from gyrobench.drivers.ins import DbcCodec, load_dbc, resolution_report
-from gyrobench.drivers.ins.resolution import horizontal_gyro_errors_dph, vertical_gyro_errors_dph
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.resolution import (
+    horizontal_gyro_errors_dph,
+    resolution_report,
+    vertical_gyro_errors_dph,
+)
 
 WINDOW_S, SAMPLES = 600.0, 6000
 DPH = np.radians(1 / 3600)

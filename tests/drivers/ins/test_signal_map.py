@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.ins import DbcCodec, load_dbc
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.readout import BlockReader
 from gyrobench.drivers.ins.signal_map import Dimension, bind_signals, check_signals
 
