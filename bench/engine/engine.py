@@ -301,7 +301,7 @@ class Engine:
         add_identity(self._folder, "INS", identity)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
-        deadline = Deadline(self._bench.clock, self._bench.station.file.interlocks.longest_hold_s)
+        deadline = Deadline(self._bench.clock, self._bench.station.file.interlocks.max_hold_s)
         for _ in self._compensation.settle(after_power_on):
             self._tick()
             if deadline.expired():

@@ -86,7 +86,7 @@ class Holding:
     def _wait(self, why: str, trips: Sequence[Trip], after_s: float | None) -> str:
         """Wait, and tell who says to go on."""
         clock, begin_s = self._bench.clock, self._bench.clock.now()
-        longest_s = self._bench.station.file.interlocks.longest_hold_s
+        longest_s = self._bench.station.file.interlocks.max_hold_s
         for by in self._asked_to_continue(why, needs_person=after_s is None):
             held_s = clock.now() - begin_s
             self._look_for_others(trips)
@@ -152,7 +152,7 @@ class Holding:
     def _goes_on_after_s(self, trips: Sequence[Trip]) -> float | None:
         """How long all has to be good before the run goes on by itself; None where a person is needed."""
         by_itself = all(
-            trip.rule.needs == "nobody" and self._resumes[trip.name] < trip.rule.most_resumes
+            trip.rule.resume == "automatic" and self._resumes[trip.name] < trip.rule.max_resumes
             for trip in trips
         )
         return max(trip.rule.resume_after_s for trip in trips) if trips and by_itself else None

@@ -61,7 +61,7 @@ class RunNews(Progress):
         """Tell that a hold is over, once the run does go on."""
         self._left_s = self._plan.duration_s - planned.start_s
         if self._goes_on_from:
-            self._tell("goes_on", f"The hold is over: {self._goes_on_from}", about=self._goes_on_from)
+            self._tell("resumes", f"The hold is over: {self._goes_on_from}", about=self._goes_on_from)
             self._goes_on_from, self._is_hold_told = "", False
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: ARG002

@@ -48,7 +48,7 @@ def server():
 def run_told(tmp_path, server):
     """Run the procedure; returns its journal and what the server was told."""
 
-    def run(operator, faults="", on="ends, holds, goes_on, needs_person", set_c=40):
+    def run(operator, faults="", on="ends, holds, resumes, needs_person", set_c=40):
         station, procedure = tmp_path / "station.yaml", tmp_path / "question.yaml"
         text = find_document("stations", "emulated").read_text()
         station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: {server.url}, on: [{on}]}}\n")
@@ -102,7 +102,7 @@ def test_a_hold_that_ends_by_itself_is_told_twice(run_told):
     fault = "faults:\n  - {fault: port_gone, target: chamber, at_s: 60, for_s: 120}\n"
     _, told, outcome = run_told(ConsentingOperator(), fault)
     assert outcome.ended == "finished"
-    assert [each["event"] for each in told] == ["holds", "goes_on", "ends"]
+    assert [each["event"] for each in told] == ["holds", "resumes", "ends"]
     why = told[0]["why"].removeprefix("It goes on by itself when all is good again: ")
     assert told[1]["why"].startswith(f"The hold is over: {why}")
     assert told[1]["left"]["hours"] > 0.0
@@ -119,6 +119,6 @@ def test_a_hold_that_waits_for_a_person_is_told_with_its_reason(run_told):
     fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
     _, told, _ = run_told(Slow(30, after=int(run_news.UNANSWERED_S) + 5), fault)
     hold = told[1]
-    assert [each["event"] for each in told] == ["needs_person", "needs_person", "goes_on", "ends"]
+    assert [each["event"] for each in told] == ["needs_person", "needs_person", "resumes", "ends"]
     assert hold["question"] == f"The run holds: {hold['why']}"
     assert hold["answers"] == ["continue", "abort"]

@@ -183,7 +183,7 @@ def test_an_opened_door_trips_and_is_good_again_a_window_after_the_air_is_steady
     trips = bench.poll()
     assert list(trips) == ["chamber_air_rate"]
     assert "15.0 degC/min; the limit is 8 degC/min" in trips["chamber_air_rate"].text
-    assert trips["chamber_air_rate"].rule.needs == "nobody"
+    assert trips["chamber_air_rate"].rule.resume == "automatic"
     assert bench.poll_for(70.0) == {}
 
 
@@ -246,15 +246,15 @@ def test_it_tells_since_when_an_interlock_is_good(watched):
 
 def test_the_station_file_says_what_becomes_of_the_run(watched):
     bench = watched(
-        "\ninterlocks:\n  chamber_alarm: {needs: nobody, resume_after_s: 900, most_resumes: 2}\n"
+        "\ninterlocks:\n  chamber_alarm: {resume: automatic, resume_after_s: 900, max_resumes: 2}\n"
         "  chamber_air: {high_c: 76}\n"
     )
     bench.chamber, bench.chamber_alarms = ChamberReading(76.5, 20.0, True), ("alarm 1",)
     trips = bench.poll()
     rule = trips["chamber_alarm"].rule
-    assert (rule.needs, rule.resume_after_s, rule.most_resumes) == ("nobody", 900.0, 2)
+    assert (rule.resume, rule.resume_after_s, rule.max_resumes) == ("automatic", 900.0, 2)
     assert "above the limit of 76 degC" in trips["chamber_air"].text
-    assert trips["chamber_air"].rule.needs == "person"
+    assert trips["chamber_air"].rule.resume == "person"
 
 
 def test_air_that_leaves_a_set_point_that_it_had_reached_trips(watched):
