@@ -55,7 +55,9 @@ class PortTwice(StrictModel):
 def test_a_dialect_can_not_take_a_key_that_every_section_has(changed, monkeypatch):
     dialect = ChamberDialect(lambda line, options: None, PortTwice)
     monkeypatch.setattr(dialect_section, "load", lambda *wanted: dialect)
-    with pytest.raises(DocumentError, match=r"the dialect 'acme' has keys that every such section has \(port\)"):
+    with pytest.raises(
+        DocumentError, match=r"the dialect 'acme' has keys that every such section has \(port\)"
+    ):
         dialect_section.section_of(ChamberSection, "acme")
 
 
