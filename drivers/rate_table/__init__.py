@@ -133,6 +133,10 @@ class RateTable(Protocol):
         ...
 
 
+class NoOptions(StrictModel):
+    """Options of a dialect without additional keys."""
+
+
 @dataclass(frozen=True)
 class TableDialect(Generic[OptionsT]):
     """One dialect; offered as an entry point of the group ``gyrobench.rate_tables``.

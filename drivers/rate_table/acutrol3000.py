@@ -16,7 +16,6 @@ from dataclasses import fields
 from typing import TypeVar
 
 from gyrobench.bench.foundations.clock import Deadline
-from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
 from gyrobench.drivers.rate_table import (
     AxisLimits,
@@ -129,7 +128,7 @@ class Acutrol3000:
         self._command(";".join(f":Limit {n},{mode},{bounds}" for n in self._axes for mode in _LIMITED_MODES))
         self._limits = (rate_dps, acceleration_dps2, jerk_dps3)
 
-    def limits(self) -> tuple[AxisLimits, ...]:
+    def limits(self) -> tuple[AxisLimits, NoOptions, ...]:
         """Read the absolute limits of each axis."""
         count = len(fields(AxisLimits))
         query = ":Limit:" + ";".join(f"Absolute? {n}" for n in self._axes)
@@ -343,8 +342,8 @@ def set_bits(register: int, names: Mapping[int, str], other: str) -> list[str]:
     return [names.get(bit, f"{other} {bit}") for bit in range(register.bit_length()) if register >> bit & 1]
 
 
-def _open(line: SerialLine, axes: Sequence[int], options: StrictModel) -> Acutrol3000:  # noqa: ARG001
+def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> Acutrol3000:  # noqa: ARG001
     return Acutrol3000(line, axes)
 
 
-DIALECT = TableDialect(_open, StrictModel, LineDefaults(tcp_port=9878))
+DIALECT = TableDialect(_open, NoOptions, LineDefaults(tcp_port=9878))

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
 from gyrobench.drivers.rate_table import (
     AxisLimits,
@@ -88,7 +87,7 @@ class IdealAerosmith:
         self._command(f"ACL{_plain(acceleration_dps2)}")
         self._acceleration_dps2 = acceleration_dps2
 
-    def limits(self) -> tuple[AxisLimits, ...]:
+    def limits(self) -> tuple[AxisLimits, NoOptions, ...]:
         """Raise RefusedError: there is no query for them."""
         raise RefusedError(self._line.instrument, "has no query for its limits; read them from its panel")
 
@@ -202,9 +201,9 @@ def _plain(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def _open(line: SerialLine, axes: Sequence[int], options: StrictModel) -> IdealAerosmith:  # noqa: ARG001
+def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> IdealAerosmith:  # noqa: ARG001
     (axis,) = axes
     return IdealAerosmith(line, axis)
 
 
-DIALECT = TableDialect(_open, StrictModel, LineDefaults(baudrate=9600), max_axes=1)
+DIALECT = TableDialect(_open, NoOptions, LineDefaults(baudrate=9600), max_axes=1)
