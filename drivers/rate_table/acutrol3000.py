@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
 from gyrobench.drivers.rate_table import (
     AxisLimits,
+    NoOptions,
     TableDialect,
     TableReading,
     await_standstill,
@@ -128,7 +129,7 @@ class Acutrol3000:
         self._command(";".join(f":Limit {n},{mode},{bounds}" for n in self._axes for mode in _LIMITED_MODES))
         self._limits = (rate_dps, acceleration_dps2, jerk_dps3)
 
-    def limits(self) -> tuple[AxisLimits, NoOptions, ...]:
+    def limits(self) -> tuple[AxisLimits, ...]:
         """Read the absolute limits of each axis."""
         count = len(fields(AxisLimits))
         query = ":Limit:" + ";".join(f"Absolute? {n}" for n in self._axes)

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
 from gyrobench.drivers.rate_table import (
     AxisLimits,
+    NoOptions,
     TableDialect,
     TableReading,
     await_standstill,
@@ -87,7 +88,7 @@ class IdealAerosmith:
         self._command(f"ACL{_plain(acceleration_dps2)}")
         self._acceleration_dps2 = acceleration_dps2
 
-    def limits(self) -> tuple[AxisLimits, NoOptions, ...]:
+    def limits(self) -> tuple[AxisLimits, ...]:
         """Raise RefusedError: there is no query for them."""
         raise RefusedError(self._line.instrument, "has no query for its limits; read them from its panel")
 
