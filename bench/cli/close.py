@@ -58,8 +58,8 @@ def close(
     """
     import json
 
-    from gyrobench.bench.report.closure.search_files import write_search
-    from gyrobench.bench.report.closure.terminal import closure_summary
+    from gyrobench.bench.report.closure.closure_page import write_search
+    from gyrobench.bench.report.closure.closure_summary import closure_summary
 
     closure = search(campaign, hold_out_cycle or ())
     written = write_search(closure, campaign, out)

@@ -22,13 +22,13 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, p
 
 if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
-    from gyrobench.bench.engine.verify import Verification
+    from gyrobench.bench.engine.verification_runs import VerificationRuns
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
+    """Compensations of `verify`, with the values of the module compensation_verification."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -72,14 +72,14 @@ def verify(
 
     Example: gyrobench verify runs/six_position_fig7-001
     """
-    from gyrobench.bench.engine.verify import Verification, new_emulation
-    from gyrobench.bench.report.verification.terminal import verify_plan
+    from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
+    from gyrobench.bench.report.verification.verification_summary import verification_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
     run = open_run_folder(run_folder)
     closure = _search(run)
-    verification = Verification(
+    verification = VerificationRuns(
         run,
         closure,
         procedure,
@@ -88,18 +88,18 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
     )
-    missing = [name for name in verification.wanted if not verification.is_there(name)]
-    job = verification.jobs[verification.wanted[0]]
-    terminal.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
+    missing = [name for name in verification.selected if not verification.is_there(name)]
+    job = verification.jobs[verification.selected[0]]
+    terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
         _measure(terminal, verification, name, view)
-    _tell(terminal, verification, run, as_json)
+    _report_result(terminal, verification, run, as_json)
 
 
 def _search(run: RunFolder) -> Closure:
     """Search in a run as it was searched before; what is found is written unless it is there."""
     from gyrobench.bench.closure.files import is_written, read_held_out_cycles
-    from gyrobench.bench.report.closure.search_files import write_search
+    from gyrobench.bench.report.closure.closure_page import write_search
 
     closure = search(run.path, read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
@@ -107,7 +107,7 @@ def _search(run: RunFolder) -> Closure:
     return closure
 
 
-def _measure(terminal: RunConsole, verification: Verification, name: str, view: View) -> None:
+def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
@@ -122,23 +122,24 @@ def _measure(terminal: RunConsole, verification: Verification, name: str, view: 
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _tell(terminal: RunConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
-    """Compare what was measured, write it, and say what came out."""
+def _report_result(
+    terminal: RunConsole, verification: VerificationRuns, run: RunFolder, as_json: bool
+) -> None:
+    """Evaluate what was measured, write the files, print the result."""
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.verification.page import write_verify_page
-    from gyrobench.bench.report.verification.terminal import verify_summary
-    from gyrobench.bench.verification.comparison import write_comparison
+    from gyrobench.bench.report.verification.verification_page import write_verification_page
+    from gyrobench.bench.report.verification.verification_summary import verification_summary
+    from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
-    folder, comparison = verification.folder, verification.comparison()
+    folder, result = verification.folder, verification.result()
     table = folder / "comparison.csv"
-    write_comparison(table, comparison.leftovers)
-    page = write_verify_page(folder, comparison, run.dwells)
+    write_verification_table(table, result.results)
+    page = write_verification_page(folder, result, run.dwells)
     report = write_report(run) if folder == run.verify else None
     if as_json:
-        rows = [row for each in comparison.leftovers for row in (*each.rows, each.total)]
-        print_json({"folder": folder, "report": page, "comparison": rows})
+        print_json({"folder": folder, "report": page, "comparison": table_records(result.results)})
         return
-    terminal.print(verify_summary(comparison))
+    terminal.print(verification_summary(result))
     terminal.print(
         f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
         soft_wrap=True,

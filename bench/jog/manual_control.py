@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from typing import TypeVar
 
-from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.outputs import SafeOutputs
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
 from gyrobench.bench.jog.manual_limits import AXES, ManualLimits
 from gyrobench.bench.jog.readings import mode_words, watch_line
@@ -23,7 +21,6 @@ _MOVE_FACTOR, _MOVE_MARGIN_S = 1.5, 30.0
 _MAX_START_S = 180.0
 _TRIES = 3
 _FRESH_S = 2.0
-_REACHED_C = 2.0
 _MAX_EVENTS = 16
 #: Ticks allowed for the table to come to rest, and the rate below which it rests.
 _STOP_TICKS, _REST_DPS = 60, 0.01
@@ -63,11 +60,10 @@ class ManualControl:
         self._display = display
         self._beat_guard = beat_guard
         self._interruptions = interruptions
-        self._outputs = SafeOutputs(bench, beat_guard)
         self._turning: dict[str, float] = {}
         self._ticked_s = bench.clock.now()
         if _sends_frames(bench):
-            bench.expected = replace(bench.expected, ins_on=True)
+            bench.state.ins_seen_on()
         self.tripped: list[str] = []
         for trip in bench.trips():
             self.tripped.append(trip.name)
@@ -93,7 +89,7 @@ class ManualControl:
         if follow or self._turning:
             self.bench.read_instruments()
         self._beat()
-        self._note_reached()
+        self.bench.check_set_point_reached()
         self._check_interlocks()
         self._stop_before_limits()
         self._interruptions.check()
@@ -162,14 +158,14 @@ class ManualControl:
     def servo_on(self) -> None:
         """Set the table's limits, clear latched faults and close its servos, if that is still to do."""
         self._refuse_while(_TABLE_TRIPS)
-        if not self.bench.expected.table_prepared:
-            self._outputs.prepare_table()
+        if not self.bench.state.expected.table_prepared:
+            self.bench.prepare_table()
             self._display.print("servos closed")
 
     def servo_off(self) -> None:
         """Stop the table and open its servos."""
         self._turning.clear()
-        self.bench.expected = replace(self.bench.expected, table_prepared=False)
+        self.bench.state.table_released()
         self._retry(lambda: self.bench.instruments.table.release())
         self._display.print("table stopped, servos open")
 
@@ -181,9 +177,7 @@ class ManualControl:
         # Look the driver up at each use: a port that is reopened has a new one.
         self._retry(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
         self._retry(lambda: self.bench.instruments.chamber.switch(True))
-        self.bench.expected = replace(
-            self.bench.expected, chamber_set_c=temperature_c, chamber_on=True, chamber_reached=False
-        )
+        self.bench.state.chamber_commanded(temperature_c)
         self._display.print(
             f"chamber set to {temperature_c:g} degC at {ramp:g} degC/min; `watch` shows its progress"
         )
@@ -193,7 +187,7 @@ class ManualControl:
         if on:
             self._refuse_while(_CHAMBER_TRIPS)
         self._retry(lambda: self.bench.instruments.chamber.switch(on))
-        self.bench.expected = replace(self.bench.expected, chamber_on=on, chamber_reached=False)
+        self.bench.state.chamber_switched(on)
         self._display.print(f"chamber {'on' if on else 'off'}")
 
     def unit_switch(self, on: bool) -> None:
@@ -201,7 +195,7 @@ class ManualControl:
         power = self.bench.station.unit.power
         if power == "always_on":
             raise CommandError("the INS of this bench is always on (station file: unit.power)")
-        self.bench.expected = replace(self.bench.expected, ins_on=False)
+        self.bench.state.ins_state_unknown()
         if power == "operator":
             self._display.print(f"Switch the INS {'on' if on else 'off'} by hand now.")
         else:
@@ -220,7 +214,7 @@ class ManualControl:
             self._display.progress(f"INS starts, {passed_s:.0f} s")
             self.tick()
         self.bench.read_instruments()
-        self.bench.expected = replace(self.bench.expected, ins_on=True)
+        self.bench.state.ins_seen_on()
         self._display.print(f"INS on: {mode_words(self.bench.readings.ins)}")
 
     def ins(self, command: str) -> None:
@@ -262,7 +256,7 @@ class ManualControl:
     def make_safe(self) -> list[SafeAction]:
         """Bring the whole bench to the station's safe state, servos open."""
         self._turning.clear()
-        return self._outputs.apply()
+        return self.bench.make_safe(meanwhile=self._beat_guard)
 
     def _await_position(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
         self.bench.read_instruments()
@@ -292,7 +286,7 @@ class ManualControl:
         self.tripped = names
         if new:
             self._turning.clear()
-            for action in self._outputs.apply(release_table=False):
+            for action in self.bench.make_safe(release_table=False, meanwhile=self._beat_guard):
                 self._display.print(action.text)
             raise TrippedError(new)
 
@@ -304,14 +298,6 @@ class ManualControl:
             ):
                 self._display.print(f"{axis} axis is close to its limit and is stopped")
                 self.stop()
-
-    def _note_reached(self) -> None:
-        bench = self.bench
-        set_c, expected = bench.commanded_c, bench.expected
-        if set_c is None or expected.chamber_reached:
-            return
-        if abs(bench.readings.chamber.temperature_c - set_c) <= _REACHED_C:
-            bench.expected = replace(expected, chamber_reached=True)
 
     def _refuse_while(self, names: set[str]) -> None:
         tripped = sorted(names.intersection(self.tripped))
