@@ -143,7 +143,7 @@ def test_too_few_samples_are_refused():
     with pytest.raises(MeasurementError, match=r"longest stretch.*has 0 samples"):
         allan_variance([], STEP)
     short = simulated(np.random.default_rng(10), 20, walk=1.0)
-    with pytest.raises(MeasurementError, match="tell enough to fit noise"):
+    with pytest.raises(MeasurementError, match="have enough degrees of freedom for a noise fit"):
         fit_rate_noise(allan_variance([short], STEP))
 
 
