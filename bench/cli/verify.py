@@ -43,29 +43,29 @@ def verify(
     ] = "verify_compensation",
     station: Annotated[
         str | None,
-        typer.Option(help=f"{STATION_HELP} By default the run's.", autocompletion=complete_station),
+        typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station),
     ] = None,
     world: Annotated[
         str | None,
         typer.Option(
-            help="World behind emulated instruments; by default the run's.", autocompletion=complete_world
+            help="World behind emulated instruments; default: the run's.", autocompletion=complete_world
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the emulated world; by default the run's plus one.")
+        int | None, typer.Option(min=0, help="Seed of the emulated world; default: the run's plus one.")
     ] = None,
     only: Annotated[
         list[Compensated] | None,
-        typer.Option(help="Measure with this compensation alone, may be repeated; by default with each."),
+        typer.Option(help="Measure only with this compensation, may be repeated; default: each."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; by default verify in the run.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Load the model of a run into the INS and measure anew what it leaves.
+    """Prove the compensation: load the model of a run into the INS and measure the remaining error.
 
-    The procedure runs without compensation, with the declared model, and with the effects found
-    added. A run that is in the folder already is not made again, so a verification can be continued.
+    The procedure runs without compensation, with the declared model, and with the effects that were
+    found. Existing runs in the folder are not repeated, so a verification can be continued.
 
     With --json: {"folder", "report", "comparison"}, the last a list with the columns of comparison.csv
     as keys.
@@ -97,7 +97,7 @@ def verify(
 
 
 def _search(run: RunFolder) -> Closure:
-    """Search in a run as it was searched before; what is found is written unless it is there."""
+    """Repeat the search of a run; its files are written if they are missing."""
     from gyrobench.bench.closure.files import is_written, read_held_out_cycles
     from gyrobench.bench.report.closure.closure_page import write_search
 
@@ -108,7 +108,7 @@ def _search(run: RunFolder) -> Closure:
 
 
 def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, view: View) -> None:
-    """Run the procedure with one compensation; exits where the run does not finish."""
+    """Run the procedure with one compensation; exits if the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
 
