@@ -243,7 +243,7 @@ def _navigating(step: Navigate, context: Context) -> Ticks:
     clock = context.bench.clock
     begin_s = clock.now()
     next_look_s = begin_s + _ESTIMATE_EVERY_S
-    while clock.now() < begin_s + step.longest_s - 1e-6:
+    while clock.now() < begin_s + step.max_duration_s - 1e-6:
         if clock.now() >= next_look_s:
             next_look_s += _ESTIMATE_EVERY_S
             estimate = context.recorder.estimate_so_far()
@@ -256,7 +256,7 @@ def _navigating(step: Navigate, context: Context) -> Ticks:
         yield
     if step.until:
         wanted_dph = step.until.bias_sigma_below_dph
-        context.note(f"biases not known to {wanted_dph:g} deg/h after {step.longest_s:g} s: going on")
+        context.note(f"biases not known to {wanted_dph:g} deg/h after {step.max_duration_s:g} s: going on")
 
 
 @perform.register

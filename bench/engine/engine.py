@@ -32,7 +32,7 @@ from gyrobench.bench.foundations.errors import (
     StepTimeoutError,
 )
 from gyrobench.bench.guard.link import Guard
-from gyrobench.bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import Plan, PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
 from gyrobench.bench.runs.folder import RunFolder
@@ -190,17 +190,17 @@ class Engine:
         if trips:
             raise TrippedError(trips)
 
-    def _standing_at_start(self) -> Standing | None:
+    def _standing_at_start(self) -> RetainedState | None:
         """None for a new run: its plan begins with the bench as it is."""
         if self._done.next_index == 0:
             return None
         return self._standing(is_unit_on=False, is_tempered=False)
 
-    def _standing(self, is_unit_on: bool, is_tempered: bool) -> Standing:
+    def _standing(self, is_unit_on: bool, is_tempered: bool) -> RetainedState:
         chamber_c = self._bench.readings.chamber.temperature_c
-        return Standing(is_unit_on and not self._bench.has_unit_restarted, is_tempered, chamber_c)
+        return RetainedState(is_unit_on and not self._bench.has_unit_restarted, is_tempered, chamber_c)
 
-    def _standing_to_repeat(self, dwell: int) -> Standing:
+    def _standing_to_repeat(self, dwell: int) -> RetainedState:
         """A dwell that was spoilt again may owe it to the INS: it is switched off and on, if it can be."""
         can_switch = self._bench.station.unit.power == "chamber_event"
         is_unit_on = self._done.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
@@ -208,7 +208,7 @@ class Engine:
 
     # steps
 
-    def _approach(self, index: int, standing: Standing) -> None:
+    def _approach(self, index: int, standing: RetainedState) -> None:
         steps = approach(self._plan, index, standing)
         if steps:
             way = "; ".join(each.step.describe() for each in steps)
@@ -322,7 +322,7 @@ class Engine:
 
     # interruptions
 
-    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, Standing]:
+    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, RetainedState]:
         """Repeat the dwell whose step did not reach its end, or go on without; hold outside dwells."""
         planned = self._plan.steps[index]
         if planned.dwell is None or not self._bench.capture:
@@ -336,7 +336,7 @@ class Engine:
             index = end_of_dwell(self._plan, planned.dwell)
         return index, self._standing_to_repeat(planned.dwell)
 
-    def _recover(self, index: int, trips: Sequence[Trip]) -> Standing:
+    def _recover(self, index: int, trips: Sequence[Trip]) -> RetainedState:
         """Make the bench safe and hold until it may go on."""
         why = text_of(trips)
         names = [trip.name for trip in trips]
@@ -353,8 +353,8 @@ class Engine:
         return self._standing(self._bench.expected.ins_on, is_tempered=False)
 
     def _obey(
-        self, index: int, given: GivenOrder, on_the_way: Standing | None
-    ) -> tuple[int, Standing | None]:
+        self, index: int, given: GivenOrder, on_the_way: RetainedState | None
+    ) -> tuple[int, RetainedState | None]:
         """Pause or skip; returns where to go on. A way back that was interrupted has to be gone anew."""
         dwell = self._plan.steps[index].dwell
         is_unit_on = on_the_way is None or on_the_way.is_unit_on

@@ -11,7 +11,7 @@ from gyrobench.bench.engine.orders import Order
 from gyrobench.bench.engine.outcome import RunOutcome
 from gyrobench.bench.engine.people import Progress
 from gyrobench.bench.engine.progress import RunProgress
-from gyrobench.bench.messages.message import Event, Left, Message
+from gyrobench.bench.messages.message import Event, Message, Remaining
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.folder import RunFolder
@@ -117,7 +117,7 @@ class RunNews(Progress):
             folder=self._folder.path.absolute(),
             procedure=self._plan.procedure.procedure,
             unit=self._unit,
-            left=Left(self._left_s / 3600.0, dwells),
+            remaining=Remaining(self._left_s / 3600.0, dwells),
             **details,
         )
         self._messenger.send(message, about)

@@ -79,5 +79,5 @@ def test_virtual_time_has_no_speed(station):
 def test_a_speed_below_one_or_beyond_all_measure_is_refused(station, speed):
     path = station()
     path.write_text(path.read_text().replace("speed: 10", f"speed: {speed}"))
-    with pytest.raises(DocumentError, match="'speed' should be"):
+    with pytest.raises(DocumentError, match="'speed' must be"):
         load_station_file(path)
