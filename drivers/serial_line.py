@@ -8,7 +8,6 @@ handlers of the last two in the packages named below; nothing of the emulators i
 from __future__ import annotations
 
 import contextlib
-import termios
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -19,8 +18,19 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyErr
 from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.tap import tapped
 
-#: What pyserial raises when a port goes away, depending on the call.
-_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    """Errors that pyserial raises when a port disappears; on POSIX systems also those of the terminal."""
+    errors: tuple[type[Exception], ...] = (serial.SerialException, OSError)
+    try:
+        import termios
+    except ImportError:
+        return errors
+    return (*errors, termios.error)
+
+
+_PORT_ERRORS = _port_errors()
+_OPEN_ERRORS: tuple[type[Exception], ...] = (*_PORT_ERRORS, ValueError)
 
 _WRITE_TIMEOUT_S = 5.0
 
@@ -113,7 +123,7 @@ class SerialLine:
         self.close()
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
-        except (*_PORT_ERRORS, ValueError) as error:
+        except _OPEN_ERRORS as error:
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",

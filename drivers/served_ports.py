@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import tty
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -59,6 +58,8 @@ class PseudoTerminal:
 
     def plug_in(self) -> None:
         """Come back under the same ``url``, if there is a link."""
+        import tty
+
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)

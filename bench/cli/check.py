@@ -23,28 +23,26 @@ def check(
     station: StationArgument = EMULATED,
     procedure: Annotated[
         str | None,
-        typer.Option(
-            help="Procedure that is to be run: file or shipped name.", autocompletion=complete_procedure
-        ),
+        typer.Option(help="Procedure to be run: file or shipped name.", autocompletion=complete_procedure),
     ] = None,
     world: WorldOption = "gyro_a",
     seed: SeedOption = 0,
     faults: FaultsOption = None,
-    out: Annotated[Path, typer.Option(help="Folder in which the run folder is to be.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder for the run folder.")] = Path("runs"),
     as_json: JsonOption = False,
 ) -> None:
-    """Look whether a bench is fit for a run, without moving anything; a unit that is off is on meanwhile.
+    """Preflight check: is the bench ready? Moves nothing.
+
+    A unit that is off is switched on during the check.
 
     With --json: {"station", "fit", "checks": [{"subject", "what", "verdict", "found", "advice"}]}; a
     verdict is pass, fail or skipped.
 
-    Exit codes: 0 nothing speaks against a run, 1 something does, 3 no instrument answers or a run
-    holds the bench.
+    Exit codes: 0 ready, 1 not ready, 3 no instrument replies or a run uses the bench.
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
-    from gyrobench.bench.engine.preflight.answer import nobody_answers
-    from gyrobench.bench.engine.preflight.session import check_bench
+    from gyrobench.bench.engine.preflight.bench_check import check_bench, no_instrument_answers
     from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
@@ -56,7 +54,7 @@ def check(
         print_json({"station": station, "fit": is_fit, "checks": records})
     else:
         console().print(preflight_report(checks))
-    if nobody_answers(checks):
+    if no_instrument_answers(checks):
         raise typer.Exit(EXIT_INSTRUMENT)
     if not is_fit:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -18,10 +18,20 @@ _NEAR_C = 1.0
 
 @dataclass(frozen=True)
 class RetainedState:
-    """What remains valid: whether the INS stayed on, the chamber held its set point; air temperature now."""
+    """What of the bench remains valid after an interruption.
 
-    is_unit_on: bool
-    is_tempered: bool
+    Attributes
+    ----------
+    is_ins_on : bool
+        Whether the INS has been on all the time.
+    is_at_temperature : bool
+        Whether the chamber has held its set point all the time.
+    chamber_c : float
+        Air of the chamber now.
+    """
+
+    is_ins_on: bool
+    is_at_temperature: bool
     chamber_c: float
 
 
@@ -39,18 +49,18 @@ def end_of_dwell(plan: Plan, dwell: int) -> int:
 
 
 def approach(plan: Plan, index: int, retained: RetainedState) -> list[PlannedStep]:
-    """Steps that restore what the plan expects before the step at ``index`` (see :func:`restart_of`).
+    """Steps that bring the bench to what the plan expects before one of its steps.
 
     The INS is power-cycled, so that the time since power-on is known; its temperature is reached from the
     same side as in the plan, with the same soaks; a ramp with a dwell on it is repeated from the temperature
     before. Steps keep their number in the plan; durations and time limits are those from the present state.
     """
     target = plan.steps[index]
-    is_cold = target.before.powered and not retained.is_unit_on
+    is_cold = target.before.powered and not retained.is_ins_on
     steps = _latest(plan, index, PowerOn) if is_cold else []
-    if is_cold or not retained.is_tempered or _is_on_ramp(plan, index):
+    if is_cold or not retained.is_at_temperature or _is_on_ramp(plan, index):
         steps += _tempering(plan, index, retained.chamber_c)
-    # In the order of the plan: temperatures that were soaked with the INS off are so again.
+    # In the order of the plan: temperatures that were soaked with the INS off are again.
     steps.sort(key=lambda planned: planned.number)
     if _is_to_be_off(plan, index, steps):
         steps.insert(0, replace(target, step=PowerOff()))

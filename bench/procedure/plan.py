@@ -52,8 +52,8 @@ class PlannedStep:
         the navigations before, between and after the turns that follow it.
     window : int or None
         Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
-    is_verification : bool
-        Whether its dwell is a calibration check: one navigation directly after the alignment.
+    is_calibration_check : bool
+        Whether its dwell verifies a calibration: one navigation straight from the alignment.
     value_places : mapping
         Places of the values that came from loop variables, by their keys.
     """
@@ -70,7 +70,7 @@ class PlannedStep:
     dwell: int | None = None
     phase: Phase | None = None
     window: int | None = None
-    is_verification: bool = False
+    is_calibration_check: bool = False
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
 
     @property
@@ -193,14 +193,14 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
 def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
     windows = itertools.count()
     steps = [planned.step for planned in group]
-    verifies = any(isinstance(step, Navigate) and step.purpose == "verification" for step in steps)
+    verifies = any(isinstance(step, Navigate) and step.purpose == "calibration_check" for step in steps)
     for planned in group:
         yield replace(
             planned,
             dwell=dwell,
             phase=_PHASES[type(planned.step)],
             window=next(windows) if isinstance(planned.step, Navigate) else None,
-            is_verification=verifies,
+            is_calibration_check=verifies,
         )
 
 

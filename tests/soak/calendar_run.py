@@ -15,10 +15,11 @@ from pathlib import Path
 from random import Random
 from unittest import mock
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.resumption import prepare_resumption, resume_run
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

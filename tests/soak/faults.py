@@ -24,10 +24,11 @@ import numpy as np
 import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.resumption import Resumption, prepare_resumption, resume_run
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.resume import Resumption, prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

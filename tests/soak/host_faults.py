@@ -18,8 +18,7 @@ from typing import Any
 from unittest import mock
 
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.procedure.steps import STEP_KINDS
 from gyrobench.bench.runs.journal import read_journal
@@ -99,7 +98,7 @@ class PatientOperator(ConsentingOperator):
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Only a pause waits."""
         super().ask(question, answers)
-        self._ticks = 20 if "paused" in question and answers[0] == Order.CONTINUE else 0
+        self._ticks = 20 if "paused" in question and answers[0] == RunCommand.CONTINUE else 0
 
     def answer(self) -> str | None:
         """None while it waits."""

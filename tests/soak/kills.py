@@ -25,10 +25,10 @@ from scipy.stats import chi2 as chi2_distribution
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.progress import progress_of
-from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption
-from gyrobench.bench.engine.session import Job, prepare_job, run_job
+from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.steps import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
@@ -135,7 +135,7 @@ class KilledRun:
 
     def _look(self, anyway: bool = True) -> str:
         try:
-            return describe_resumption(prepare_resumption(self._path, anyway))
+            return prepare_resumption(self._path, anyway).describe()
         except RunFolderError as error:
             return str(error)
 
@@ -160,7 +160,7 @@ class KilledRun:
     def _ahead(self) -> list[str]:
         """Kinds of the next steps; all of them where nothing is done yet."""
         journal, steps = self._path / "journal.jsonl", self._job.plan.steps
-        done = progress_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
+        done = resume_state_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
         return [planned.step.name for planned in (steps[done : done + _NEXT_STEPS] if done else steps)]
 
     def _attempt(self, aim: str | None) -> int | None:

@@ -85,8 +85,8 @@ def test_the_exit_code_of_the_other_command_is_kept(tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--out", "a.rec"), "say which instrument"),
-        (("--out", "a", "--proxy", "--", "check"), "leave the options out"),
+        (("--out", "a.rec"), "give --instrument"),
+        (("--out", "a", "--proxy", "--", "check"), "omit --instrument"),
         (("--out", "ins.txt", "--instrument", "ins"), r"a CAN log is named \*.log"),
         (("--out", "there.rec", "--instrument", "table"), "there.rec: exists already"),
         (("--out", "a.rec", "--instrument", "ins", "--proxy"), "a proxy needs an INS on slcan"),

@@ -15,11 +15,11 @@ BY_NAME = {change.what: change for change in CHANGES}
 ON_RAMPS = ("measure two positions on each ramp",)
 CYCLE = ("add a cycle",)
 POWER = ("switch the unit off for an hour between cycles",)
-RETURN = ("return to the first position at the end of each temperature",)
-MIDDLE = ("come back to the middle temperature at the end of each cycle",)
+RETURN = ("return to the first position at the end of each plateau",)
+MIDDLE = ("return to the middle temperature at the end of each cycle",)
 SLOWER = ("run every second cycle at half the ramp rate",)
 LEFT_ON = ("leave the unit on for 12 h before the second cycle",)
-ALL = ("take all six positions at each temperature",)
+ALL = ("measure all six positions at each temperature",)
 
 
 def changed(what, document):

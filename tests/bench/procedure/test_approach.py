@@ -28,7 +28,7 @@ steps:
   - chamber: {temperature_c: -20, ramp_c_per_min: 1, within_c: 50}
   - repeat: {over: {position: [z_up, y_up]}, steps: *dwell}
 """
-COLD_START = RetainedState(is_unit_on=False, is_tempered=False, chamber_c=23.0)
+COLD_START = RetainedState(is_ins_on=False, is_at_temperature=False, chamber_c=23.0)
 
 
 @pytest.fixture(scope="module")

@@ -83,16 +83,16 @@ def test_starts_lie_between_the_bounds(clean, effect, form):
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
 def test_an_effect_has_a_form_for_a_table_with_all_sensors(clean, effect):
-    assert any(form.lacks(clean) is None for form in effect.forms)
+    assert any(form.missing_input(clean) is None for form in effect.forms)
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
 def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, effect):
     one = problem({effect.name: 10.0}, noise=0.0)
     misses = [
-        1.0 - one.gain(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
+        1.0 - one.chi2_reduction(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
         for form in effect.forms
-        if form.lacks(one.campaign) is None
+        if form.missing_input(one.campaign) is None
     ]
     assert min(misses) < MISSED.get(effect.name, 0.002)
 

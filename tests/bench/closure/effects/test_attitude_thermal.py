@@ -58,12 +58,12 @@ def test_the_first_term_is_the_flow_alike_in_all_positions(clean):
 
 def test_where_nothing_tells_the_flow_the_forms_without_it_are_tried(clean):
     blind = campaign_of(measure(cycles=2, sensors=()).rows)
-    assert all("temperature sensors" in form.lacks(blind) for form in WITH_FLOW)
+    assert all("temperature sensors" in form.missing_input(blind) for form in WITH_FLOW)
     for form in WITHOUT_FLOW:
-        assert form.lacks(blind) is None
+        assert form.missing_input(blind) is None
         assert form.columns(blind, (30.0, 2.0)).shape == (len(blind), 3, len(form.terms))
 
 
 def test_where_the_flow_is_known_it_is_not_taken_for_constant(clean):
-    assert all(form.lacks(clean) is None for form in WITH_FLOW)
-    assert all("the heat flow is known" in form.lacks(clean) for form in WITHOUT_FLOW)
+    assert all(form.missing_input(clean) is None for form in WITH_FLOW)
+    assert all("the heat flow is known" in form.missing_input(clean) for form in WITHOUT_FLOW)

@@ -46,4 +46,6 @@ def test_a_set_point_that_only_rises_cools_nothing():
 
 
 def test_it_lacks_a_set_point_that_was_not_measured():
-    assert FORM.lacks(campaign_of(measure(cycles=2, sensors=("air",)).rows)) == "the chamber's set point"
+    assert (
+        FORM.missing_input(campaign_of(measure(cycles=2, sensors=("air",)).rows)) == "the chamber's set point"
+    )

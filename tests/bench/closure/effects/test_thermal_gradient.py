@@ -12,4 +12,4 @@ def test_it_is_the_electronics_above_the_optics_whatever_the_position(clean):
 
 
 def test_it_lacks_electronics_temperatures_where_nothing_tells_them():
-    assert "temperature sensors" in FORM.lacks(campaign_of(measure(cycles=2, sensors=()).rows))
+    assert "temperature sensors" in FORM.missing_input(campaign_of(measure(cycles=2, sensors=()).rows))
