@@ -43,14 +43,7 @@ _PLAIN_WORDS = tuple(
     for pattern, plain in (
         (r"^(Value error, |Input should)", lambda match: "the value should" if "Input" in match[0] else ""),
         (r"should have at least 1 item after validation, not 0", "needs at least 1 item"),
-        (
-            r"should have at least (\d+) items? after validation, not (\d+)",
-            r"needs at least \1 items; it has \2",
-        ),
-        (
-            r"should have at most (\d+) items? after validation, not (\d+)",
-            r"can have at most \1 items; it has \2",
-        ),
+        (r"should have at (least|most) (\d+) items? after validation, not \d+", r"must have at \1 \2 items"),
         (r"should have at least 1 character", "must not be empty"),
         (r"should have at (least|most) (\d+) characters?", r"must have at \1 \2 characters"),
         (r"should match pattern", "must match the pattern"),
@@ -65,7 +58,6 @@ _PLAIN_WORDS = tuple(
         (r"should be a valid list", "must be a list"),
         (r"should be a valid dictionary.*", "must have keys and values"),
         (r"should be", "must be"),
-        (r"^(List|String|Dictionary) ", "the value "),
         (r"^(List|String|Dictionary) ", "the value "),
     )
 )

@@ -18,17 +18,7 @@ _NEAR_C = 1.0
 
 @dataclass(frozen=True)
 class RetainedState:
-    """What of the bench remains valid after an interruption.
-
-    Attributes
-    ----------
-    is_ins_on : bool
-        Whether the INS has been on all the time.
-    is_at_temperature : bool
-        Whether the chamber has held its set point all the time.
-    chamber_c : float
-        Air of the chamber now.
-    """
+    """What remains valid: whether the INS stayed on, the chamber held its set point; air temperature now."""
 
     is_ins_on: bool
     is_at_temperature: bool

@@ -314,7 +314,7 @@ class Navigate(Step):
         time = f"navigate {span(self.max_duration_s)}"
         if self.until:
             sigma = f"{self.until.bias_sigma_below_dph:g} deg/h"
-            time = f"navigate until bias sigma below {sigma}, {span(self.longest_s)} at most"
+            time = f"navigate until bias sigma below {sigma}, {span(self.max_duration_s)} at most"
         return time if self.purpose == "calibration" else f"{time} for a calibration check"
 
 

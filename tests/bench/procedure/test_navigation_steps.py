@@ -97,7 +97,7 @@ WRONG = [
     (Align, {"duration_s": 5, "at_most_s": 9}, "go together"),
     (Align, {"duration_s": 9, "until_fine": True, "at_most_s": 5}, "below duration_s"),
     (Align, {"duration_s": 9, "euler_sequence": "xyz"}, "rpy_321"),
-    (Turn, {"angle_deg": 0}, "turns nothing"),
+    (Turn, {"angle_deg": 0}, "has no effect"),
     (Turn, {"angle_deg": -361}, "greater than or equal to -360"),
     (Navigate, {}, "either duration_s, or until with at_most_s"),
     (Navigate, {"duration_s": 0}, "greater than 0"),

@@ -57,7 +57,7 @@ WRONG_FILES = {
     "variable in a list": (
         "- repeat: {over: {n: [$m]}, steps: [power_off]}",
         "3:23",
-        ["not over other variables"],
+        ["not other variables"],
     ),
     "odd name": ("- repeat: {over: {N 1: [1]}, steps: [power_off]}", "3:19", ["pattern"]),
     "wrong within a loop": (
@@ -83,7 +83,7 @@ WRONG_FILES = {
     "variable of a key below another that nobody uses": (
         "- repeat: {over: {bias_sigma_below_dph: [1]}, steps: [power_off]}",
         "3:19",
-        ["no step in it uses $bias_sigma_below_dph"],
+        ["no step in the loop uses its variable $bias_sigma_below_dph"],
     ),
     "unknown key below another": (
         "- navigate: {until: {bias_sigma_below_dph: 1, sigma: 1}, at_most_s: 900}",
@@ -119,27 +119,27 @@ WRONG_FILES = {
     "shadowed variable": (
         "- repeat:\n    over: {a: [1]}\n    steps:\n      - repeat: {over: {a: [2]}, steps: [power_off]}",
         "6:25",
-        ["a already is a variable"],
+        ["a is a variable of an enclosing repeat already"],
     ),
     "unused temperature": (
         "- repeat: {over: {temperature_c: [1, 2]}, steps: [power_off]}",
         "3:19",
-        ["no step in it uses $temperature_c"],
+        ["no step in the loop uses its variable $temperature_c"],
     ),
     "cycle 0": (
         "- repeat: {over: {cycle: [1, 0]}, steps: [power_off]}",
         "3:30",
-        ["whole numbers from 1", "found 0"],
+        ["whole number from 1", "found 0"],
     ),
     "cycle 1.5": (
         "- repeat: {over: {cycle: [1.5]}, steps: [power_off]}",
         "3:27",
-        ["whole numbers", "found 1.5"],
+        ["whole number", "found 1.5"],
     ),
     "position twice": (
         "- repeat: {over: {position: [z_up, z_up]}, steps: [{go_to: {position: $position}}]}",
         "3:36",
-        ["z_up stands twice"],
+        ["z_up is given twice"],
     ),
     "loop value out of range": (
         "- repeat: {over: {t: [20, -500]}, steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}",

@@ -13,7 +13,7 @@ NOISE = """  noise:
 
 def test_virtual_time_needs_every_instrument_emulated(changed):
     path = changed(("port: emulator://chamber", "port: /dev/ttyUSB0"))
-    with pytest.raises(DocumentError, match="clock: virtual needs every instrument emulated"):
+    with pytest.raises(DocumentError, match="clock: virtual requires emulated instruments only"):
         Station(path)
 
 
@@ -37,8 +37,8 @@ def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_told(changed, l
 @pytest.mark.parametrize(
     ("noise", "message"),
     [
-        ("guessed", 'write `estimated`, .* or give angle_random_walk_deg_per_sqrt_h, .*; found "guessed"'),
-        ("5", "write `estimated`, .* found 5"),
+        ("guessed", 'write `estimated` .* or give angle_random_walk_deg_per_sqrt_h, .*; found "guessed"'),
+        ("5", "write `estimated` .* found 5"),
         (
             "{angle_random_walk_deg_per_sqrt_h: 0}",
             "'angle_random_walk_deg_per_sqrt_h' must be above 0",
@@ -61,7 +61,7 @@ def test_noise_that_can_not_be_is_refused_in_one_line(changed, noise, message):
 
 def test_noise_that_is_missing_is_told_with_what_to_write(changed):
     with pytest.raises(
-        DocumentError, match=r"the key 'noise' is missing: write `estimated`, .* or give angle"
+        DocumentError, match=r"the key 'noise' is missing: write `estimated` .* or give angle"
     ):
         Station(changed((NOISE, "")))
 
