@@ -1,4 +1,4 @@
-"""`gyrobench emulate`, in a process of its own as it is typed."""
+"""`gyrobench emulate`, in a separate process."""
 
 import json
 import signal
