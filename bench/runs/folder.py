@@ -141,7 +141,7 @@ class RunFolder:
 
     @property
     def verify(self) -> Path:
-        """Folder of the proof of the compensation that the search gave."""
+        """Folder of the verification of a compensation."""
         return self.path / "verify"
 
     @property

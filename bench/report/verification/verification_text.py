@@ -160,11 +160,9 @@ def new_conditions_sentence(result: VerificationResult) -> str:
 
 
 def _with(each: CompensationResult) -> str:
-    return {
-        NONE: "without compensation",
-        DECLARED: "with the declared model",
-        EFFECT: "with the effects",
-    }[each.compensation]
+    return {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}[
+        each.compensation
+    ]
 
 
 #: Sizes of a row, with the units of :data:`UNITS`.

@@ -188,7 +188,7 @@ def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
     write_verification_page(folder.verify, confirmed(), folder.dwells)
     page = page_with(render(read_run(folder), []))
     assert "Search for effects Clean." in page.text
-    assert "Proof of a compensation Confirmed." in page.text
+    assert "Verification of a compensation Confirmed." in page.text
     figures = {path.read_bytes() for path in folder.path.glob("*/figures/*.png")}
     assert figures == {base64.b64decode(load.partition(",")[2]) for load in page.loads}
     write_dwells(folder.dwells, equal_dwells[:2])
