@@ -44,8 +44,8 @@ _SAME_SEED = (
     "constants of the power cycle, and the same noise as long as their times agree."
 )
 _OTHER_POWER_CYCLES = (
-    "Each run had its own power cycle and noise: runs also differ by the noise stated here, and in bias and "
-    "velocity by the constant of the power cycle."
+    "Each run had a separate power cycle and noise: runs also differ by the noise stated here, and in bias "
+    "and velocity by the constant of the power cycle."
 )
 
 

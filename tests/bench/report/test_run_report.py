@@ -229,7 +229,7 @@ def test_tables_hold_biases_counts_and_empty_bins(page: Page) -> None:
     assert "-20 to 5 empty in all positions" in page.text
     assert re.search(r"-25 to -20 -6\.8 ± 0\.6 \(2\) \S+ ± 0\.8 -5\.0 ± 0\.6 \(2\) \S+ ± 0\.8", page.text)
     assert page.text.count("Positions compared;") == 3
-    assert "<1e-09" in page.text
+    assert "<1e-9" in page.text
 
 
 def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwells: list[DwellRow]) -> None:
