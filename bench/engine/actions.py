@@ -132,8 +132,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
     bench = context.bench
     # Each driver is looked up when it is used: a port that was reopened has a new one.
     yield from tried(
-        context,
-        lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min),
+        context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
     )
     yield from tried(context, lambda: bench.instruments.chamber.switch(True))
     bench.state.chamber_commanded(step.temperature_c)

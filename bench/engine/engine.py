@@ -173,11 +173,7 @@ class Engine:
         run, step = self._run, planned.step
         self._current = planned
         run.journal.record(
-            f"{event}_started",
-            step=planned.number,
-            kind=step.name,
-            what=step.describe(),
-            label=planned.label,
+            f"{event}_started", step=planned.number, kind=step.name, what=step.describe(), label=planned.label
         )
         run.observers.step_started(planned, self._bench)
         self._state.step_started(planned)

@@ -106,10 +106,7 @@ class _NewRun:
         if job.compensation is not None:
             write_compensation(folder.compensation, job.compensation)
         write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())
-        identities = {
-            "rate table": instruments.table.identify(),
-            "chamber": instruments.chamber.identify(),
-        }
+        identities = {"rate table": instruments.table.identify(), "chamber": instruments.chamber.identify()}
         write_provenance(folder, self.clock.epoch, identities, job.options)
 
 

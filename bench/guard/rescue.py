@@ -148,9 +148,7 @@ class Rescue:
             try:
                 journal = opened.enter_context(Journal(self._folder.journal, self._clock))
                 journal.record(
-                    "guard_acted",
-                    reason=end.value,
-                    safe_state=[asdict(action) for action in actions],
+                    "guard_acted", reason=end.value, safe_state=[asdict(action) for action in actions]
                 )
             except GyrobenchError as error:
                 self._log.add(f"not in the journal: {error}")
