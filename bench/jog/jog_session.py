@@ -6,11 +6,9 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-
-import can
 
 from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -34,24 +32,6 @@ from gyrobench.bench.station.station import Station
 _PROMPT = "jog> "
 _LISTEN_TICKS = 2
 _QUIT, _LEAVE = ("quit", "exit", "q"), ("leave",)
-
-
-class _Unrecorded:
-    """Nothing of a session by hand is kept."""
-
-    next_part = 1
-
-    def write(self, messages: Iterable[can.Message]) -> None:
-        """Forget frames."""
-
-    def cut(self) -> None:
-        """Do nothing."""
-
-    def add(self, row: tuple[float, ...]) -> None:
-        """Forget readings."""
-
-    def flush(self) -> None:
-        """Do nothing."""
 
 
 def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: bool) -> bool:
@@ -91,7 +71,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         instruments = held.enter_context(Instruments(station, clock, emulation))
         for text in lock.taken_over:
             display.tell(text)
-        bench = LiveBench(station, instruments, clock, _Unrecorded(), _Unrecorded(), _failure_teller(display))
+        bench = LiveBench(station, instruments, clock, None, None, _failure_teller(display))
         bench.start()
         _listen(bench)
         limits = manual_limits(station, instruments.table, instruments.chamber)

@@ -31,21 +31,11 @@ _FAULT = {"rate table": "table_fault", "chamber": "chamber_alarm", "INS": "ins_f
 
 @dataclass(frozen=True)
 class Trip:
-    """A tripped interlock.
+    """A tripped interlock."""
 
-    Attributes
-    ----------
-    name : str
-        Its key in the station file's ``interlocks``.
-    findings : tuple of Finding
-        What is wrong.
-    rule : InterlockRule
-        When the run may continue.
-    """
-
-    name: str
+    name: str  #: key in the station file's ``interlocks``
     findings: tuple[Finding, ...]
-    rule: InterlockRule
+    rule: InterlockRule  #: when the run may continue
 
     @property
     def text(self) -> str:
