@@ -65,13 +65,6 @@ _RETRY_PAUSE_S = 2.0
 class StepContext:
     """What actions share.
 
-    Parameters
-    ----------
-    run : RunContext
-        The run.
-    recorder : DwellRecorder
-        The dwell in progress.
-
     Attributes
     ----------
     retries : int

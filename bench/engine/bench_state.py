@@ -54,17 +54,7 @@ class RunPosition:
 
 
 class BenchState:
-    """The state of one bench. Its methods say what happened; nothing else changes it.
-
-    Attributes
-    ----------
-    expected : ExpectedState
-        What the instruments should be doing.
-    at : RunPosition
-        Where the run is.
-    has_ins_restarted : bool
-        Whether the INS restarted without a command since it was switched on.
-    """
+    """The state of one bench. Its methods say what happened; nothing else changes it."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
@@ -73,15 +63,18 @@ class BenchState:
         self._has_ins_restarted = False
 
     @property
-    def expected(self) -> ExpectedState:  # noqa: D102 - see the class
+    def expected(self) -> ExpectedState:
+        """What the instruments should be doing."""
         return self._expected
 
     @property
-    def at(self) -> RunPosition:  # noqa: D102
+    def at(self) -> RunPosition:
+        """Where the run is."""
         return self._at
 
     @property
-    def has_ins_restarted(self) -> bool:  # noqa: D102
+    def has_ins_restarted(self) -> bool:
+        """Whether the INS restarted without a command since it was switched on."""
         return self._has_ins_restarted
 
     @property

@@ -41,11 +41,6 @@ class Engine:
     What interrupts a step - a trip, a failed instrument, a command - leads to a hold, in the safe state
     where necessary, and back into the plan by :mod:`gyrobench.bench.procedure.approach`. An interrupted dwell
     is discarded and repeated.
-
-    Parameters
-    ----------
-    run : RunContext
-        What is run, on which bench, and what is finished already.
     """
 
     def __init__(self, run: RunContext) -> None:

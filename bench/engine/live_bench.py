@@ -137,17 +137,6 @@ class LiveBench:
         Keep everything received and read; None for a bench that is not recorded.
     report_failure : callable
         Gets the instrument's name and the error of a failed exchange, or None when it answers again.
-
-    Attributes
-    ----------
-    readings : Readings
-        Newest answers; set by :meth:`start`.
-    state : BenchState
-        What the bench was commanded to do.
-    capture : Capture or None
-        The frames of the dwell in progress.
-    lateness : TickLateness
-        How late ticks were.
     """
 
     def __init__(
@@ -162,9 +151,9 @@ class LiveBench:
         self.station = station
         self.instruments = instruments
         self.clock = clock
-        self.readings: Readings
+        self.readings: Readings  #: newest answers; set by start()
         self.state = BenchState(station)
-        self.capture: Capture | None = None
+        self.capture: Capture | None = None  #: frames of the dwell in progress
         self.lateness = TickLateness()
         self._can_log = can_log
         self._telemetry = telemetry

@@ -112,15 +112,7 @@ for _name in [name for name in vars(RunObserver) if not name.startswith("_")]:
 
 
 class ObservedOperator:
-    """An operator whose open question the observers see.
-
-    Parameters
-    ----------
-    operator : Operator
-        Answers.
-    observer : RunObserver
-        Is notified.
-    """
+    """An operator whose open question the observers see."""
 
     def __init__(self, operator: Operator, observer: RunObserver) -> None:
         self._operator = operator

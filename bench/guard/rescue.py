@@ -33,17 +33,6 @@ _ALARM_PATIENCE_S = 900.0
 class Rescue:
     """Makes table and chamber of a bench safe over their ports, with repeated attempts.
 
-    Parameters
-    ----------
-    config : GuardConfig
-        The guard's settings.
-    engine : EngineProcess
-        The engine's process.
-    clock : Clock
-        The run's clock, continued.
-    log : GuardLog
-        Records what is done.
-
     Raises
     ------
     DocumentError

@@ -73,13 +73,7 @@ def _silent(instrument: str, age_s: float, limit_s: float) -> str:
 
 
 class RateWindow:
-    """The newest values of a quantity, for its rate of change.
-
-    Parameters
-    ----------
-    window_s : float
-        Time over which the change is taken.
-    """
+    """The newest values of a quantity, for its rate of change over ``window_s``."""
 
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
@@ -114,13 +108,7 @@ class RateWindow:
 
 
 class TableChecks:
-    """Angles, rates, accelerations, faults and silence of the rate table.
-
-    Parameters
-    ----------
-    station : Station
-        Its limits: those of the interlocks, or else those of the table with a margin.
-    """
+    """Angles, rates, accelerations, faults and silence of the rate table."""
 
     def __init__(self, station: Station) -> None:
         rules, section = station.file.interlocks, station.file.rate_table
@@ -197,13 +185,7 @@ class TableChecks:
 
 
 class ChamberChecks:
-    """Air, alarms and silence of the chamber, and whether it does what was commanded.
-
-    Parameters
-    ----------
-    station : Station
-        Its limits: those of the interlocks, or else those of the chamber with a margin.
-    """
+    """Air, alarms and silence of the chamber, and whether it does what was commanded."""
 
     def __init__(self, station: Station) -> None:
         rules, limits = station.file.interlocks, station.file.chamber.limits
@@ -291,11 +273,6 @@ class InsChecks:
     """Temperatures, fault and silence of the INS; nothing trips while it is off.
 
     Temperatures that the signal map lacks are not checked.
-
-    Parameters
-    ----------
-    station : Station
-        Its limits.
     """
 
     def __init__(self, station: Station) -> None:

@@ -72,15 +72,7 @@ def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = N
 
 
 class InterlockWatch:
-    """Watches the readings of one run.
-
-    Parameters
-    ----------
-    station : Station
-        The limits.
-    clock : Clock
-        The run's clock.
-    """
+    """Watches the readings of one run."""
 
     def __init__(self, station: Station, clock: Clock) -> None:
         self._clock = clock

@@ -131,17 +131,7 @@ def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
 
 
 def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: float) -> Check:
-    """Check whether a whole run fits on the disk, with a margin of two.
-
-    Parameters
-    ----------
-    folder : Path
-        Parent of the run folder; it need not exist yet.
-    plan : Plan or None
-        What is to be run.
-    frames_per_s : float
-        Frames on the bus; NaN where unknown.
-    """
+    """Check whether a whole run fits on the disk, with a margin; ``frames_per_s`` may be NaN."""
     subject, what = "disk", "free space"
     if math.isnan(frames_per_s):
         return Check.skipped(subject, what, "the data rate is unknown: nothing was received from the CAN bus")
