@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,7 +13,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.dwell import MeasuredDwell, measurement_setup
 from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
@@ -31,12 +31,8 @@ from gyrobench.drivers.ins.command_map import Compensation
 _AZIMUTH_TOLERANCE_DEG = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """Dwells of the run with one compensation."""
-
-    dwells: Sequence[DwellRow]
-    verifications: Sequence[CheckDwell]
+#: Dwells of a run, and those that check a calibration.
+_Measured = tuple[Sequence[MeasuredDwell], Sequence[CheckDwell]]
 
 
 class VerificationRuns:
@@ -110,7 +106,7 @@ class VerificationRuns:
         self._job = self.jobs[self.selected[0]]
         _check_new(run, self._job)
 
-    def is_there(self, name: str) -> bool:
+    def is_finished(self, name: str) -> bool:
         """Whether the run with a compensation is finished, with the same job.
 
         Raises
@@ -144,8 +140,7 @@ class VerificationRuns:
         """
         folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
-            rows = [dwell.row for dwell in outcome.dwells]
-            self._measured[name] = _Measured(rows, outcome.verifications)
+            self._measured[name] = (outcome.dwells, outcome.verifications)
         return folder, outcome
 
     def comparison(self) -> Comparison:
@@ -156,44 +151,43 @@ class VerificationRuns:
         RunFolderError
             An earlier run can't be read.
         """
-        names = [name for name in self.jobs if self.is_there(name)]
-        measured = {name: self._measured.get(name) or self._read(name) for name in names}
+        measured = {
+            name: self._measured.get(name) or self._read(name) for name in self.jobs if self.is_finished(name)
+        }
+        rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
-        first = measured[names[0]].dwells
+        first = next(iter(rows.values()))
         site = self._job.station.site
         return Comparison(
             source=str(self._run.path),
             closure=self._closure,
             models=self.models,
             leftovers=tuple(
-                leftover(name, each.dwells, each.verifications, site, fitted_c)
-                for name, each in measured.items()
+                leftover(name, rows[name], check_dwells, site, fitted_c)
+                for name, (_, check_dwells) in measured.items()
             ),
             new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
             dwells=len(first),
             is_same_seed=bool(self._job.emulated_world()),
-            notes=tuple(self._notes(measured)),
+            notes=tuple(self._notes(rows)),
         )
 
     def _read(self, name: str) -> _Measured:
-        dwells, verifications = replay(
-            RunFolder(self.folder / name), measurement_setup(self.jobs[name].station)
-        )
-        return _Measured([dwell.row for dwell in dwells], verifications)
+        return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
 
-    def _notes(self, measured: Mapping[str, _Measured]) -> Iterator[str]:
+    def _notes(self, rows: Mapping[str, Sequence[DwellRow]]) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
-        for name, each in measured.items():
-            others = {row.unit for row in each.dwells} - units
+        for name, measured in rows.items():
+            others = {row.unit for row in measured} - units
             if others:
                 yield (
                     f"The run {name} measured the unit {', '.join(sorted(others))}, but the model belongs to "
                     f"{', '.join(sorted(units))}."
                 )
-            flagged = sum(bool(row.flags) for row in each.dwells)
+            flagged = sum(bool(row.flags) for row in measured)
             if flagged:
-                yield f"In the run {name} {flagged} of {len(each.dwells)} dwells have flags and are not used."
-        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in measured else []
+                yield f"In the run {name} {flagged} of {len(measured)} dwells have flags and are not used."
+        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
         if kept:
             yield f"In the run {NONE} the INS applied a stored compensation ({', '.join(kept)})."
 

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 import can
 import numpy as np
 
+from gyrobench.bench.engine.interlocks.checks import ins_temperatures
 from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
@@ -195,28 +196,15 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
 
 
 def _temperatures(station: Station, status: InsStatus) -> Check:
-    signals, rules = station.file.ins.signals, station.file.interlocks
-    values = []
-    if signals.case_temperature is not None:
-        values.append(("case", status.case_c, rules.case_temperature))
-    if signals.gyro_optics_temperature is not None:
-        values += [
-            (f"optics {a}", float(c), rules.gyro_temperature)
-            for a, c in zip("xyz", status.optics_c, strict=True)
-        ]
-    if signals.gyro_electronics_temperature is not None:
-        values += [
-            (f"electronics {a}", float(c), rules.gyro_temperature)
-            for a, c in zip("xyz", status.electronics_c, strict=True)
-        ]
+    values = [(each.what, each.read(status), each.level) for each in ins_temperatures(station)]
     if not values:
         return Check.skipped(
             _SUBJECT, "temperatures", "the signal map has none", "Map them if the INS sends them."
         )
     wrong = [
         f"{name} {'unknown' if math.isnan(c) else f'{c:.1f} degC'}"
-        for name, c, rule in values
-        if not rule.low_c <= c <= rule.high_c
+        for name, c, level in values
+        if not level.low_c <= c <= level.high_c
     ]
     known = [c for _, c, _ in values if math.isfinite(c)]
     span = f"{min(known):.1f} to {max(known):.1f} degC" if known else "none known"
