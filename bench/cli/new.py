@@ -32,7 +32,7 @@ def procedure(
     like: Annotated[
         str,
         typer.Option(
-            help="Start from six_position, check, verification, another shipped one, or a file.",
+            help="Start from six_position, check, calibration_check, another shipped one, or a file.",
             autocompletion=complete_template,
         ),
     ] = "check",

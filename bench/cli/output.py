@@ -147,7 +147,7 @@ def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[st
         "reason": outcome.reason or None,
         "folder": folder.path,
         "report": report,
-        "dwells": len(outcome.dwells) + len(outcome.verifications),
+        "dwells": len(outcome.dwells) + len(outcome.check_dwells),
         "verdict": outcome.results.acceptance.verdict,
         "safe_state": outcome.safe_state,
     }

@@ -131,7 +131,7 @@ def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
             continue
         windows = [planned for planned in members if isinstance(planned.step, Navigate)]
         bench = windows[0].before
-        if bench.position is not None and not windows[0].is_verification:
+        if bench.position is not None and not windows[0].is_calibration_check:
             yield _Navigation(
                 position=bench.position,
                 cycle=windows[0].cycle,

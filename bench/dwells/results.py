@@ -105,7 +105,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
     """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
     first: dict[int, PlannedStep] = {}
     for step in plan.steps:
-        if step.dwell is not None and not step.is_verification:
+        if step.dwell is not None and not step.is_calibration_check:
             first.setdefault(step.dwell, step)
     return [
         PlannedDwell(

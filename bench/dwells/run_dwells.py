@@ -37,7 +37,7 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
     dwells: list[MeasuredDwell] = []
     verifications: list[CheckDwell] = []
     for marks, frames in _recorded(folder):
-        if marks.is_verification:
+        if marks.is_calibration_check:
             verifications.append(measure_check_dwell(marks, frames, setup))
         else:
             add_dwell(dwells, measure_dwell(marks, frames, setup))

@@ -44,7 +44,7 @@ class RunPosition:
     step: int = 0  #: number in the plan; 0 outside
     dwell: int = 0  #: number in the plan; 0 outside
     cycle: int = 1  #: temperature cycle
-    is_verification: bool = False  #: the dwell checks a calibration
+    is_calibration_check: bool = False  #: the dwell checks a calibration
     unit: str = ""  #: serial number of the INS; empty before it is known
     power_ons: int = 0  #: how often the INS was switched on
     powered_s: float = 0.0  #: when it was switched on last, on the run's clock
@@ -95,7 +95,7 @@ class BenchState:
             step=planned.number,
             dwell=planned.dwell or 0,
             cycle=planned.cycle,
-            is_verification=planned.is_verification,
+            is_calibration_check=planned.is_calibration_check,
         )
 
     # chamber

@@ -24,7 +24,7 @@ class RunOutcome:
     ended: str = "finished"  #: "finished", "stopped" (by the operator, or a hold lasted too long) or "failed"
     reason: str = ""  #: why it did not finish; empty where it did
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
+    check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
     results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0  #: on the run's clock
     #: Planned and actual duration of every finished step, by kind.

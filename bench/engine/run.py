@@ -89,7 +89,7 @@ def resume_run(
         resumption.check_unchanged()
         write_dwells(folder.dwells, [dwell.row for dwell in dwells])  # the journal may have more dwells
 
-    outcome = RunOutcome(dwells=dwells, verifications=check_dwells)
+    outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
     start = _Start(job, clock, resumption.state, outcome, lambda: folder, check_folder)
     return _execute(start, observer, operator)
 
@@ -208,7 +208,7 @@ def _evaluate(run: RunContext) -> None:
     outcome = run.outcome
     try:
         outcome.results = evaluate_run(
-            run.folder, run.plan, run.setup, outcome.dwells, outcome.verifications, run.job.calibration
+            run.folder, run.plan, run.setup, outcome.dwells, outcome.check_dwells, run.job.calibration
         )
     except GyrobenchError as error:
         outcome.fail(str(error))

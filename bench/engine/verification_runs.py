@@ -140,7 +140,7 @@ class VerificationRuns:
         """
         folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
-            self._measured[name] = (outcome.dwells, outcome.verifications)
+            self._measured[name] = (outcome.dwells, outcome.check_dwells)
         return folder, outcome
 
     def comparison(self) -> Comparison:

@@ -106,7 +106,7 @@ steps:
       steps:
         - go_to: {position: z_up, azimuth_deg: $azimuth_deg, rate_dps: 30}
         - align: {duration_s: 120}
-        - navigate: {duration_s: 120, purpose: verification}
+        - navigate: {duration_s: 120, purpose: calibration_check}
 """
 
 
@@ -142,9 +142,9 @@ def test_plan_reports_which_effects_its_dwells_report_apart(tmp_path):
 
 
 def test_plan_of_a_verification_has_no_effects_to_report_apart(tmp_path):
-    result = gyrobench("plan", "verification", "--separability", cwd=tmp_path)
+    result = gyrobench("plan", "calibration_check", "--separability", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "verification has no dwell that measures a bias" in result.stdout
+    assert "calibration_check has no dwell that measures a bias" in result.stdout
 
 
 def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):

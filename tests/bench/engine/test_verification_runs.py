@@ -59,7 +59,7 @@ steps:
       steps:
         - go_to: {{position: z_up, azimuth_deg: $azimuth_deg, rate_dps: 30}}
         - align: {{duration_s: 30}}
-        - navigate: {{duration_s: 120, purpose: verification}}
+        - navigate: {{duration_s: 120, purpose: calibration_check}}
 """
 
 

@@ -288,7 +288,7 @@ def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> Non
     for words in (
         "All dwells of one temperature together",
         "level gyros 10.0 % smaller and that of vertical ones 10.0 % smaller",
-        "Over all stops the half-differences amount to +2.10 ± 0.30",
+        "Over all plateaus the half-differences amount to +2.10 ± 0.30",
         "1 62 6 +24.0 ± 1.8 -15.5 ± 1.8 +8.1 ± 5.8 +0.30 ± 0.80 +2.10 ± 0.30 0.400",
         "all 71",
         "Noise of the INS Allan deviation of the rates and accelerations at rest",

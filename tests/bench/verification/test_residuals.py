@@ -45,7 +45,7 @@ steps:
       steps:
         - go_to: {position: z_up, azimuth_deg: $azimuth_deg}
         - align: {duration_s: 60}
-        - navigate: {duration_s: 200, purpose: verification}
+        - navigate: {duration_s: 200, purpose: calibration_check}
 """
 
 
@@ -56,7 +56,7 @@ def run(path, compensation=None):
     with LinesView(Console(file=io.StringIO(), width=80), job.plan) as progress:
         _, outcome = run_job(job, path / "run", progress, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
-    return [dwell.row for dwell in outcome.dwells], outcome.verifications, job.station.site
+    return [dwell.row for dwell in outcome.dwells], outcome.check_dwells, job.station.site
 
 
 @pytest.fixture(scope="module")
