@@ -1,4 +1,4 @@
-"""The loop is closed: what a search found is loaded into the INS, and measured anew is what it leaves."""
+"""The loop is closed: the effects that a search found are loaded into the INS, and the remaining biases are measured."""
 
 import io
 import json
@@ -141,7 +141,7 @@ def test_runs_that_are_there_are_read_instead_of_made_again(campaign, verified):
         assert one.rows == other.rows
 
 
-def test_a_run_of_another_seed_in_the_folder_is_told(campaign, verified):
+def test_a_run_of_another_seed_in_the_folder_is_refused(campaign, verified):
     with pytest.raises(RunFolderError, match="holds a run of another model"):
         verification_of(campaign, verified[0].folder, seed=77).is_finished("declared")
 
@@ -167,13 +167,13 @@ def test_what_was_measured_on_another_day_is_compared_with_what_is_measured_now(
     assert [each.compensation for each in verification.comparison().leftovers] == ["none"]
 
 
-def test_a_run_without_compensation_in_which_the_ins_kept_its_own_is_told(campaign, verified, tmp_path):
+def test_a_run_without_compensation_in_which_the_ins_kept_a_stored_one_is_noted(campaign, verified, tmp_path):
     shutil.copytree(verified[0].folder / "none", tmp_path / "none")
     entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}}
     with (tmp_path / "none" / "journal.jsonl").open("a") as journal:
         journal.write(json.dumps(entry) + "\n")
     [note] = verification_of(campaign, tmp_path, only=["none"]).comparison().notes
-    assert note == "In the run none the INS kept a compensation of its own (0badcafe)."
+    assert note == "In the run none the INS applied a stored compensation (0badcafe)."
 
 
 def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_model(campaign, tmp_path):
