@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
 from gyrobench.bench.station.check import Check
@@ -14,6 +15,7 @@ from gyrobench.drivers.rate_table import AxisLimits, RateTable
 ANSWERS = "answers"
 
 _TABLE, _CHAMBER = "rate table", "chamber"
+_table_check, _chamber_check = partial(Check.of, _TABLE), partial(Check.of, _CHAMBER)
 
 
 def answered(subject: str, identification: str, expected: str) -> Check:
@@ -62,8 +64,7 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
         return
     try:
         faults = opened.faults()
-        yield Check.of(
-            _TABLE,
+        yield _table_check(
             "no faults",
             not faults,
             f"reports {', '.join(faults) or 'none'}",
@@ -86,8 +87,7 @@ def _table_limits(station: Station, table: RateTable) -> Check:
     problems = [*_exceeded(station, "inner", by_axis[section.inner_axis_number])]
     if not section.is_single_axis:
         problems = [*_exceeded(station, "outer", by_axis[section.outer_axis_number]), *problems]
-    return Check.of(
-        _TABLE,
+    return _table_check(
         "limits",
         not problems,
         "; ".join(problems) or "the controller allows the station file's limits",
@@ -145,8 +145,7 @@ def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator
 
 def _chamber_alarms(station: Station, chamber: Chamber, what: str) -> Check:  # noqa: ARG001 - as the others
     alarms = chamber.alarms()
-    return Check.of(
-        _CHAMBER,
+    return _chamber_check(
         what,
         not alarms,
         f"reports {', '.join(alarms) or 'none'}",
@@ -161,8 +160,7 @@ def _chamber_air(station: Station, chamber: Chamber, what: str) -> Check:
         return Check.skipped(_CHAMBER, what, str(error).removeprefix(f"{_CHAMBER}: "))
     limits = station.file.chamber.limits
     low_c, high_c = station.file.interlocks.chamber_air.range_c((limits.low_c, limits.high_c))
-    return Check.of(
-        _CHAMBER,
+    return _chamber_check(
         what,
         low_c <= air_c <= high_c,
         f"{air_c:.1f} degC, interlock limits {low_c:g} and {high_c:g} degC",
@@ -176,8 +174,7 @@ def _chamber_limits(station: Station, chamber: Chamber, what: str) -> Check:
     except RefusedError as error:
         return Check.skipped(_CHAMBER, what, f"the controller does not report them ({error})")
     limits = station.file.chamber.limits
-    return Check.of(
-        _CHAMBER,
+    return _chamber_check(
         what,
         low_c <= limits.low_c and limits.high_c <= high_c,
         f"{low_c:g} to {high_c:g} degC in the controller, {limits.low_c:g} to {limits.high_c:g} degC in the "

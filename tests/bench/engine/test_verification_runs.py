@@ -1,4 +1,4 @@
-"""The loop is closed: the effects that a search found are loaded into the INS, and the remaining biases are measured."""
+"""The loop is closed: found effects are loaded into the INS, and the remaining biases are measured."""
 
 import io
 import json
