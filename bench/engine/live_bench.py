@@ -356,15 +356,7 @@ class LiveBench:
     def make_safe(
         self, release_table: bool = True, meanwhile: Callable[[], object] = lambda: None
     ) -> list[SafeAction]:
-        """Bring all outputs to their safe values; none raises.
-
-        Parameters
-        ----------
-        release_table : bool
-            Whether the servos are opened as well.
-        meanwhile : callable
-            Called repeatedly during the waits.
-        """
+        """Bring all outputs to their safe values; ``meanwhile`` is called during the waits. None raises."""
         actions = make_safe(self.station, self.instruments, release_table, meanwhile=meanwhile)
         self.state.made_safe()
         return actions

@@ -188,12 +188,7 @@ class Resumption:
 
 
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
-    """Read the folder of an interrupted run: what is finished, and what is left.
-
-    Parameters
-    ----------
-    anyway : bool
-        Whether to resume a run that was resumed again and again without finishing a step.
+    """Read the folder of an interrupted run; ``anyway`` also after many resumes without progress.
 
     Raises
     ------

@@ -56,15 +56,6 @@ class VerificationRuns:
     only : sequence of str, optional
         Compensations to measure with; all if none is given.
 
-    Attributes
-    ----------
-    models : mapping of str to LoadableModel
-        Models that can be loaded; "effect" is missing where the search found no effect to load.
-    jobs : mapping of str to Job
-        One for each compensation that is selected or has a run already, in order.
-    selected : list of str
-        Compensations to measure with.
-
     Raises
     ------
     DocumentError
@@ -87,7 +78,11 @@ class VerificationRuns:
         self._run = run
         self._closure = closure
         self._measured: dict[str, _Measured] = {}
-        self.models = MappingProxyType(_models(closure))
+        whole = model_with_effects(closure)
+        #: Models that can be loaded; without "effect" where the search found no effect to load.
+        self.models: Mapping[str, LoadableModel] = MappingProxyType(
+            {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
+        )
         compensations: dict[str, Compensation | None] = {NONE: None}
         compensations |= {name: model.compensation for name, model in self.models.items()}
         if set(only) - compensations.keys():
@@ -95,7 +90,9 @@ class VerificationRuns:
                 f"{run.path}: the search found no effect that an INS can compensate. "
                 f"Leave --only {EFFECT} out"
             )
+        #: Compensations to measure with.
         self.selected = [name for name in compensations if name in only or not only]
+        #: One for each compensation that is selected or has a run already, in order.
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {
                 name: prepare_job(procedure, station, emulation, compensation=compensation)
@@ -124,7 +121,7 @@ class VerificationRuns:
                 f"{folder.path}: holds a run of another model, procedure or world. Remove it, or choose "
                 "another --out"
             )
-        if not _is_finished(folder):
+        if facts_of(read_journal(folder.journal)).ended != "finished":
             raise RunFolderError(
                 f"{folder.path}: holds an unfinished run. Finish it with: gyrobench resume {folder.path}"
             )
@@ -204,11 +201,6 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
 
 
-def _models(closure: Closure) -> dict[str, LoadableModel]:
-    whole = model_with_effects(closure)
-    return {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
-
-
 def _check_uncompensated(run: RunFolder) -> None:
     in_use = _compensations_in_use(run)
     if in_use:
@@ -236,10 +228,6 @@ def _check_new(run: RunFolder, job: Job) -> None:
             f"--seed {job.emulation.seed} is the seed of {run.path}, so the noise would be the same. Choose "
             "another seed, or leave --seed out"
         )
-
-
-def _is_finished(folder: RunFolder) -> bool:
-    return folder.journal.is_file() and facts_of(read_journal(folder.journal)).ended == "finished"
 
 
 def _is_run_of(folder: RunFolder, job: Job) -> bool:

@@ -50,15 +50,6 @@ class GuardProcess(Guard):
     Without :meth:`release`, the guard makes the bench safe on exit: it waits until the bench's lock is free,
     and tries for minutes. So release it once the bench is safe, and enter it with the bench locked.
 
-    Parameters
-    ----------
-    station : Station
-        The bench.
-    folder : Path
-        Run folder; the guard writes its log and journal entries there.
-    clock : Clock
-        The run's clock.
-
     Raises
     ------
     GyrobenchError

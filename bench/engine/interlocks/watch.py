@@ -89,20 +89,9 @@ class InterlockWatch:
         self._readings = readings
 
     def trips(self, now_s: float, expected: ExpectedState) -> list[Trip]:
-        """Return all interlocks that are tripped; to be called at every tick.
+        """Return all interlocks that are tripped, each with all its findings; to be called at every tick.
 
-        Parameters
-        ----------
-        now_s : float
-            On the run's clock.
-        expected : ExpectedState
-            What the bench commanded last. Only readings newer than the first call with a command are
-            compared with it.
-
-        Returns
-        -------
-        list of Trip
-            In the order of the station file's model; one for each interlock, with all its findings.
+        Only readings newer than the first call with a command in ``expected`` are compared with it.
         """
         found: dict[str, list[Finding]] = {name: [] for name in self._rules}
         for finding in self._findings(now_s, expected):
