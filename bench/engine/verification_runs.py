@@ -25,7 +25,13 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
+from gyrobench.bench.verification.compensation_verification import (
+    DECLARED,
+    EFFECT,
+    NONE,
+    VerificationResult,
+    compensation_result,
+)
 from gyrobench.drivers.ins.command_map import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
@@ -140,8 +146,8 @@ class VerificationRuns:
             self._measured[name] = (outcome.dwells, outcome.check_dwells)
         return folder, outcome
 
-    def comparison(self) -> Comparison:
-        """Compare all finished runs.
+    def result(self) -> VerificationResult:
+        """Evaluate all finished runs.
 
         Raises
         ------
@@ -155,12 +161,12 @@ class VerificationRuns:
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
         first = next(iter(rows.values()))
         site = self._job.station.site
-        return Comparison(
+        return VerificationResult(
             source=str(self._run.path),
             closure=self._closure,
             models=self.models,
-            leftovers=tuple(
-                leftover(name, rows[name], check_dwells, site, fitted_c)
+            results=tuple(
+                compensation_result(name, rows[name], check_dwells, site, fitted_c)
                 for name, (_, check_dwells) in measured.items()
             ),
             new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),

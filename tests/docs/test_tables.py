@@ -15,7 +15,7 @@ from gyrobench.bench.closure.files import PREDICTION_COLUMNS, closure_document, 
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, columns
-from gyrobench.bench.verification.comparison import ComparisonRow
+from gyrobench.bench.verification.compensation_verification import COLUMNS
 from tests.bench.report.made_up_closure import explained
 
 TEXT = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
@@ -50,7 +50,7 @@ def values_of_findings():
         ("verification.csv", set(calibration_check_table.COLUMNS)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
         ("predictions.csv", set(PREDICTION_COLUMNS)),
-        ("comparison.csv", names(ComparisonRow)),
+        ("comparison.csv", set(COLUMNS)),
     ],
 )
 def test_the_page_names_the_columns_that_a_table_has_and_no_others(title, expected):

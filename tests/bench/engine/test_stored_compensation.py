@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.ins import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 from tests.bench.engine.intervention import Intervention
 
 #: Of the world "ideal".
@@ -54,7 +54,7 @@ def keeps_its_compensation(bench, clock):
 
     def power_with_memory(on):
         power(on)
-        unit.loaded[:, 0] = 0.1
+        unit.loaded_table[:, 0] = 0.1
         unit.apply_compensation()
 
     unit.power = power_with_memory
@@ -65,7 +65,7 @@ def loses_it(bench, clock):
 
 
 def gets_another(bench, clock):
-    bench.world.unit.loaded[:, 0] = 0.1
+    bench.world.unit.loaded_table[:, 0] = 0.1
     bench.world.unit.apply_compensation()
 
 
