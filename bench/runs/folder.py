@@ -48,111 +48,62 @@ _BEFORE_THE_JOURNAL = re.compile(
 )
 
 
+class _Inside:
+    """Path of a file or folder in a run folder."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: RunFolder, owner: type[RunFolder] | None = None) -> Path:
+        return folder.path / self._name
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Paths of everything in a run folder."""
 
     path: Path
 
-    @property
-    def procedure(self) -> Path:
-        """The procedure as run."""
-        return self.path / PROCEDURE
-
-    @property
-    def station(self) -> Path:
-        """The station as run."""
-        return self.path / "station.yaml"
-
-    @property
-    def provenance(self) -> Path:
-        """Versions, identities, hashes, options."""
-        return self.path / PROVENANCE
-
-    @property
-    def journal(self) -> Path:
-        """The journal."""
-        return self.path / JOURNAL
-
-    @property
-    def live(self) -> Path:
-        """The latest snapshot of the run, for its views."""
-        return self.path / "live.json"
-
-    @property
-    def can(self) -> Path:
-        """Folder of the raw CAN log."""
-        return self.path / "can"
-
-    @property
-    def telemetry(self) -> Path:
-        """Folder of the bench's readings."""
-        return self.path / "telemetry"
-
-    @property
-    def dwells(self) -> Path:
-        """The dwell table."""
-        return self.path / DWELLS
-
-    @property
-    def bias_bins(self) -> Path:
-        """Bias per gyro, position and temperature bin."""
-        return self.path / BIAS_BINS
-
-    @property
-    def joint_biases(self) -> Path:
-        """Biases of the dwells of each temperature solved together."""
-        return self.path / "joint_biases.csv"
-
-    @property
-    def joint(self) -> Path:
-        """Parameters common to the dwells of each temperature."""
-        return self.path / "joint.csv"
-
-    @property
-    def noise(self) -> Path:
-        """Noise of the INS."""
-        return self.path / "noise.json"
-
-    @property
-    def acceptance(self) -> Path:
-        """Verdict on the unit."""
-        return self.path / ACCEPTANCE
-
-    @property
-    def calibration(self) -> Path:
-        """The dwell table that a verification was compared with."""
-        return self.path / "calibration.csv"
-
-    @property
-    def compensation(self) -> Path:
-        """The compensation that was loaded into the INS."""
-        return self.path / COMPENSATION
-
-    @property
-    def verification(self) -> Path:
-        """Verification of a calibration."""
-        return self.path / "verification.csv"
-
-    @property
-    def closure(self) -> Path:
-        """Folder of the search for effects in this run."""
-        return self.path / CLOSURE
-
-    @property
-    def verify(self) -> Path:
-        """Folder of the proof of the compensation that the search gave."""
-        return self.path / "verify"
-
-    @property
-    def figures(self) -> Path:
-        """Folder of the figures."""
-        return self.path / "figures"
-
-    @property
-    def report(self) -> Path:
-        """The report."""
-        return self.path / "report.html"
+    #: The procedure as run.
+    procedure = _Inside(PROCEDURE)
+    #: The station as run.
+    station = _Inside("station.yaml")
+    #: Versions, identities, hashes, options.
+    provenance = _Inside(PROVENANCE)
+    #: The journal.
+    journal = _Inside(JOURNAL)
+    #: The latest snapshot of the run, for its views.
+    live = _Inside("live.json")
+    #: Folder of the raw CAN log.
+    can = _Inside("can")
+    #: Folder of the bench's readings.
+    telemetry = _Inside("telemetry")
+    #: The dwell table.
+    dwells = _Inside(DWELLS)
+    #: Bias per gyro, position and temperature bin.
+    bias_bins = _Inside(BIAS_BINS)
+    #: Biases of the dwells of each temperature solved together.
+    joint_biases = _Inside("joint_biases.csv")
+    #: Parameters common to the dwells of each temperature.
+    joint = _Inside("joint.csv")
+    #: Noise of the INS.
+    noise = _Inside("noise.json")
+    #: Verdict on the unit.
+    acceptance = _Inside(ACCEPTANCE)
+    #: The dwell table that a verification was compared with.
+    calibration = _Inside("calibration.csv")
+    #: The compensation that was loaded into the INS.
+    compensation = _Inside(COMPENSATION)
+    #: Verification of a calibration.
+    verification = _Inside("verification.csv")
+    #: Folder of the search for effects in this run.
+    closure = _Inside(CLOSURE)
+    #: Folder of the proof of the compensation that the search gave.
+    verify = _Inside("verify")
+    #: Folder of the figures.
+    figures = _Inside("figures")
+    #: The report.
+    report = _Inside("report.html")
 
 
 def create_run_folder(out: Path | None, name: str) -> RunFolder:

@@ -13,7 +13,8 @@ import numpy as np
 from gyrobench.bench.bias.joint_solution import JointSolution
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
+from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 
@@ -120,6 +121,11 @@ def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | Non
     return rows
 
 
+def columns(kind: type[Row]) -> list[str]:
+    """Columns of the file with rows of a kind."""
+    return [_column(field.name) for field in fields(kind)]
+
+
 def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
     """Write rows of one kind as CSV.
 
@@ -129,7 +135,7 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
         The file can't be written.
     """
     cells = ([format_cell(value) for value in astuple(row)] for row in rows)
-    write_text(path, format_csv([_column(field.name) for field in fields(kind)], cells))
+    write_text(path, format_csv(columns(kind), cells))
 
 
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
@@ -209,7 +215,7 @@ def _up(rate: UpRate) -> dict[str, Any]:
 
 def _read(path: Path, kind: type[Row]) -> list[Row]:
     names = [field.name for field in fields(kind)]
-    table = CsvTable(read_text(path), str(path), required=[_column(name) for name in names])
+    table = CsvTable(read_text(path), str(path), required=columns(kind))
     rows = [kind(**{name: _value(table, index, name) for name in names}) for index in range(len(table))]
     table.raise_problems()
     return rows

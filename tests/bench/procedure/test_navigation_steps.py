@@ -23,8 +23,8 @@ def early(**values: float) -> Navigate:
 
 
 def test_a_navigation_lasts_its_duration_or_its_longest_time() -> None:
-    assert Navigate(duration_s=600).expected_s(ROOM) == Navigate(duration_s=600).longest_s == 600.0
-    assert early(at_least_s=120).expected_s(ROOM) == early().longest_s == 900.0
+    assert Navigate(duration_s=600).expected_s(ROOM) == Navigate(duration_s=600).max_duration_s == 600.0
+    assert early(at_least_s=120).expected_s(ROOM) == early().max_duration_s == 900.0
 
 
 def test_a_navigation_that_may_end_early_has_time_until_its_longest_duration() -> None:
@@ -64,7 +64,7 @@ def test_the_shortest_navigation_is_that_which_leaves_a_window_long_enough_for_a
     [
         (Navigate(duration_s=600), "navigate 10 min"),
         (early(), "navigate until bias sigma below 0.002 deg/h, 15 min at most"),
-        (Navigate(duration_s=600, purpose="verification"), "navigate 10 min for verification"),
+        (Navigate(duration_s=600, purpose="calibration_check"), "navigate 10 min for a calibration check"),
         (Align(duration_s=300), "align 5 min"),
         (Align(until_fine=True, at_most_s=900), "align until fine, 15 min at most"),
         (Turn(angle_deg=-180), "turn -180 deg"),
@@ -97,7 +97,7 @@ WRONG = [
     (Align, {"duration_s": 5, "at_most_s": 9}, "go together"),
     (Align, {"duration_s": 9, "until_fine": True, "at_most_s": 5}, "below duration_s"),
     (Align, {"duration_s": 9, "euler_sequence": "xyz"}, "rpy_321"),
-    (Turn, {"angle_deg": 0}, "turns nothing"),
+    (Turn, {"angle_deg": 0}, "has no effect"),
     (Turn, {"angle_deg": -361}, "greater than or equal to -360"),
     (Navigate, {}, "either duration_s, or until with at_most_s"),
     (Navigate, {"duration_s": 0}, "greater than 0"),
@@ -126,7 +126,7 @@ WRONG = [
     (Navigate, {"until": {"bias_sigma_below_dph": 11.0}, "at_most_s": 900}, "less than or equal to 10"),
     (Navigate, {"until": {"bias_sigma_below_dph": "1"}, "at_most_s": 900}, "valid number"),
     (Navigate, {"until": {}, "at_most_s": 900}, "'bias_sigma_below_dph' is missing"),
-    (Navigate, {"duration_s": 600, "purpose": "verify"}, "'calibration' or 'verification'"),
+    (Navigate, {"duration_s": 600, "purpose": "verify"}, "'calibration' or 'calibration_check'"),
 ]
 
 
@@ -139,4 +139,4 @@ def test_a_wrong_value_is_refused_with_what_is_allowed(
 
 
 def test_an_end_at_the_shortest_time_is_allowed() -> None:
-    assert Navigate(until=UNTIL, at_least_s=60, at_most_s=60).longest_s == 60.0
+    assert Navigate(until=UNTIL, at_least_s=60, at_most_s=60).max_duration_s == 60.0
