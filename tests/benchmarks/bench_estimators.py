@@ -145,7 +145,7 @@ def test_noise_against_the_cramer_rao_bound():
         f"Noise: rms error of {DWELLS} dwells (known to {100 / np.sqrt(2 * DWELLS):.1f} %) against the\n"
         "Cramer-Rao bound of the simulated INS, (i) with the velocity going on through the turn, (ii) with\n"
         "a velocity that may jump; velocity noise 1 mm/s and heading noise 2 urad at 1 Hz, 5 ug/sqrt(Hz);\n"
-        "sigma with declared errors, and by default. The paper's estimator: rms error with its leaks, and scatter"
+        "sigma with declared errors, and by default. Paper: rms error with its leaks, and scatter"
     )
     print(
         f"{'ARW':>7}{'gyro':>5}{'bound i':>9}{'bound ii':>9}{'rms':>8}{'rms/i':>7}{'rms/ii':>7}{'sigma':>8}"
