@@ -42,8 +42,7 @@ def verify(
         typer.Option(help="Procedure file, or the name of a shipped one.", autocompletion=complete_procedure),
     ] = "verify_compensation",
     station: Annotated[
-        str | None,
-        typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station),
+        str | None, typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station)
     ] = None,
     world: Annotated[
         str | None,
@@ -141,8 +140,7 @@ def _report_result(
         return
     terminal.print(verification_summary(result))
     terminal.print(
-        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
-        soft_wrap=True,
+        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}", soft_wrap=True
     )
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)

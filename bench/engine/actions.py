@@ -217,7 +217,7 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
     clock = context.bench.clock
     begin_s = clock.now()
     next_estimate_s = begin_s + _ESTIMATE_PERIOD_S
-    while clock.now() < begin_s + step.longest_s - 1e-6:
+    while clock.now() < begin_s + step.max_duration_s - 1e-6:
         if clock.now() >= next_estimate_s:
             next_estimate_s += _ESTIMATE_PERIOD_S
             estimate = context.recorder.estimate_so_far()
@@ -232,7 +232,9 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
         yield
     if step.until:
         limit_dph = step.until.bias_sigma_below_dph
-        context.run.note(f"biases not known to {limit_dph:g} deg/h after {step.longest_s:g} s: continuing")
+        context.run.note(
+            f"biases not known to {limit_dph:g} deg/h after {step.max_duration_s:g} s: continuing"
+        )
 
 
 @perform.register

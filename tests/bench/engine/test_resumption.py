@@ -169,7 +169,7 @@ def test_times_and_counts_of_power_ons_continue(procedure, tmp_path):
 def test_it_describes_what_it_found_and_what_it_will_do(procedure, tmp_path):
     path = broken_off(procedure, tmp_path / "run", "turn", 3)
     words = prepare_resumption(path).describe()
-    assert "2 of 4 dwells are finished and stay" in words
+    assert "2 of 4 dwells are finished and kept" in words
     assert "dwell 3 (25 degC, z_up) from its start" in words
     assert "unit 1003" in words
 
