@@ -98,7 +98,7 @@ class RunFolder:
     calibration_check = PathInside("verification.csv")
     #: Folder of the search for effects in this run.
     closure = PathInside(CLOSURE)
-    #: Folder of the proof of the compensation that the search gave.
+    #: Folder of the verification of a compensation.
     verify = PathInside("verify")
     #: Folder of the figures.
     figures = PathInside("figures")
