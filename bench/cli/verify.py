@@ -42,30 +42,29 @@ def verify(
         typer.Option(help="Procedure file, or the name of a shipped one.", autocompletion=complete_procedure),
     ] = "verify_compensation",
     station: Annotated[
-        str | None,
-        typer.Option(help=f"{STATION_HELP} By default the run's.", autocompletion=complete_station),
+        str | None, typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station)
     ] = None,
     world: Annotated[
         str | None,
         typer.Option(
-            help="World behind emulated instruments; by default the run's.", autocompletion=complete_world
+            help="World behind emulated instruments; default: the run's.", autocompletion=complete_world
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the emulated world; by default the run's plus one.")
+        int | None, typer.Option(min=0, help="Seed of the emulated world; default: the run's plus one.")
     ] = None,
     only: Annotated[
         list[Compensated] | None,
-        typer.Option(help="Measure with this compensation alone, may be repeated; by default with each."),
+        typer.Option(help="Measure only with this compensation, may be repeated; default: each."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; by default verify in the run.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Load the model of a run into the INS and measure anew what it leaves.
+    """Prove the compensation: load the model of a run into the INS and measure the remaining error.
 
-    The procedure runs without compensation, with the declared model, and with the effects found
-    added. A run that is in the folder already is not made again, so a verification can be continued.
+    The procedure runs without compensation, with the declared model, and with the effects that were
+    found. Existing runs in the folder are not repeated, so a verification can be continued.
 
     With --json: {"folder", "report", "comparison"}, the last a list with the columns of comparison.csv
     as keys.
@@ -88,7 +87,7 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
     )
-    missing = [name for name in verification.selected if not verification.is_there(name)]
+    missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]
     terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
@@ -97,7 +96,7 @@ def verify(
 
 
 def _search(run: RunFolder) -> Closure:
-    """Search in a run as it was searched before; what is found is written unless it is there."""
+    """Repeat the search of a run; its files are written if they are missing."""
     from gyrobench.bench.closure.files import is_written, read_held_out_cycles
     from gyrobench.bench.report.closure.closure_page import write_search
 
@@ -108,7 +107,7 @@ def _search(run: RunFolder) -> Closure:
 
 
 def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, view: View) -> None:
-    """Run the procedure with one compensation; exits where the run does not finish."""
+    """Run the procedure with one compensation; exits if the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
 
@@ -141,8 +140,7 @@ def _report_result(
         return
     terminal.print(verification_summary(result))
     terminal.print(
-        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
-        soft_wrap=True,
+        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}", soft_wrap=True
     )
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)

@@ -8,8 +8,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
-from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.dwells.run_dwells import RunResults, evaluate, planned_dwells, replay, write_results
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
@@ -27,12 +26,7 @@ def evaluate_run(
 ) -> RunResults:
     """Compute the results of all dwells of a run, and write them into its folder.
 
-    Parameters
-    ----------
-    check_dwells : sequence of CheckDwell
-        Dwells that check a calibration.
-    calibration : sequence of DwellRow
-        What they are compared with; the run's own dwells where empty.
+    ``check_dwells`` are compared with ``calibration``, or where that is empty with the run's own dwells.
 
     Raises
     ------

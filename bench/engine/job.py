@@ -113,7 +113,7 @@ def _check_compensation(station: Station, compensation: Compensation) -> None:
             f"{station.path}: ins.commands lacks load_compensation or apply_compensation, so no compensation "
             "can be loaded into the INS. Map both commands, or run without --compensation"
         )
-    refused = load.refuses(compensation)
+    refused = load.unsupported(compensation)
     if refused:
         raise DocumentError(
             f"{station.path}: ins.commands.load_compensation does not accept {', '.join(refused)}. "

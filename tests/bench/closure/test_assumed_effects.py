@@ -44,7 +44,7 @@ def test_nothing_of_a_shape_lies_along_the_declared_model(problem):
             )
 
 
-def test_a_rival_tries_its_parameters_from_bound_to_bound(problem):
+def test_an_alternative_is_fitted_at_parameters_between_its_bounds(problem):
     fits = alternative_fits(problem, DECAY)
     assert len(fits) >= 80
     assert all(fit.parameter_count == 3 + 1 for fit in fits)
@@ -52,7 +52,7 @@ def test_a_rival_tries_its_parameters_from_bound_to_bound(problem):
     assert max(shape.explained_by(fit.basis) for fit in fits) == pytest.approx(shape.information)
 
 
-def test_an_effect_that_lacks_its_input_has_no_shape(problem):
+def test_an_effect_with_a_missing_input_has_no_shape(problem):
     blind = Effect("blind", "", "", (Form(("x",), decaying, missing_input=lambda campaign: "a sensor"),))
     assert assumed_effects(problem, blind) == alternative_fits(problem, blind) == []
 

@@ -146,10 +146,10 @@ def test_the_record_given_is_the_one_used(rows):
     assert campaign_of(rows, record).record is record
 
 
-def test_electronics_are_above_the_optics_by_what_the_sensors_say():
+def test_electronics_are_above_the_optics_by_the_reading_of_the_sensors():
     campaign = campaign_of(measure(cycles=2).rows)
     np.testing.assert_array_equal(campaign.above_optics_c, campaign.board_c - campaign.gyro_c)
 
 
-def test_nothing_tells_the_electronics_temperature_without_sensors_at_them_and_at_the_case():
+def test_the_electronics_temperature_is_unknown_without_sensors_at_them_and_at_the_case():
     assert campaign_of(measure(cycles=2, sensors=("set", "air")).rows).above_optics_c is None

@@ -62,7 +62,7 @@ def test_one_cycle_alone_has_none_to_be_left_out(problem):
     )
 
 
-def test_a_jump_between_two_cycles_is_told_by_none_alone(problem):
+def test_a_jump_between_two_cycles_is_determined_by_neither_alone(problem):
     jump_s = 68_343.0  # 57 s before the end of the first cycle's last dwell
     one = problem({jump(jump_s / (3 * 67_200.0)): 5.0})
     assert gains_by_cycle(one, [whole(bias_jump.EFFECT, jump_s)], 0) == {}
@@ -79,7 +79,7 @@ def test_a_term_that_the_declared_model_makes_up_in_the_others_is_not_asked(prob
     assert leave_out_cycles(one, [], [whole(effect)]).keys() == {1}
 
 
-def test_the_gain_is_the_share_of_the_squares_taken_away():
+def test_the_gain_is_the_share_of_chi2_explained():
     assert LeftOut(chi2_fewer=200.0, chi2_more=50.0).gain == pytest.approx(0.75)
     assert LeftOut(chi2_fewer=100.0, chi2_more=150.0).gain == pytest.approx(-0.5)
 
@@ -104,12 +104,12 @@ def test_a_run_that_was_searched_keeps_its_mean_error(problem):
     np.testing.assert_array_equal(without_unseen_constants(one.campaign, one.searched, errors), errors)
 
 
-def test_squares_of_a_cycle_left_out_are_those_of_a_fit_to_the_others(problem):
+def test_chi2_of_a_cycle_left_out_is_that_of_a_fit_to_the_others(problem):
     one, drift = problem({"time_drift": 20.0}), whole(time_drift.EFFECT)
-    told = leave_out_cycles(one, [], [drift])[2]
+    left_out = leave_out_cycles(one, [], [drift])[2]
     first = declared_problem(one.campaign, one.campaign.cycle == 1)
     second = one.campaign.cycle == 2
-    for squares, candidates in ((told.chi2_fewer, []), (told.chi2_more, [drift])):
+    for squares, candidates in ((left_out.chi2_fewer, []), (left_out.chi2_more, [drift])):
         model = solve_with(first, candidates)
         rest = measured_minus(one.campaign, first.searched, model)[second] / one.campaign.sigma_dph[second]
         assert squares == pytest.approx(np.sum(rest**2))

@@ -52,7 +52,7 @@ def test_the_document_has_every_key_that_the_formats_name(explained):
     assert of_an_effect <= set(document["effects"][0])
 
 
-def test_the_document_says_what_was_found(explained):
+def test_the_document_lists_the_effects_found(explained):
     document = closure_document(explained)
     [effect] = document["effects"]
     assert effect["effect"] == "g_sensitivity"

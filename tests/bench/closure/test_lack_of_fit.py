@@ -20,7 +20,7 @@ def test_without_anything_left_the_sum_of_squares_is_uniform(of_clean_data):
     assert kstest([each.p_noise for each in of_clean_data], "uniform").pvalue > 0.01
 
 
-def test_without_anything_left_neighbours_are_not_called_alike_too_often(of_clean_data):
+def test_serial_correlation_of_noise_is_rarely_significant(of_clean_data):
     # A fitted model makes neighbours a little unlike: large values are frequent, small ones are not.
     p_values = [each.p_structure["the previous dwell"] for each in of_clean_data]
     assert kstest(p_values, "uniform", alternative="greater").pvalue > 0.01
@@ -47,11 +47,11 @@ def test_residuals_that_follow_something_are_seen_to(problem, effect, followed):
     assert left.p_any_structure < 1e-6
 
 
-def test_what_follows_the_temperature_rate_is_seen(problem):
+def test_residuals_that_follow_the_temperature_rate_are_significant(problem):
     assert lack_of_fit(problem({"temperature_rate": 2.0}, seed=3), 0).p_structure["temperature rate"] < 1e-6
 
 
-def test_residuals_that_follow_the_dwell_before_are_seen(problem):
+def test_residuals_that_follow_the_previous_dwell_are_significant(problem):
     left = lack_of_fit(problem({"sinusoid": 2.0}, seed=3), 0)
     assert left.p_structure["the previous dwell"] < 1e-6
 

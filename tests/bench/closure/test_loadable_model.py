@@ -51,7 +51,7 @@ def rms(values):
 
 
 @pytest.mark.parametrize("effect", LOADED)
-def test_an_ins_subtracts_what_the_model_says(effect):
+def test_an_ins_subtracts_the_bias_of_the_model(effect):
     measured, closure = search(effect, **LOADED[effect])
     assert [each.candidate.effect.name for each in closure.effects] == [effect]
     loadable = model_with_effects(closure)
@@ -77,7 +77,7 @@ def test_the_declared_model_is_a_polynomial_within_the_fitted_temperatures():
     np.testing.assert_array_equal(compensation.high_c, fitted_c.max(axis=0))
 
 
-def test_rates_and_differences_are_limited_to_what_was_fitted():
+def test_rates_and_differences_are_limited_to_the_fitted_range():
     _, closure = search("temperature_rate")
     rate_c_per_h = closure.campaign.rate_c_per_h[closure.searched]
     compensation = model_with_effects(closure).compensation
@@ -116,7 +116,7 @@ def test_the_constant_is_the_mean_of_the_power_cycles_searched_with_their_scatte
     assert "the mean of 2 power cycles, which scatter by" in loadable.notes[0]
 
 
-def test_without_sensors_at_the_electronics_what_goes_by_them_is_left_out():
+def test_without_sensors_at_the_electronics_a_gradient_is_left_out():
     _, closure = search("thermal_gradient", **POWER_STEPS)
     blind = replace(closure.campaign, board_c=np.full_like(closure.campaign.board_c, np.nan))
     loadable = model_with_effects(replace(closure, campaign=blind))
@@ -134,7 +134,7 @@ def test_a_tied_effect_is_loaded_with_a_note():
     )
 
 
-def test_a_heat_flow_that_some_flagged_dwells_lack_is_left_out():
+def test_a_heat_flow_unknown_in_flagged_dwells_is_left_out():
     rows = [
         replace(row, flags="vibration", board_c=(np.nan,) * 3) if row.dwell % 7 == 0 else row
         for row in measure({"attitude_thermal": 5.0}).rows

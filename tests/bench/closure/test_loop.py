@@ -81,7 +81,7 @@ def test_gyros_that_show_an_effect_are_named_and_others_seldom():
     assert len(named) <= 15
 
 
-def test_what_two_effects_explain_alike_is_ambiguous(closed):
+def test_two_effects_that_fit_equally_well_are_ambiguous(closed):
     closure = closed({"temperature_rate": 1.0}, profile=TRIANGLE, cycles=2)
     [found] = closure.effects
     assert closure.verdict == "ambiguous"
@@ -198,7 +198,7 @@ def test_held_out_biases_change_nothing_but_the_errors(each_cycle):
     assert other.error_after_dph > 100.0 * one.error_after_dph
 
 
-def test_held_out_uncertainties_do_not_change_what_is_found():
+def test_held_out_uncertainties_do_not_change_the_outcome():
     rows = measure({"g_sensitivity": 4.0}, cycles=2).rows
     changed = [replace(row, sigma_dph=(1.0,) * 3) if row.cycle == 2 else row for row in rows]
     one, other = (close_loop(campaign_of(each), effects=[g_sensitivity.EFFECT]) for each in (rows, changed))
@@ -256,7 +256,7 @@ def test_an_effect_is_found_in_a_little_more_noise_than_stated():
     assert closure.noise_scale == pytest.approx(1.18, rel=0.1)
 
 
-def test_evidence_says_of_each_effect_what_it_explains_alone(closed):
+def test_evidence_has_the_share_of_each_effect_alone(closed):
     closure = closed({"g_sensitivity": 4.0})
     evidence = {each.effect.name: each for each in closure.evidence}
     assert set(evidence) == {each.name for each in all_effects()}
@@ -306,7 +306,7 @@ def test_one_dwell_far_off_is_no_effect_and_left_unexplained():
     assert closure.verdict == "unexplained"
 
 
-def test_nothing_of_the_cycle_held_out_not_even_its_length_changes_what_is_found():
+def test_not_even_the_length_of_the_held_out_cycle_changes_the_outcome():
     rows = measure({"thermal_hysteresis": 5.0}, cycles=3).rows
     few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]
     one, other = (close_loop(campaign_of(each)) for each in (rows, few))

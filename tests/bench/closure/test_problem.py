@@ -36,7 +36,7 @@ def left_by_least_squares(problem, terms=None, kept=ALL):
     return total
 
 
-def test_the_declared_model_leaves_what_a_direct_fit_leaves(one):
+def test_the_residual_of_the_declared_model_is_that_of_a_direct_fit(one):
     assert one.chi2 == pytest.approx(left_by_least_squares(one))
     assert one.dof == 3 * (one.searched.sum() - DEGREE - 2)
 
@@ -54,7 +54,7 @@ def test_each_gyro_gains_from_the_terms_that_it_keeps(one, terms):
     assert rank == 2
 
 
-def test_a_problem_with_columns_leaves_what_the_gain_says(one, terms):
+def test_columns_reduce_chi2_as_predicted(one, terms):
     after = one.with_columns(terms)
     assert after.chi2 == pytest.approx(one.chi2 - one.chi2_reduction(terms)[0])
     assert after.dof == one.dof - 6
@@ -85,7 +85,7 @@ def test_gains_of_one_term_after_the_other_add_up(one, terms):
     ],
     ids=["zeros", "a constant", "a power of the temperature", "only held out"],
 )
-def test_what_the_declared_model_has_or_nobody_sees_determines_nothing(one, columns):
+def test_terms_of_the_declared_model_or_outside_the_search_determine_nothing(one, columns):
     assert one.chi2_reduction(columns(one.campaign)) == (pytest.approx(0.0, abs=1e-6), 0)
     assert one.with_columns(columns(one.campaign)).chi2 == pytest.approx(one.chi2)
 

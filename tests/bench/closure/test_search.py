@@ -107,7 +107,7 @@ def test_the_first_of_several_effects_may_be_one_that_is_none_of_them(search):
     assert first.names.isdisjoint(best.names)
 
 
-def test_what_rests_on_one_dwell_is_not_found(problem):
+def test_an_effect_in_one_dwell_is_not_found(problem):
     one = problem()
     bias_dph = one.campaign.bias_dph.copy()
     bias_dph[20] += 10.0 * SIGMA_DPH
@@ -117,7 +117,7 @@ def test_what_rests_on_one_dwell_is_not_found(problem):
     assert "dwells" not in searching.best().names
 
 
-def test_what_rests_on_several_dwells_alike_is_found(problem):
+def test_an_effect_in_several_dwells_is_found(problem):
     one = problem()
     bias_dph = one.campaign.bias_dph.copy()
     bias_dph[[20, 31, 45]] += 10.0 * SIGMA_DPH

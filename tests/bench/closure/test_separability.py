@@ -1,4 +1,4 @@
-"""Sizes that a campaign tells, beside what the search does with made-up biases of such sizes."""
+"""Sizes found and distinguished in a campaign, compared with searches of simulated biases."""
 
 from dataclasses import replace
 
@@ -112,7 +112,7 @@ def test_independent_effects_inflate_nothing_and_equal_ones_without_bounds(campa
     assert not same.is_settled("one", 1.0)
 
 
-def test_what_the_declared_model_takes_is_not_seen(campaign):
+def test_an_effect_within_the_declared_model_is_not_observable(campaign):
     result = separability(campaign, [following("cubic", (campaign.gyro_c[:, 0] / 50.0) ** 3)])
     assert result.detections[0].typical_dph == np.inf
     assert result.detections[0].missing_input is not None
@@ -120,7 +120,7 @@ def test_what_the_declared_model_takes_is_not_seen(campaign):
     assert result.not_found(1.0) == ["cubic"]
 
 
-def test_an_effect_that_needs_what_is_not_measured_says_so(campaign):
+def test_an_effect_with_a_missing_input_names_it(campaign):
     result = separability(replace(campaign, set_c=np.full(len(campaign), np.nan)), all_effects())
     assert detection(result, "chamber_state").missing_input == "the chamber's set point"
     assert not any("chamber_state" in pair for pair in result.distinguished_dph)

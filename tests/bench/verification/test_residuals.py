@@ -25,7 +25,7 @@ from gyrobench.bench.navigation.rotational_ins import (
 )
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.verification.residuals import check_residuals, day_of_navigation
-from gyrobench.drivers.ins import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: Of the world "ideal".
 BIAS_DPH = np.array([0.003, -0.002, 0.004])

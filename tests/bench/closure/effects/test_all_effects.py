@@ -57,7 +57,7 @@ def test_a_new_module_with_an_effect_is_found(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
-def test_an_effect_says_what_it_is_and_how_to_show_it(effect):
+def test_an_effect_has_a_statement_and_an_experiment(effect):
     for sentence in (effect.statement, effect.experiment):
         assert len(sentence.split()) > 5
         assert not sentence.endswith(".")

@@ -1,11 +1,18 @@
-"""Lines that are typed or piped."""
+"""The terminal of manual control: typed lines and signals."""
 
 import contextlib
 import os
+import signal
 
 import pytest
 
-from gyrobench.bench.jog.terminal import CommandError, TypedLines
+from gyrobench.bench.jog.terminal import (
+    CommandError,
+    EndSessionError,
+    Interruptions,
+    StoppedByOperatorError,
+    TypedLines,
+)
 
 
 @pytest.fixture
@@ -25,7 +32,7 @@ def test_lines_come_one_by_one_and_the_last_needs_no_newline(pipe):
     assert [lines.next() for _ in range(6)] == ["show", "table outer 3", "", "stop", None, None]
 
 
-def test_the_bench_goes_on_until_a_whole_line_is_there(pipe):
+def test_the_bench_is_polled_until_a_whole_line_is_there(pipe):
     reading, writing = pipe
     pieces = [b"sh", b"ow", b"\n"]
     lines = TypedLines(reading, lambda: os.write(writing, pieces.pop(0)))
@@ -33,13 +40,13 @@ def test_the_bench_goes_on_until_a_whole_line_is_there(pipe):
     assert pieces == []
 
 
-def test_bytes_that_are_no_text_are_a_line_all_the_same(pipe):
+def test_undecodable_bytes_are_a_line_too(pipe):
     reading, writing = pipe
     os.write(writing, b"\xff\xfe\n")
     assert TypedLines(reading, lambda: None).next() == "��"
 
 
-def test_what_the_bench_raises_meanwhile_comes_through(pipe):
+def test_errors_of_the_bench_propagate(pipe):
     def trip():
         raise RuntimeError("tripped")
 
@@ -47,7 +54,7 @@ def test_what_the_bench_raises_meanwhile_comes_through(pipe):
         TypedLines(pipe[0], trip).next()
 
 
-def test_the_bench_goes_on_before_every_look_however_much_is_typed(pipe):
+def test_the_bench_is_polled_before_every_read_of_much_input(pipe):
     reading, writing = pipe
     looks = []
     os.write(writing, b"show\n" * 2000)
@@ -57,7 +64,7 @@ def test_the_bench_goes_on_before_every_look_however_much_is_typed(pipe):
     assert len(looks) >= 3
 
 
-def test_a_line_that_is_too_long_is_refused_and_the_rest_of_it_passed_over(pipe):
+def test_a_line_that_is_too_long_is_refused_and_its_rest_skipped(pipe):
     reading, writing = pipe
     os.write(writing, b"x" * 9000 + b"\nshow\n")
     os.close(writing)
@@ -67,7 +74,7 @@ def test_a_line_that_is_too_long_is_refused_and_the_rest_of_it_passed_over(pipe)
     assert [lines.next(), lines.next()] == ["show", None]
 
 
-def test_a_line_goes_on_after_what_the_bench_raised_meanwhile(pipe):
+def test_a_line_continues_after_an_error_of_the_bench(pipe):
     reading, writing = pipe
     os.write(writing, b"sh")
     raised = [RuntimeError("tripped")]
@@ -81,3 +88,28 @@ def test_a_line_goes_on_after_what_the_bench_raised_meanwhile(pipe):
         lines.next()
     os.write(writing, b"ow\n")
     assert lines.next() == "show"
+
+
+def test_ctrl_c_is_raised_once():
+    with Interruptions() as interruptions:
+        interruptions.check()
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(StoppedByOperatorError):
+            interruptions.check()
+        interruptions.check()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_the_end_is_raised_at_every_check(number):
+    with Interruptions() as interruptions:
+        os.kill(os.getpid(), number)
+        for _ in range(2):
+            with pytest.raises(EndSessionError):
+                interruptions.check()
+
+
+def test_former_signal_handlers_are_restored():
+    before = signal.getsignal(signal.SIGINT)
+    with Interruptions():
+        assert signal.getsignal(signal.SIGINT) != before
+    assert signal.getsignal(signal.SIGINT) == before
