@@ -1,4 +1,4 @@
-"""All that a run folder holds, read with patience: a run that was cut off has a report as well."""
+"""Contents of a run folder for its report; missing or damaged files of an interrupted run are noted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Entry = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class RunContent:
-    """What was found in a run folder.
+    """Contents of a run folder.
 
     Attributes
     ----------
@@ -48,17 +48,15 @@ class RunContent:
     provenance, procedure, station : mapping
         Content of these files; empty where missing.
     dwells, bins, telemetry
-        Content of the tables; empty where missing. Bins are worked out from the dwells where
-        only their own file is missing.
+        The tables; empty where missing. Bins are computed from the dwells if only their file is missing.
     joint_biases, joint_stops, noise, verification
-        What solving dwells together, the noise of the INS and verifying a calibration gave; empty
-        where there is none.
+        Joint solution, noise of the INS, calibration check; empty without results.
     acceptance : Acceptance or None
-        Verdict on the unit; None where there is none.
+        Verdict on the unit, or None.
     chapters : list of Findings
-        What was found by the search for effects, and by its proof, on these dwells.
+        Results of the search for effects and of the verification on these dwells.
     problems : list of str
-        What is missing or can't be read.
+        Missing or unreadable files.
     """
 
     name: str
@@ -79,7 +77,7 @@ class RunContent:
 
     @cached_property
     def facts(self) -> RunFacts:
-        """What the journal tells in short."""
+        """Summary of the journal."""
         return facts_of(self.journal)
 
     @property
@@ -93,16 +91,16 @@ class RunContent:
         )
 
     def entries(self, event: str) -> list[Entry]:
-        """Entries of the journal that tell of one kind of event, in order."""
+        """Entries of the journal of one kind of event, in order."""
         return [entry for entry in self.journal if entry.get("event") == event]
 
     def last(self, event: str) -> Entry:
-        """Return the last entry of one kind; empty where there is none."""
+        """Last entry of one kind; empty without one."""
         return next(iter(reversed(self.entries(event))), {})
 
 
 def read_run(folder: RunFolder) -> RunContent:
-    """Read a run folder; what is missing or damaged is noted, not raised."""
+    """Read a run folder; missing or damaged files become problems, not errors."""
     problems: list[str] = []
     journal: list[Entry] = []
     nothing: Entry = {}
@@ -131,7 +129,7 @@ def read_run(folder: RunFolder) -> RunContent:
     verification = read_if_there(
         folder.verification, lambda: read_calibration_check(folder.verification), no_verification
     )
-    # A run of verifications only has no dwells to put into a table.
+    # A run with calibration checks only has no table of dwells.
     read_dwell_table = read_if_there if verification else read
     dwells = read_dwell_table(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
     bins = read(folder.bias_bins, lambda: read_bins(folder.bias_bins), no_bins)
@@ -157,22 +155,20 @@ def read_run(folder: RunFolder) -> RunContent:
 
 
 def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
-    """Read what search and proof found; of another state of the dwells it would mislead."""
+    """Results of search and verification, unless the dwells have changed since."""
     chapters = []
     for place, command in ((folder.closure, "close"), (folder.verify, "verify")):
-        again = f"`gyrobench {command} {folder.path.name}` makes it anew."
+        again = f"Repeat `gyrobench {command} {folder.path.name}`."
         if not (place / FINDINGS_FILE).exists():
             if any(place.glob("*.html")):
-                problems.append(
-                    f"{place.name}/{FINDINGS_FILE} is missing, so it is not in this report. {again}"
-                )
+                problems.append(f"{place.name}/{FINDINGS_FILE} is missing and not in this report. {again}")
             continue
         try:
             found = read_findings_file(place)
             if found.dwells_sha256 == file_sha256(folder.dwells):
                 chapters.append(found)
             else:
-                problems.append(f"{place.name}: dwells.csv has changed since, so it is left out. {again}")
+                problems.append(f"{place.name}: left out because dwells.csv has changed since. {again}")
         except GyrobenchError as error:
             problems.append(f"{place.name} can't be used: {error}")
     return chapters
@@ -188,5 +184,5 @@ def _bins(dwells: Sequence[DwellRow], procedure: Entry, problems: list[str]) -> 
     try:
         return bin_biases([row for row in dwells if not row.flags], float(width_c))
     except (GyrobenchError, TypeError, ValueError) as error:
-        problems.append(f"The dwells can't be sorted into temperature bins: {error}")
+        problems.append(f"The dwells can't be binned by temperature: {error}")
         return []

@@ -25,14 +25,14 @@ _INCH_A_ROW = 0.42
 
 @house_style
 def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
-    """Draw the correlations of all pairs of effects; pairs that are not told apart are framed.
+    """Draw the correlations of all pairs of effects; inseparable pairs are framed.
 
     Parameters
     ----------
     separability : Separability
-        Of the dwells that a search sees.
+        Of the dwells searched.
     target_dph : float
-        Size at which pairs have to be told apart, deg/h rms.
+        Size at which pairs have to be separable, deg/h rms.
     name : str
         Of the procedure.
     """
@@ -40,10 +40,10 @@ def separability_figure(separability: Separability, target_dph: float, name: str
     figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
     axes = figure.subplots()
     axes.grid(False)
-    axes.set_title(f"How alike effects look in {name}")
+    axes.set_title(f"Correlation of effects in {name}")
     if len(names) < 2:
         axes.set_axis_off()
-        say_empty(axes, "fewer than two effects can be seen")
+        say_empty(axes, "fewer than two observable effects")
         return figure
     values = np.array(
         [[separability.correlation.get((row, column), 1.0) for column in names] for row in names]
@@ -69,19 +69,19 @@ def separability_figure(separability: Separability, target_dph: float, name: str
                 frame.set(edgecolor="#D55E00", linewidth=1.6)
                 axes.add_patch(frame)
     figure.colorbar(image, ax=axes, label="largest canonical correlation of any gyro", fraction=0.04)
-    axes.set_xlabel(f"framed: not told apart at {target_dph:g} deg/h rms")
+    axes.set_xlabel(f"framed: not separable at {target_dph:g} deg/h rms")
     return figure
 
 
 _MARKERS = "os^Dv<>P*X"
-_APART_DAYS = 0.6
+_OFFSET_DAYS = 0.6
 
 
 @house_style
 def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
     """Draw the levels of a unit's gyros, one panel a gyro, one colour a temperature bin.
 
-    A line that chance does not explain is drawn whole, another one dotted.
+    Significant slopes have a solid line, others a dotted one.
     """
     figure = new_figure(7.2)
     panels = figure.subplots(len(AXES), 1, sharex=True)
@@ -96,7 +96,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
         if mine:
             panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="bin; slope per month")
         else:
-            say_empty(panel, "no bias without compensation")
+            say_empty(panel, "no uncompensated bias")
     locator = AutoDateLocator(minticks=3, maxticks=9)
     panels[-1].xaxis.set_major_locator(locator)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
@@ -107,7 +107,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
 
 def _draw(panel: Axes, trend: Trend, scale: BiasScale, number: int, bins: int) -> None:
     colour = mpl.colormaps["viridis"](number / max(bins, 2))
-    apart = timedelta(days=_APART_DAYS * (number - (bins - 1) / 2.0))
+    apart = timedelta(days=_OFFSET_DAYS * (number - (bins - 1) / 2.0))
     times = [run.started_utc + apart for run in trend.runs]
     quantity = trend.quantity
     label = f"{bin_label(quantity.bin_low_c, quantity.bin_high_c)} °C"

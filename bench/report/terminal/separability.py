@@ -1,4 +1,4 @@
-"""What a planned campaign could tell, in a terminal of 80 columns, readable without colour."""
+"""Separability of effects in a planned campaign, for a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -16,36 +16,35 @@ from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
 from gyrobench.bench.foundations.text import counted, listed
 
-_MOST_INFLATION = 1000.0
+_MAX_INFLATION = 1000.0
 _COLUMNS = (
-    f"found from: smallest size that is found with {POWER:.0%} probability, with the middle value of each "
-    "of the effect's parameters; at worst: with the worst value. variance: by how much the other effects, "
-    "fitted beside it, enlarge the variance of its size. told from: smallest size at which it is not "
-    "mistaken for the effect that is hardest to tell from it."
+    f"found from: smallest size found with {POWER:.0%} probability at the median of the effect's "
+    "parameters; at worst: at the worst value. variance: inflation of the variance of its size by fitting "
+    "the other effects. separable from: smallest size at which it is distinguished from the hardest rival."
 )
 
 
 def separability_summary(
     separability: Separability, dwells: int, unit: PlannedUnit, target_dph: float, advice: Sequence[Advice]
 ) -> RenderableType:
-    """Sizes that are found and told apart, what is not at the target size, and what would help.
+    """Sizes at which effects are found and separable, failures at the target size, and advice.
 
     Parameters
     ----------
     separability : Separability
-        Of the dwells that a search sees.
+        Of the dwells searched.
     dwells : int
-        How many there are with those held out.
+        Number of dwells including those held out.
     unit : PlannedUnit
         The unit under test.
     target_dph : float
-        Size that matters, deg/h rms.
+        Size of interest, deg/h rms.
     advice : sequence of Advice
         What :func:`gyrobench.bench.closure.procedure_changes.advise` says for the target.
     """
     seen = [each for each in separability.detections if each.lacks is None]
     parts: list[RenderableType] = [
-        Text("What a search for effects could tell; sizes rms in 0.001 deg/h", style="bold"),
+        Text("Separability of effects; sizes rms in 0.001 deg/h", style="bold"),
         Text(_basis(separability, dwells, unit)),
         Text(),
     ]
@@ -54,8 +53,8 @@ def separability_summary(
     for lack, each in itertools.groupby(sorted(separability.detections, key=_lack), key=_lack):
         if lack:
             names = listed([detection.effect.name for detection in each])
-            parts.append(Text(f"Can't be seen without {lack}: {names}."))
-    parts += [Text(line) for line in _not_told(separability, seen, target_dph)]
+            parts.append(Text(f"Not observable without {lack}: {names}."))
+    parts += [Text(line) for line in _not_separable(separability, seen, target_dph)]
     parts += [Text(_advice_sentence(each)) for each in advice]
     return Group(*parts)
 
@@ -81,16 +80,16 @@ def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
 def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
     campaign = separability.campaign
     walk = f"an angle random walk of {unit.angle_random_walk_deg_per_sqrt_h:g} deg/sqrt(h)"
-    whose = "declared by the station" if unit.is_noise_declared else "taken as typical, none is declared"
+    whose = "declared by the station" if unit.is_noise_declared else "a typical value, none is declared"
     sigma = f"±{1e3 * float(np.sqrt(np.mean(campaign.sigma_dph**2))):.2f}"
     if dwells > len(campaign):
-        searched = f"A search sees {len(campaign)} of {dwells} dwells; the last cycle is held out."
+        searched = f"{len(campaign)} of {dwells} dwells are searched; the last cycle is held out."
     else:
         searched = (
-            f"There is one cycle of {counted(dwells, 'dwell')}. A search holds one out, so it needs two; "
-            "what follows is for all dwells."
+            f"One cycle of {counted(dwells, 'dwell')}; a search needs two to hold one out. These results are "
+            "for all dwells."
         )
-    return f"{searched} Each bias is taken to be known to {sigma}, from {walk}, {whose}."
+    return f"{searched} Standard uncertainty of each bias {sigma}, from {walk}, {whose}."
 
 
 def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
@@ -99,28 +98,28 @@ def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
     for header in ("found from", "at worst", "variance"):
         table.add_column(header, justify="right", no_wrap=True)
     table.add_column("hardest rival", no_wrap=True)
-    table.add_column("told from", justify="right", no_wrap=True)
+    table.add_column("separable from", justify="right", no_wrap=True)
     for each in seen:
         name = each.effect.name
-        rival, told_dph = separability.hardest_rival(name) or ("none", each.typical_dph)
-        inflation = f"x{each.inflation:.1f}" if each.inflation < _MOST_INFLATION else "x>1000"
+        rival, separable_dph = separability.hardest_rival(name) or ("none", each.typical_dph)
+        inflation = f"x{each.inflation:.1f}" if each.inflation < _MAX_INFLATION else "x>1000"
         sizes = _size(each.typical_dph), _size(each.largest_dph)
-        table.add_row(name, *sizes, inflation, rival, _size(told_dph))
+        table.add_row(name, *sizes, inflation, rival, _size(separable_dph))
     return table
 
 
-def _not_told(separability: Separability, seen: Sequence[Detection], target_dph: float) -> list[str]:
+def _not_separable(separability: Separability, seen: Sequence[Detection], target_dph: float) -> list[str]:
     hidden = [each.effect.name for each in seen if each.effect.name in separability.not_found(target_dph)]
     pairs = separability.not_told(target_dph)
     if not seen:
         return []
     if not (hidden or pairs):
-        return [f"At {_size(target_dph)} all of them are found and told apart."]
+        return [f"At {_size(target_dph)} all of them are found and separable."]
     lines = []
     if hidden:
         lines.append(f"Not found at {_size(target_dph)}: {listed(hidden)}.")
     if pairs:
-        lines.append(f"Not told apart at {_size(target_dph)}: {pairs_text(pairs)}.")
+        lines.append(f"Not separable at {_size(target_dph)}: {pairs_text(pairs)}.")
     return [*lines, ""]
 
 
@@ -128,14 +127,14 @@ def _advice_sentence(advice: Advice) -> str:
     helps = []
     if advice.found:
         them = "it" if len(advice.found) == 1 else "them"
-        helps.append(f"finds {listed(advice.found)} and tells {them} from all others")
+        helps.append(f"finds {listed(advice.found)} and separates {them} from all others")
     if advice.pairs:
-        helps.append(f"tells {pairs_text(advice.pairs)}")
+        helps.append(f"separates {pairs_text(advice.pairs)}")
     if not advice.what:
         return f"No change known here {', or '.join(helps)}."
     hours = f"{abs(advice.added_h):.1f} h {'less' if advice.added_h < 0.0 else 'more'}"
     lost = f"; but no longer {pairs_text(advice.lost)}" if advice.lost else ""
-    return f"With {hours}, {listed(advice.what)}: that {', and '.join(helps)}{lost}."
+    return f"With {hours}, {listed(advice.what)}: {', and '.join(helps)}{lost}."
 
 
 def _size(size_dph: float) -> str:
