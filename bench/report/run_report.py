@@ -159,7 +159,9 @@ def render(
     ]
     title = f"Gyro bias of unit {unit}" if unit else "Gyro bias"
     started = f", started {facts['started']}" if "started" in facts else ""
-    page = Section(title, boxes=_verdicts(content), facts=facts, sections=[part for part in parts if part])
+    page = Section(
+        title, boxes=verdict_boxes(content), facts=facts, sections=[part for part in parts if part]
+    )
     return render_page(page, f"Run {content.name}{started}", f"{title}: {content.name}", prepared_by)
 
 
@@ -184,7 +186,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
     return [section for section in sections if section]
 
 
-def _verdicts(content: RunContent) -> list[Box]:
+def verdict_boxes(content: RunContent) -> list[Box]:
     """How the run ended, and the verdict on the unit."""
     facts, acceptance = content.facts, content.acceptance
     is_safe = not any(action.get("problem") for action in facts.safe_state)

@@ -78,7 +78,7 @@ def test_random_walks_are_lines_of_their_size_at_one_second(estimate: NoiseEstim
             np.testing.assert_allclose(level * np.sqrt(tau), expected, rtol=tolerance)
 
 
-def test_legend_tells_the_values(estimate: NoiseEstimate) -> None:
+def test_legend_states_the_values(estimate: NoiseEstimate) -> None:
     gyros, accelerometers = panels(noise_figure(estimate, DECLARED))
     assert labels(gyros)[0].startswith("random walk\n0.00")
     assert "±" in labels(gyros)[0]
