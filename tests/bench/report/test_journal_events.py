@@ -1,4 +1,4 @@
-from gyrobench.bench.report.journal_sections import MOST_ROWS, events_section, run_events
+from gyrobench.bench.report.journal_sections import MAX_ROWS, events_section, run_events
 
 
 def entry(time_s, event, **details):
@@ -54,7 +54,7 @@ def test_thousands_of_events_stay_readable_and_none_is_lost():
             journal.append(entry(10.0 * n + 1.0, "tripped", interlocks=["a"], why=f"trip {'y' * (n // 50)}"))
     journal.append(entry(1e6, "held", why="the last one", waits_for="a person"))
     events = run_events(journal)
-    assert len(events) <= MOST_ROWS
+    assert len(events) <= MAX_ROWS
     assert sum(each.count for each in events) == 5000 + 100 + 1
     assert "the last one" in [each.what for each in events]
 

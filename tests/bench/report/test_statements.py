@@ -60,7 +60,8 @@ def test_sentence_counts_only_the_bins_that_differ() -> None:
 def test_sentence_says_that_nothing_was_found_or_compared() -> None:
     hotter = replace(COMPARISON, bin_low_c=25.0, bin_high_c=30.0, p_value=0.3)
     assert equality_sentence([replace(COMPARISON, p_value=0.3), hotter]) == (
-        "No significant difference between positions from 20 to 30 °C (no p < 0.01, corrected for 2 comparisons)."
+        "No significant difference between positions from 20 to 30 °C (no p < 0.01, corrected for 2 "
+        "comparisons)."
     )
     assert equality_sentence([]).startswith("Nothing to compare")
 

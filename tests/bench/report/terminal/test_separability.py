@@ -50,8 +50,8 @@ def test_it_says_what_it_rests_on(separable: Separability) -> None:
     text = printed(separability_summary(separable, 60, UNIT, TARGET_DPH, []))
     assert "30 of 60 dwells are searched; the last cycle is held out." in text
     assert (
-        "uncertainty of each bias ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by the station"
-        in text
+        "uncertainty of each bias ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by the "
+        "station" in text
     )
     undeclared = replace(UNIT, is_noise_declared=False)
     assert "a typical value, none is declared" in printed(
