@@ -1,7 +1,7 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
 # make test   install into .venv and run the test suite, but for what takes long
 # make test-long  whole campaigns, kills, fuzzing
-# make soak   kill, hurt and keep runs going for an hour; writes docs/soak.md
+# make soak   kill, disturb and keep runs running for an hour; writes docs/reliability.md
 # make check  style, types, layers
 # make docs   pages of docs/ as HTML, in build/docs
 # make audit  known vulnerabilities of the dependencies (needs the network)
@@ -26,7 +26,7 @@ test-long: install
 	$(BIN)/python -m pytest -m long -n 4 --dist loadfile --no-loadscope-reorder
 
 soak: install
-	$(BIN)/python -m tests.soak all --table docs/soak.md
+	$(BIN)/python -m tests.soak all --table docs/reliability.md
 
 check: install
 	$(BIN)/ruff check .

@@ -17,7 +17,9 @@ from hatchling import build as _hatchling
 from hatchling.build import *  # noqa: F403 - the hooks that stay as they are
 
 _ROOT = Path(__file__).parent
-_SCHEMAS = _ROOT / "src" / "gyrobench" / "schemas"
+_PACKAGE = _ROOT / "src" / "gyrobench"
+#: Folders at the top that are links in the package; a source archive comes without the links.
+_LINKED = ("bench", "drivers", "procedures", "stations", "worlds", "faults", "imports", "schemas")
 
 
 def get_requires_for_build_wheel(config_settings: dict[str, Any] | None = None) -> list[str]:
@@ -32,6 +34,10 @@ def build_wheel(
     metadata_directory: str | None = None,
 ) -> str:
     """Write the schemas, then build the wheel."""
-    command = [sys.executable, "-m", "gyrobench", "schema", "--out", str(_SCHEMAS)]
+    for name in _LINKED:
+        (_ROOT / name).mkdir(exist_ok=True)
+        if not (_PACKAGE / name).exists():
+            (_PACKAGE / name).symlink_to(Path("..", "..", name))
+    command = [sys.executable, "-m", "gyrobench", "schema", "--out", str(_PACKAGE / "schemas")]
     subprocess.run(command, env=os.environ | {"PYTHONPATH": str(_ROOT / "src")}, check=True)  # noqa: S603
     return _hatchling.build_wheel(wheel_directory, config_settings, metadata_directory)

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gyrobench.bench.closure.loop import Closure
+    from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
-    from gyrobench.bench.engine.people import Progress
     from gyrobench.drivers.ins.can_bus import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
@@ -155,7 +155,7 @@ def run(
     seed: int = 0,
     out: str | Path | None = None,
     operator: Operator | None = None,
-    observer: Progress | None = None,
+    observer: RunObserver | None = None,
 ) -> Run:
     """Run a procedure, as ``gyrobench run`` does.
 
@@ -182,9 +182,10 @@ def run(
     MeasurementError
         The run ended before its procedure did; what it measured is in the run folder.
     """
+    from gyrobench.bench.engine.job import prepare_job
+    from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import ConsentingOperator
-    from gyrobench.bench.engine.people import Progress
-    from gyrobench.bench.engine.session import prepare_job, run_job
+    from gyrobench.bench.engine.run import run_job
     from gyrobench.bench.station.instruments import Emulation
 
     job = prepare_job(procedure, station, Emulation(world, seed, ""))
@@ -194,7 +195,7 @@ def run(
                 f"{station}: this bench works in real time. Pass operator= to answer its questions"
             )
         operator = ConsentingOperator()
-    folder, outcome = run_job(job, None if out is None else Path(out), observer or Progress(), operator)
+    folder, outcome = run_job(job, None if out is None else Path(out), observer or RunObserver(), operator)
     if outcome.ended != "finished":
         raise MeasurementError(f"{folder.path}: the run {outcome.ended}: {outcome.reason}")
     return Run(folder.path)

@@ -1,15 +1,15 @@
 """Are a unit's gyros fit for a rotational INS? Limits, and verdicts that allow for the uncertainty.
 
 A rotational INS averages out a bias that is the same in all positions. So the largest difference of a
-gyro's bias between positions decides. Positions are compared within a stop only, where power-on, cycle and
-temperature are the same, and after what is left of the temperature's part is taken off; see
-:mod:`gyrobench.bench.bias.position_differences`. They are told by temperature bin.
+gyro's bias between positions decides. Positions are compared within a plateau only, where power-on, cycle and
+temperature are the same, and after the remaining effect of temperature is removed; see
+:mod:`gyrobench.bench.bias.position_differences`. Results are listed by temperature bin.
 
-Passes of one stop are judged by their mean difference, whose uncertainty is smaller, as long as they agree
-(chi-square, Holm over all stops of all gyros). Where they don't, as with an attitude effect that follows
+Passes of one plateau are judged by their mean difference, whose uncertainty is smaller, as long as they agree
+(chi-square, Holm over all plateaus of all gyros). Where they don't, as with an attitude effect that follows
 the way the temperature moves, each pass is judged by itself. Where they do, it is the mean that keeps the
-limit: of passes that differ by less than the test can see, one may be beyond it. At a single stop of a
-single gyro that is easily missed; where a difference comes with one cycle at every stop, it is not.
+limit: of passes that differ by less than the test can see, one may be beyond it. At a single plateau of a
+single gyro that is easily missed; where a difference comes with one cycle at every plateau, it is not.
 
 The largest of several noisy differences is larger than the largest true one: six equal positions show
 some 2.5 times the uncertainty of one. It is therefore not judged as if it were a single difference:
@@ -19,10 +19,10 @@ some 2.5 times the uncertainty of one. It is therefore not judged as if it were 
   has to err for that, so no allowance for the number of pairs is needed (an intersection-union test),
   and a unit with such a difference is accepted with a probability of at most ``1 - confidence``.
 * It fails where *some* pair does: difference less c times its standard uncertainty above the limit. Each
-  of all pairs at all stops of all gyros could err so by chance, so c allows for their number
+  of all pairs at all plateaus of all gyros could err so by chance, so c allows for their number
   (Bonferroni), and a unit without a difference above the limit is rejected with a probability of at
   most ``1 - confidence``.
-* Between the two it is marginal: the data do not tell, and more cycles would.
+* Between the two it is marginal: more cycles are needed.
 
 Both stand on the stated uncertainties of the dwells, taken as independent.
 
@@ -43,13 +43,12 @@ from scipy.special import ndtri
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.plateaus import (
-    COMPARED_WITHIN_C,
-    PLANNED_WITHIN_C,
+    MAX_PLANNED_FROM_MEAN_K,
     PlannedDwell,
-    group_stops,
-    passes_of_stops,
+    group_plateaus,
+    passes_of_plateaus,
 )
-from gyrobench.bench.bias.position_differences import TemperatureCurve, stop_differences, temperature_curve
+from gyrobench.bench.bias.position_differences import CubicBiasCurve, fit_bias_curve, position_differences
 from gyrobench.bench.bias.statistics import holm
 from gyrobench.bench.bias.verdicts import (
     Acceptance,
@@ -63,7 +62,7 @@ from gyrobench.bench.bias.verdicts import (
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
-_Stop = Sequence[DwellRow]
+_Plateau = Sequence[DwellRow]
 
 #: Passes that chance makes differ so much in fewer runs than this are judged one by one.
 _DISAGREEMENT = 0.05
@@ -98,8 +97,8 @@ def judge(
 ) -> Acceptance:
     """Judge the gyros of one unit; see the module for how.
 
-    A run is accepted only if every dwell that was planned was compared with all others of its stop, in each
-    cycle; a gyro that breaks a limit is rejected whatever else is missing.
+    A run is accepted only if every dwell that was planned was compared with all others of its plateau, in
+    each cycle; a gyro that breaks a limit is rejected even if dwells are missing.
 
     Parameters
     ----------
@@ -110,15 +109,17 @@ def judge(
     planned : iterable of PlannedDwell
         Those that measure biases, in the order of time.
     width_c : float
-        Width of the temperature bins that the judgements are told by, K.
+        Width of the temperature bins of the judgements, K.
     """
     if limits is None:
         return Acceptance()
     in_time = sorted((row for row in rows if not row.flags), key=lambda row: row.dwell)
-    stops = group_stops(in_time, COMPARED_WITHIN_C)
-    known = [[good for stop in stops if (good := _known(stop, axis, limits))] for axis in range(len(AXES))]
-    curves = [temperature_curve(own, axis) for axis, own in enumerate(known)]
-    compared = [[stop for stop in own if len({row.position for row in stop}) > 1] for own in known]
+    plateaus = group_plateaus(in_time)
+    known = [
+        [good for plateau in plateaus if (good := _known(plateau, axis, limits))] for axis in range(len(AXES))
+    ]
+    curves = [fit_bias_curve(own, axis) for axis, own in enumerate(known)]
+    compared = [[plateau for plateau in own if len({row.position for row in plateau}) > 1] for own in known]
     values = _differences(compared, curves)
     if limits.bias_dph is not None:
         values += _biases(known)
@@ -129,34 +130,34 @@ def judge(
         verdict=_of_run(gyros),
         limits=limits,
         gyros=gyros,
-        stops=max(map(len, compared)),
+        plateaus=max(map(len, compared)),
         judgements=judgements,
         not_measured=missing,
     )
 
 
-def _known(stop: _Stop, axis: int, limits: AcceptanceLimits) -> list[DwellRow]:
-    """Dwells of a stop that tell the bias of a gyro."""
+def _known(plateau: _Plateau, axis: int, limits: AcceptanceLimits) -> list[DwellRow]:
+    """Dwells of a plateau with a valid bias of a gyro."""
     most_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
     return [
         row
-        for row in stop
+        for row in plateau
         if not math.isnan(row.gyro_c[axis] + row.bias_dph[axis]) and row.sigma_dph[axis] <= most_dph
     ]
 
 
-def _differences(compared: Sequence[Sequence[_Stop]], curves: Sequence[TemperatureCurve]) -> list[_Value]:
-    """Differences at all stops of all gyros; where the passes of a stop disagree, of each pass."""
+def _differences(compared: Sequence[Sequence[_Plateau]], curves: Sequence[CubicBiasCurve]) -> list[_Value]:
+    """Differences at all plateaus of all gyros; where the passes of a plateau disagree, of each pass."""
     together = [
-        (axis, passes, stop_differences(passes, axis, curves[axis]))
-        for axis, stops in enumerate(compared)
-        for passes in passes_of_stops(stops, axis)
+        (axis, passes, position_differences(passes, axis, curves[axis]))
+        for axis, plateaus in enumerate(compared)
+        for passes in passes_of_plateaus(plateaus, axis)
     ]
     p_values = holm([found.p_value for _, _, found in together])
     values = []
     for (axis, passes, found), p_value in zip(together, p_values, strict=True):
         agree = not p_value < _DISAGREEMENT
-        parts = [found] if agree else [stop_differences([each], axis, curves[axis]) for each in passes]
+        parts = [found] if agree else [position_differences([each], axis, curves[axis]) for each in passes]
         values += [
             _Value(
                 axis,
@@ -173,12 +174,12 @@ def _differences(compared: Sequence[Sequence[_Stop]], curves: Sequence[Temperatu
     return values
 
 
-def _biases(known: Iterable[Iterable[_Stop]]) -> list[_Value]:
+def _biases(known: Iterable[Iterable[_Plateau]]) -> list[_Value]:
     return [
         _Value(axis, "bias", row.gyro_c[axis], (row.position,), abs(row.bias_dph[axis]), row.sigma_dph[axis])
-        for axis, stops in enumerate(known)
-        for stop in stops
-        for row in stop
+        for axis, plateaus in enumerate(known)
+        for plateau in plateaus
+        for row in plateau
     ]
 
 
@@ -230,21 +231,21 @@ def _judged(
 
 
 def _not_measured(
-    known: Sequence[Sequence[_Stop]],
-    compared: Sequence[Sequence[_Stop]],
+    known: Sequence[Sequence[_Plateau]],
+    compared: Sequence[Sequence[_Plateau]],
     planned: Sequence[PlannedDwell],
     limits: AcceptanceLimits,
 ) -> list[NotMeasured]:
-    """Planned dwells that were not compared with the others of their stop, or not measured at all."""
+    """Planned dwells that were not compared with the others of their plateau, or not measured at all."""
     result = []
     for axis, gyro in enumerate(AXES):
-        found = {row.dwell for stop in known[axis] for row in stop}
-        for stop in group_stops(planned, PLANNED_WITHIN_C):
-            if len({dwell.position for dwell in stop}) > 1:
-                lacking = _outside_largest(stop, compared[axis])
+        found = {row.dwell for plateau in known[axis] for row in plateau}
+        for plateau in group_plateaus(planned, MAX_PLANNED_FROM_MEAN_K):
+            if len({dwell.position for dwell in plateau}) > 1:
+                lacking = _outside_largest(plateau, compared[axis])
             else:
                 lacking = [
-                    dwell for dwell in stop if limits.bias_dph is not None and dwell.dwell not in found
+                    dwell for dwell in plateau if limits.bias_dph is not None and dwell.dwell not in found
                 ]
             result += [
                 NotMeasured(
@@ -258,9 +259,9 @@ def _not_measured(
     return result
 
 
-def _outside_largest(planned: Sequence[PlannedDwell], stops: Iterable[_Stop]) -> list[PlannedDwell]:
-    """Planned dwells of one stop outside the largest part of it that was compared in one."""
-    parts = ({row.dwell for row in stop} for stop in stops)
+def _outside_largest(planned: Sequence[PlannedDwell], plateaus: Iterable[_Plateau]) -> list[PlannedDwell]:
+    """Planned dwells of one plateau outside the largest part of it that was compared in one."""
+    parts = ({row.dwell for row in plateau} for plateau in plateaus)
     inside = ([dwell for dwell in planned if dwell.dwell in part] for part in parts)
     largest = max(inside, key=len, default=[])
     if len({dwell.position for dwell in largest}) < 2:

@@ -14,7 +14,7 @@ noise of the rate), K the random walk of the rate. Here the mean of the second d
 stretch is taken off first, so that a steady ramp of the rate (Earth-rate coupling, warm-up, an
 acceleration that a gyro bias feeds) does not count; what that costs is in the expected variances.
 
-How far the variance of one averaging time can be trusted, and how far two of them tell the same, is
+The variance of each averaging time's Allan variance, and the correlation of two of them, are
 summed exactly over the second differences for Gaussian noise of the fitted kind, not looked up.
 
 References
@@ -42,11 +42,11 @@ WHITE_ANGLE, RANDOM_WALK, RATE_WALK = range(3)
 #: Averaging times in a decade.
 PER_DECADE = 8
 #: The longest stretch holds the longest averaging time at least so many times.
-LEAST_REPEATS = 6
+MIN_REPEATS = 6
 #: Fewest equivalent degrees of freedom of an averaging time that takes part in a fit.
-LEAST_EDF = 8.0
+MIN_EDF = 8.0
 #: Squares of the residuals above this, relative to their expectation, mean that the model does not fit.
-MISFIT_RATIO = 3.0
+MAX_CHI2_RATIO = 3.0
 
 _TERMS = 3
 _SPARE_TIMES = 1  # averaging times beyond the number of terms
@@ -106,7 +106,7 @@ class RateNoise:
         Averaging times that took part.
     edf : ndarray, shape (k,)
         Equivalent degrees of freedom of each averaging time.
-    misfit : float
+    excess : float
         Relative standard deviation by which the variances miss the model beyond their
         uncertainty; 0 where the model fits. It is in the covariance.
     """
@@ -117,7 +117,7 @@ class RateNoise:
     expected: FloatArray
     used: BoolArray
     edf: FloatArray
-    misfit: float
+    excess: float
 
     @property
     def sigmas(self) -> FloatArray:
@@ -165,12 +165,12 @@ def allan_variance(stretches: Sequence[FloatArray], interval_s: float) -> AllanV
         No stretch is long enough.
     """
     longest = max((len(each) for each in stretches), default=0)
-    if longest < 2 * LEAST_REPEATS:
+    if longest < 2 * MIN_REPEATS:
         raise MeasurementError(
-            f"the longest stretch for an Allan variance has {longest} samples; it needs {2 * LEAST_REPEATS}. "
+            f"the longest stretch for an Allan variance has {longest} samples; it needs {2 * MIN_REPEATS}. "
             "Record longer at rest"
         )
-    top = longest // LEAST_REPEATS
+    top = longest // MIN_REPEATS
     wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(PER_DECADE * np.log10(top)))))
     factors = np.unique(np.rint(wanted).astype(np.int64))
     sums = [[_squares(stretch, int(factor)) for stretch in stretches] for factor in factors]
@@ -199,21 +199,21 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
     Raises
     ------
     MeasurementError
-        Too few averaging times tell enough.
+        Too few averaging times have enough degrees of freedom.
     """
     information = _Information.of(allan)
     candidates = allan.variance > 0.0
-    used, misfit = candidates, 0.0
+    used, excess = candidates, 0.0
     _check_enough(used, allan)
     relative = 2.0 * allan.factors / allan.counts
     terms, _ = _solve(information.design, allan.variance, relative * allan.variance**2, used)
     for _ in range(_ROUNDS):
         model, covariance = information.design @ terms, information.covariance(terms)
         edf = 2.0 * model**2 / np.diag(covariance)
-        used = candidates & (edf >= LEAST_EDF)
+        used = candidates & (edf >= MIN_EDF)
         _check_enough(used, allan)
-        misfit = _misfit(allan.variance, model, np.diag(covariance), used)
-        errors = covariance + np.diag((misfit * model) ** 2)
+        excess = _excess(allan.variance, model, np.diag(covariance), used)
+        errors = covariance + np.diag((excess * model) ** 2)
         terms, solve = _solve(information.design, allan.variance, np.diag(errors), used)
     return RateNoise(
         terms=terms,
@@ -222,7 +222,7 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
         expected=information.design @ terms,
         used=used,
         edf=edf,
-        misfit=misfit,
+        excess=excess,
     )
 
 
@@ -249,7 +249,7 @@ def _solve(
     return terms / scale, np.linalg.pinv(weighted / scale) * weight / scale[:, np.newaxis]
 
 
-def _misfit(
+def _excess(
     variance: FloatArray,
     model: FloatArray,
     errors: FloatArray,
@@ -257,13 +257,13 @@ def _misfit(
 ) -> float:
     """Common relative error that brings the squares of the residuals down to their number."""
     residual = ((variance - model) / model)[used] ** 2
-    relative, freedom = (errors / model**2)[used], np.count_nonzero(used) - _TERMS
-    if (residual / relative).sum() <= MISFIT_RATIO * freedom:
+    relative, dof = (errors / model**2)[used], np.count_nonzero(used) - _TERMS
+    if (residual / relative).sum() <= MAX_CHI2_RATIO * dof:
         return 0.0
-    low, high = 0.0, float(residual.sum() / freedom)
+    low, high = 0.0, float(residual.sum() / dof)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        is_above = (residual / (relative + middle)).sum() > freedom
+        is_above = (residual / (relative + middle)).sum() > dof
         low, high = (middle, high) if is_above else (low, middle)
     return float(np.sqrt(high))
 
@@ -272,7 +272,8 @@ def _check_enough(used: BoolArray, allan: AllanVariance) -> None:
     if np.count_nonzero(used) < _TERMS + _SPARE_TIMES:
         raise MeasurementError(
             f"{np.count_nonzero(used)} averaging times out of {allan.tau_s[0]:g} to {allan.tau_s[-1]:g} s "
-            f"tell enough to fit noise; {_TERMS + _SPARE_TIMES} are needed. Record longer at rest"
+            f"have enough degrees of freedom for a noise fit; {_TERMS + _SPARE_TIMES} are needed. "
+            "Record longer at rest"
         )
 
 
@@ -296,7 +297,7 @@ class _Information:
         factors = tuple(allan.factors.tolist())
         design, products, full = _information(factors, allan.lengths)
         powers = float(allan.interval_s) ** np.array([-2.0, -1.0, 1.0])
-        # Missing samples cost differences; those that are left tell as much each.
+        # Missing samples cost differences; the remaining ones carry as much information each.
         thinned = np.sqrt(full / allan.counts)
         products = products * np.outer(thinned, thinned)[:, :, np.newaxis, np.newaxis]
         return cls(design * powers, products * np.outer(powers, powers))

@@ -25,7 +25,7 @@ from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import misfit, solve
+from gyrobench.bench.bias.statistics import chi2_test, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -35,7 +35,7 @@ from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 @dataclass(frozen=True, eq=False)
 class DwellInformation:
-    """What the data of a dwell say of its unknowns, without prior knowledge.
+    """Information of a dwell's data on its parameters, without prior knowledge.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class StateSpaceEstimate(BiasEstimate):
     ----------
     accelerometer_bias, accelerometer_sigma : ndarray, shape (3,)
         m/s^2, body axes; an axis that stays vertical is not measured and keeps its prior uncertainty.
-    fit : FitTest
+    fit : GoodnessOfFit
         Whether the model explains the data.
     steady_p_value : float
         Probability that the biases of the windows differ at least as much, if each gyro has one bias.
@@ -78,13 +78,13 @@ class StateSpaceEstimate(BiasEstimate):
 
     accelerometer_bias: FloatArray
     accelerometer_sigma: FloatArray
-    fit: FitTest
+    fit: GoodnessOfFit
     steady_p_value: float
     information: DwellInformation
 
 
 class BiasFilter:
-    """The estimate of one dwell while it goes on.
+    """Recursive estimate of one dwell.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class BiasFilter:
         """
         if len(self._windows) < 2 or not self._windows[-1].epochs:
             raise MeasurementError(
-                "no navigation after a turn: the biases can't be told from the initial errors. "
+                "no navigation after a turn: the biases are not observable beside the initial errors. "
                 "Turn the unit and navigate again"
             )
         information = self.information()
@@ -193,14 +193,14 @@ class BiasFilter:
             covariance=at_mean @ covariance @ at_mean.T,
             accelerometer_bias=unknowns[acceleration],
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
-            fit=self._fit_test(unknowns, covariance),
+            fit=self._goodness_of_fit(unknowns, covariance),
             steady_p_value=self._steady_p_value(information),
             information=information,
         )
 
-    def test_of_fit(self) -> FitTest:
+    def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""
-        return self._fit_test(*self._solved(self.information()))
+        return self._goodness_of_fit(*self._solved(self.information()))
 
     def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
@@ -264,14 +264,14 @@ class BiasFilter:
             earth_rate=self._earth_rate,
         )
 
-    def _fit_test(self, unknowns: FloatArray, covariance: FloatArray) -> FitTest:
+    def _goodness_of_fit(self, unknowns: FloatArray, covariance: FloatArray) -> GoodnessOfFit:
         blocks = [
             (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(unknowns)))
             for window, expansion in zip(self._windows, self._expansions, strict=True)
             for time_s, total in window.blocks()
         ]
         time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
-        return fit_test(time_s, sums, responses, unknowns, covariance)
+        return goodness_of_fit(time_s, sums, responses, unknowns, covariance)
 
 
 def estimate_state_space(
@@ -292,7 +292,9 @@ def estimate_state_space(
     return bias_filter.estimate()
 
 
-def navigation_fit(window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> FitTest:
+def navigation_fit(
+    window: NavigationWindow, site: Site, noise: NoiseModel, prior: PriorKnowledge
+) -> GoodnessOfFit:
     """Test whether error model and noise explain one navigation.
 
     Nothing of the alignment enters.
@@ -300,7 +302,7 @@ def navigation_fit(window: NavigationWindow, site: Site, noise: NoiseModel, prio
     bias_filter = BiasFilter(site, noise, prior)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
     bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
-    return bias_filter.test_of_fit()
+    return bias_filter.goodness_of_fit()
 
 
 def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
@@ -324,7 +326,7 @@ def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class FitTest:
+class GoodnessOfFit:
     """Chi-square test of the innovations.
 
     Attributes
@@ -334,31 +336,31 @@ class FitTest:
     residuals : ndarray, shape (m, 3)
         Innovations of velocity East and North and of the heading summed over the minute, in
         standard deviations of the sum; what the estimate explains is taken away.
-    chi2, freedom : float, int
+    chi2, dof : float, int
         Their sum of squares weighted by their covariance, and its expectation.
     p_value : float
-        Probability of at least this misfit if model and noise are true.
+        Probability of at least this chi2 if model and noise are true.
     """
 
     time_s: FloatArray
     residuals: FloatArray
     chi2: float
-    freedom: int
+    dof: int
     p_value: float
 
     @property
     def ratio(self) -> float:
         """Size of the residuals over the expected one."""
-        return math.sqrt(self.chi2 / self.freedom) if self.freedom else math.nan
+        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
 
 
-def fit_test(
+def goodness_of_fit(
     time_s: FloatArray,
     sums: FloatArray,
     responses: FloatArray,
     unknowns: FloatArray,
     covariance: FloatArray,
-) -> FitTest:
+) -> GoodnessOfFit:
     """Test the sums of innovations against an estimate made from the same data.
 
     Parameters
@@ -374,5 +376,5 @@ def fit_test(
     """
     response = responses.reshape(-1, len(unknowns))
     residuals = sums.ravel() - response @ unknowns
-    left = misfit(residuals, response, covariance)
-    return FitTest(time_s, residuals.reshape(-1, 3), left.chi2, left.freedom, left.p_value)
+    test = chi2_test(residuals, response, covariance)
+    return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)

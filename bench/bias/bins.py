@@ -20,7 +20,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: Usual width of a bin, K.
 DEFAULT_WIDTH_C = 5.0
 #: Narrower ones would fill the memory with empty bins.
-_NARROWEST_C = 0.01
+_MIN_WIDTH_C = 0.01
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
         The width is too small, or the dwells are of several units.
     """
     rows = list(rows)
-    if not (math.isfinite(width_c) and width_c >= _NARROWEST_C):
+    if not (math.isfinite(width_c) and width_c >= _MIN_WIDTH_C):
         raise MeasurementError(
-            f"temperature bins need a width of {_NARROWEST_C:g} K or more; found {width_c:g} K"
+            f"temperature bins need a width of {_MIN_WIDTH_C:g} K or more; found {width_c:g} K"
         )
     units = sorted({row.unit for row in rows})
     if len(units) > 1:

@@ -1,4 +1,4 @@
-"""One dwell as an estimator sees it, and what an estimator gives back."""
+"""One dwell as input of an estimator, and the estimate."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class NavigationWindow:
-    """What the INS put out while the table stood still.
+    """Output of the INS while the table holds its position.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class NavigationWindow:
 
 @dataclass(frozen=True, eq=False)
 class TurnPath:
-    """The way from one window to the next by the table's word.
+    """Rotation from one window to the next, as the table reports it.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Dwell:
     windows : tuple of NavigationWindow
         Output of the INS at rest, on one clock, without realignment in between; the paper has two.
     C_nb_table : tuple of ndarray, shape (3, 3)
-        Attitude of the unit in each window by the table's word.
+        Attitude of the unit in each window, as the table reports it.
     turns : tuple of TurnPath
         From each window to the next.
 
@@ -178,8 +178,8 @@ class Dwell:
         if not moved.max() <= MAX_MOVEMENT:
             raise MeasurementError(
                 f"{self.position_name}: in window {number} the unit turned by "
-                f"{np.rad2deg(moved.max()):.1f} deg by the word of the INS (at most "
-                f"{np.rad2deg(MAX_MOVEMENT):g} deg is allowed). Was the table moved?"
+                f"{np.rad2deg(moved.max()):.1f} deg according to the INS (at most "
+                f"{np.rad2deg(MAX_MOVEMENT):g} deg is allowed). Check that the table holds its position"
             )
 
     def _check_attitude(self, what: str, C_one: FloatArray, other: str, C_other: FloatArray) -> None:

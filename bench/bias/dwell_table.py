@@ -86,7 +86,7 @@ class DwellRow:
         Biases of the accelerometers and their standard uncertainties, ug; NaN where not known. That
         of the vertical one keeps the uncertainty of prior knowledge.
     fit_ratio, fit_p_value : float
-        See :class:`gyrobench.bench.bias.bias_filter.FitTest`; NaN where not known.
+        See :class:`gyrobench.bench.bias.bias_filter.GoodnessOfFit`; NaN where not known.
     flags : str
         What was wrong with the dwell; empty where nothing was. A dwell with flags may be without
         result: NaN for its biases, their uncertainties and the gyros' temperatures.

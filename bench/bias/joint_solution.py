@@ -1,4 +1,4 @@
-"""All dwells of one temperature solved together.
+"""All dwells of one plateau solved together.
 
 What the positions share is one set of unknowns: accelerometer biases and misalignments, gyro error
 matrix, error of the latitude. The gyro biases of each dwell stay its own; that they may differ is
@@ -12,9 +12,8 @@ vertical gyros. From the last one that rate can be taken away: see
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +23,7 @@ from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import DwellInformation
 from gyrobench.bench.bias.dwell import BiasEstimate
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import compress, misfit, solve
+from gyrobench.bench.bias.statistics import chi2_test, compress, solve
 from gyrobench.bench.bias.vertical_pairs import UpRate, VerticalPairs, up_rate
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -40,7 +39,7 @@ SHARED = 23
 # A rate of which nothing is known beforehand, rad/s.
 _ANY_RATE = 0.01
 # What data say less of than this, in units of prior knowledge, is noise; 1 would equal it.
-_LEAST_INFORMATION = 0.3
+_MIN_INFORMATION = 0.3
 
 # What a dwell shows of its unknowns beyond its own: its gyro biases, the accelerometer biases as
 # they seem in its position, rates and gyro error matrix.
@@ -50,15 +49,13 @@ _SHOWN = np.r_[
 _BIAS, _ACCELERATION, _RATE, _MATRIX = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 17)
 
 _NORTH = NAVIGATION_RATE.start
-#: Largest difference of a dwell's temperature from the mean of those that it is solved with, K.
-_SAME_TEMPERATURE_K = 5.0
 #: Dwells agree no more where chance alone makes them differ as much less often than this.
-_LEAST_P = 1e-3
+_MIN_P_VALUE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class DwellRows:
-    """What one dwell says of the joint problem.
+    """Information of one dwell on the joint problem.
 
     Attributes
     ----------
@@ -87,10 +84,10 @@ class DwellRows:
                 [np.eye(len(own)), np.zeros((len(own), len(_SHOWN) + 1))],
             ]
         )
-        left = compress(stacked)[len(own) :, len(own) :]
+        rest = compress(stacked)[len(own) :, len(own) :]
         sizes = np.diagonal(root)[_SHOWN].copy()
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
-        return cls(*_informative(left[:, :-1], left[:, -1], sizes), position)
+        return cls(*_informative(rest[:, :-1], rest[:, -1], sizes), position)
 
     def for_joint_unknowns(self, number: int, dwells: int) -> FloatArray:
         """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
@@ -112,14 +109,14 @@ class JointFit:
     ----------
     unknowns, covariance : ndarray, shape (23 + 3 m,), (23 + 3 m, 23 + 3 m)
         Shared unknowns, then the biases of each of the m dwells.
-    chi2, freedom, p_value : float, int, float
+    chi2, dof, p_value : float, int, float
         Test that the dwells agree on what they share.
     """
 
     unknowns: FloatArray
     covariance: FloatArray
     chi2: float
-    freedom: int
+    dof: int
     p_value: float
 
 
@@ -150,8 +147,8 @@ def solve_together(dwells: Sequence[DwellRows], shared_root: FloatArray) -> Join
     """Solve for what the dwells share and for the biases of each."""
     rows, data, prior_root = _system(dwells, shared_root)
     unknowns, covariance = solve(rows, data, prior_root)
-    left = misfit(data - rows @ unknowns, rows, covariance)
-    return JointFit(unknowns, covariance, left.chi2, left.freedom, left.p_value)
+    test = chi2_test(data - rows @ unknowns, rows, covariance)
+    return JointFit(unknowns, covariance, test.chi2, test.dof, test.p_value)
 
 
 def _system(
@@ -164,9 +161,9 @@ def _system(
 
 
 def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows turned so that those go which tell nothing of unknowns of these sizes: they dilute a test."""
+    """Rotate rows and drop those without information on parameters of these sizes: they dilute a test."""
     directions, information, _ = np.linalg.svd(rows * sizes, full_matrices=False)
-    turned = directions[:, information > _LEAST_INFORMATION].T
+    turned = directions[:, information > _MIN_INFORMATION].T
     return turned @ rows, turned @ data
 
 
@@ -183,13 +180,13 @@ class JointDwell:
     information : DwellInformation
         From its own estimate.
     cycle : int
-        Which pass of the temperature profile.
+        Cycle of the temperature profile.
     chamber_set_c : float
         Set point of the chamber; NaN where there is none.
     gyro_c : tuple of float
         Mean temperature of each gyro; NaN where not measured.
     run : str
-        Which power-on of the INS.
+        Power cycle of the INS.
     """
 
     number: int
@@ -204,12 +201,6 @@ class JointDwell:
     def position(self) -> Position:
         """The position that the name stands for."""
         return POSITIONS[self.position_name]
-
-    @property
-    def mean_c(self) -> float:
-        """Mean temperature of the gyros that have one; NaN without any."""
-        known = [each for each in self.gyro_c if math.isfinite(each)]
-        return sum(known) / len(known) if known else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,9 +231,9 @@ class JointBiases:
 
 @dataclass(frozen=True, eq=False)
 class JointSolution:
-    """What all dwells of one temperature say together, SI.
+    """Joint solution of the dwells of one plateau, SI.
 
-    What the data do not tell of a shared quantity keeps its prior uncertainty.
+    A shared quantity that the data do not determine keeps its prior uncertainty.
 
     Attributes
     ----------
@@ -272,7 +263,7 @@ class JointSolution:
     @property
     def agrees(self) -> bool:
         """Whether the dwells share what they are meant to, be it with another latitude than declared."""
-        return not (self.fit.p_value < _LEAST_P and self.north_free_fit.p_value < _LEAST_P)
+        return not (self.fit.p_value < _MIN_P_VALUE and self.north_free_fit.p_value < _MIN_P_VALUE)
 
     @property
     def gain(self) -> FloatArray:
@@ -320,35 +311,25 @@ class JointSolution:
         response, weights = np.zeros((2, 3 * len(self.dwells)))
         response[vertical] = [dwell.position.up_sign for dwell in self.dwells]
         weights[vertical] = [rate.weights.get(dwell.number, 0.0) for dwell in self.dwells]
-        left = np.eye(len(response)) - np.outer(response, weights)
+        removal = np.eye(len(response)) - np.outer(response, weights)
         # What the rate's variance holds beyond these biases: other dwells, and temperatures up and down.
         beyond = max(0.0, rate.sigma**2 - float(weights @ biases.covariance @ weights))
         return JointBiases(
             biases.bias_radps - rate.rate * response.reshape(-1, 3),
-            left @ biases.covariance @ left.T + beyond * np.outer(response, response),
+            removal @ biases.covariance @ removal.T + beyond * np.outer(response, response),
         )
 
     def _shared(self, part: slice) -> tuple[FloatArray, FloatArray]:
         return self.fit.unknowns[part], np.sqrt(np.diagonal(self.fit.covariance)[part])
 
 
-def group_stops(dwells: Iterable[JointDwell]) -> list[tuple[JointDwell, ...]]:
-    """Dwells, in the order of time, by stop of the chamber.
-
-    A stop is one power-on, cycle and set point in a row, with gyros as warm in each dwell as in those
-    before it within 5 K.
-    """
-    keys = itertools.groupby(dwells, lambda dwell: (dwell.run, dwell.cycle, repr(dwell.chamber_set_c)))
-    return [part for _, group in keys for part in _equally_warm(group)]
-
-
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
-    """Solve the dwells of one temperature together.
+    """Solve the dwells of one plateau together.
 
     Parameters
     ----------
     dwells : sequence of JointDwell
-        In one run of the INS at one temperature, in any positions.
+        Of one plateau, in any positions.
     prior : PriorKnowledge
         What is known beforehand, as for each dwell by itself.
 
@@ -379,24 +360,12 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
 def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate | None:
     """Rate Up from several temperatures together; the latitude is the same at all of them.
 
-    Dwells that do not share what they are meant to, whatever the latitude, are left out; None if
-    there are no others.
+    Plateaus whose dwells disagree at any latitude are left out; None if there are no others.
     """
     agreeing = [each for each in solutions if each.agrees]
     if not agreeing:
         return None
     return up_rate([each.pairs for each in agreeing], agreeing[0].dwells[0].information.earth_rate)
-
-
-def _equally_warm(dwells: Iterable[JointDwell]) -> list[tuple[JointDwell, ...]]:
-    """Split where the temperature leaves the mean so far; one that is not known counts as equal."""
-    groups: list[list[JointDwell]] = []
-    for dwell in dwells:
-        known = [each.mean_c for each in groups[-1] if math.isfinite(each.mean_c)] if groups else []
-        if not groups or (known and abs(dwell.mean_c - sum(known) / len(known)) > _SAME_TEMPERATURE_K):
-            groups.append([])
-        groups[-1].append(dwell)
-    return [tuple(group) for group in groups]
 
 
 def _biases(fit: JointFit) -> JointBiases:

@@ -1,7 +1,7 @@
 """Noise of the INS, estimated from what it puts out at rest in navigation.
 
 The attitude of an INS at rest moves with the integrated noise of its gyros, so the Allan variance
-of its rotation vector, resolved in body axes, tells each gyro's angle random walk. The horizontal
+of its rotation vector, resolved in body axes, gives each gyro's angle random walk. The horizontal
 velocities move with the integrated noise of the accelerometers, and with gravity times the tilt
 that the level gyros' noise has built up: at short averaging times the rounding of the output shows
 (slope -1), then the velocity random walk (slope -1/2), at long ones the tilt (slope +1/2), as a
@@ -14,7 +14,7 @@ Schuler loop's feedback into the velocities is known from the velocities, and is
 Rounding errors are independent only from samples between which the output moves by about half a step
 or more, that is where the second differences have an rms of a step or more (rounding alone gives 0.7).
 Where the output is coarser, only samples so far apart are used; where none are left, the resolution
-hides the noise, and an upper limit is told.
+hides the noise, and only an upper limit is reported.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: One-sided 95 % point of the normal distribution.
 _LIMIT_SIGMAS = 1.645
-#: A term below so many sigmas is told as an upper limit.
+#: A term below so many sigmas is reported as an upper limit.
 _FOUND_SIGMAS = 2.0
 #: A declared value further away than this is not consistent.
 _CONSISTENT_SIGMAS = 3.0
@@ -83,7 +83,7 @@ class NoiseParameter:
 
     @classmethod
     def measured(cls, square: float, sigma: float) -> NoiseParameter:
-        """Make one that the resolution does not hide."""
+        """Make a parameter that the resolution does not hide."""
         return cls(square, sigma, float(np.sqrt(max(square, 0.0) + _LIMIT_SIGMAS * sigma)))
 
     @property
@@ -93,7 +93,7 @@ class NoiseParameter:
 
     @property
     def is_found(self) -> bool:
-        """Whether the value is told from zero."""
+        """Whether the value differs from zero significantly."""
         return self.square is not None and self.square > _FOUND_SIGMAS * self.square_sigma
 
     @property
@@ -195,7 +195,7 @@ class NoiseEstimate:
 
     @property
     def angle_random_walk_of_tilt(self) -> NoiseParameter:
-        """Of the level gyros, rad/sqrt(s), as the velocities tell it; coarser, but independent."""
+        """Of the level gyros, rad/sqrt(s), from the velocities; coarser, but independent."""
         walk = self.acceleration.parameter(RATE_WALK)
         if walk.square is None:
             return walk
@@ -219,7 +219,7 @@ class NoiseEstimate:
     def noise_model(self) -> NoiseModel:
         """Make the model that this amounts to.
 
-        The velocity random walk is a cautious one: a dwell tells it coarsely, and good dwells would fail
+        The velocity random walk is a cautious one: a dwell determines it coarsely, and good dwells would fail
         the test of fit where it came out small. White noise that is hidden is zero: add the resolution.
 
         Raises
@@ -230,7 +230,7 @@ class NoiseEstimate:
         arw = self.angle_random_walk
         if not arw.is_found or arw.value is None:
             raise MeasurementError(
-                "the angle random walk can't be told from these windows: the output of the INS is too coarse "
+                "the angle random walk is not observable in these windows: the INS's output is too coarse "
                 "or too noisy, or they are too short. Declare the noise of the data sheet"
             )
         return NoiseModel(

@@ -32,7 +32,7 @@ _HEADING, _VELOCITY, _FIRST_ATTITUDE = 1.0, 10.0, 0.1
 
 
 def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
-    """Input of the error model, (5, count), that a unit of each unknown makes.
+    """Input of the error model, (5, count), for a unit of each parameter.
 
     Parameters
     ----------
@@ -41,21 +41,21 @@ def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
     rate_body : ndarray, shape (3,)
         Rotation against inertial space in body axes, rad/s.
     count : int
-        Number of unknowns.
+        Number of parameters.
     """
     result = np.zeros((INPUTS, count))
     result[:3, GYRO_BIAS] = C_nb
     result[3:, ACCELEROMETER_BIAS] = C_nb[:2]
     result[1:3, NAVIGATION_RATE] = np.eye(2)
     result[:3, GYRO_MATRIX] = np.kron(C_nb, rate_body)
-    # On velocity a steady drift acts as the bias of the level gyro across it does: no fit tells them apart.
+    # On velocity a steady drift acts as the bias of the level gyro across it does: no fit separates them.
     result[0, ACCELEROMETER_DRIFT] = -C_nb[1] / STANDARD_GRAVITY
     result[1, ACCELEROMETER_DRIFT] = C_nb[0] / STANDARD_GRAVITY
     return result
 
 
 def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
-    """Root ``L`` (p, p) of the unknowns' prior covariance ``L @ L.T``.
+    """Root ``L`` (p, p) of the parameters' prior covariance ``L @ L.T``.
 
     What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so
     wide that it only keeps the problem regular.
@@ -90,9 +90,9 @@ _ARCMIN = 60.0 * _ARCSEC
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """Standard uncertainties of what acts beside the biases and the noise, SI.
+    """Standard uncertainties of the other error sources, beside biases and noise, SI.
 
-    Each enters the estimate as an unknown of this size, so the bias's uncertainty holds its share.
+    Each enters the estimate as a parameter of this size, so the bias's uncertainty includes it.
 
     Attributes
     ----------
@@ -109,8 +109,8 @@ class PriorKnowledge:
     bias_slope : float
         Change of a gyro's bias with its temperature within a dwell, rad/s/K.
     accelerometer_misalignment : float
-        rad; lets gravity in, so accelerometer biases seem to differ between positions. Only a
-        solution of several dwells can tell.
+        rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable
+        only in a solution of several dwells.
 
     Raises
     ------

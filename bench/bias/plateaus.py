@@ -1,43 +1,52 @@
-"""Dwells by stop: what a gyro's bias in one position can be compared with.
+"""Plateaus: all dwells at one chamber set point in one cycle.
 
-A stop is one stay of the chamber at one set point in one power-on and cycle of a run, or the part of a ramp
-in which the gyros stay as warm. All that changes from one power-on, cycle or leg to the next is the same
-for its dwells.
+The dwells of a plateau share the power cycle, the cycle of the temperature profile, the commanded set point
+of the chamber and the temperature of the gyros. They follow one another: a set point that the same cycle
+visits again is another plateau, since the unit has another thermal history there.
+
+The set point alone does not make a plateau, for a procedure may measure while the chamber still ramps to
+it. Dwells on a ramp are therefore grouped by the measured temperature of the gyros, and so are dwells
+without a known set point: a dwell opens the next plateau where the mean temperature of its gyros is more
+than 5 K from the mean of the plateau so far. After a soak, gyros drift by less.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 
-#: Gyros of one stop differ by this much at most, K. Settled ones come to some 5 K.
-COMPARED_WITHIN_C = 8.0
-#: The same for dwells that are only planned, with temperatures known less well, K.
-PLANNED_WITHIN_C = 5.0
+#: Largest difference of a dwell's gyro temperature from the mean of its plateau, K.
+MAX_FROM_MEAN_K = 5.0
+#: The same for planned dwells, whose temperatures are estimates: those that belong together for certain.
+MAX_PLANNED_FROM_MEAN_K = 3.0
 
 
-class _Dwell(Protocol):
-    """What tells the stop of a dwell."""
-
-    @property
-    def run(self) -> str: ...
+class PlateauMember(Protocol):
+    """What decides on which plateau a dwell is; NaN or None where not known."""
 
     @property
-    def cycle(self) -> int: ...
+    def run(self) -> str:
+        """Power cycle of the unit."""
 
     @property
-    def chamber_set_c(self) -> float: ...
+    def cycle(self) -> int:
+        """Cycle of the temperature profile."""
 
     @property
-    def gyro_c(self) -> tuple[float, float, float]: ...
+    def chamber_set_c(self) -> float | None:
+        """Set point of the chamber, degC."""
+
+    @property
+    def gyro_c(self) -> tuple[float, float, float]:
+        """Mean temperatures of the gyros, degC."""
 
 
-_D = TypeVar("_D", bound=_Dwell)
+_Member = TypeVar("_Member", bound=PlateauMember)
 
 
 @dataclass(frozen=True)
@@ -51,7 +60,7 @@ class PlannedDwell:
     chamber_set_c : float
         Set point of the chamber; NaN where nothing sets it.
     gyro_c : tuple of float
-        Temperatures that the gyros are expected to have; NaN where not known.
+        Expected temperatures of the gyros; NaN where not known.
     """
 
     dwell: int
@@ -62,24 +71,32 @@ class PlannedDwell:
     run: str = ""
 
 
-def group_stops(dwells: Iterable[_D], within_c: float) -> list[list[_D]]:
-    """Group dwells, in the order of time, by stop of the chamber.
+def group_plateaus(
+    dwells: Iterable[_Member], max_from_mean_k: float = MAX_FROM_MEAN_K
+) -> list[list[_Member]]:
+    """Group dwells, in the order of time, by plateau. Temperatures that are not known divide nothing."""
+    plateaus: list[list[_Member]] = []
+    for _, group in itertools.groupby(dwells, lambda dwell: (dwell.run, dwell.cycle, set_point_c(dwell))):
+        means_c: list[float] = []
+        for number, dwell in enumerate(group):
+            known = [each for each in means_c if math.isfinite(each)]
+            mean = _mean_c(dwell)
+            if not number or (known and abs(mean - sum(known) / len(known)) > max_from_mean_k):
+                plateaus.append([])
+                means_c = []
+            plateaus[-1].append(dwell)
+            means_c.append(mean)
+    return plateaus
 
-    A stop is one power-on, cycle and set point in a row, with the temperatures of each gyro within a range.
-    Temperatures that are not known count as near.
-    """
-    keys = itertools.groupby(dwells, lambda dwell: (dwell.run, dwell.cycle, _set_point(dwell)))
-    return [part for _, group in keys for part in _equally_warm(group, within_c)]
 
-
-def passes_of_stops(stops: Iterable[Sequence[DwellRow]], axis: int) -> list[list[Sequence[DwellRow]]]:
-    """Put stops together that are passes of the same one: set point, warmth and some position in common."""
+def passes_of_plateaus(plateaus: Iterable[Sequence[DwellRow]], axis: int) -> list[list[Sequence[DwellRow]]]:
+    """Group plateaus of several cycles that have set point, temperature and some position in common."""
     groups: list[list[Sequence[DwellRow]]] = []
-    for stop in stops:
-        together = [stop]
+    for plateau in plateaus:
+        together = [plateau]
         apart = []
         for group in groups:
-            if any(_is_same(stop, other, axis) for other in group):
+            if any(_is_same(plateau, other, axis) for other in group):
                 together = group + together
             else:
                 apart.append(group)
@@ -87,34 +104,26 @@ def passes_of_stops(stops: Iterable[Sequence[DwellRow]], axis: int) -> list[list
     return groups
 
 
-def mean_c(stop: Sequence[DwellRow], axis: int) -> float:
-    """Mean temperature of a gyro over a stop, degC."""
-    return math.fsum(row.gyro_c[axis] for row in stop) / len(stop)
+def mean_c(plateau: Sequence[DwellRow], axis: int) -> float:
+    """Mean temperature of a gyro over a plateau, degC."""
+    return math.fsum(row.gyro_c[axis] for row in plateau) / len(plateau)
 
 
-def _equally_warm(dwells: Iterable[_D], within_c: float) -> Iterator[list[_D]]:
-    stop: list[_D] = []
-    for dwell in dwells:
-        if not all(_is_near(dwell, other, within_c) for other in stop):
-            yield stop
-            stop = []
-        stop.append(dwell)
-    if stop:
-        yield stop
+def set_point_c(dwell: PlateauMember) -> float | None:
+    """Commanded set point to 1 mK, degC: means of one may differ by their rounding. None where not known."""
+    set_c = dwell.chamber_set_c
+    return None if set_c is None or math.isnan(set_c) else round(set_c, 3) + 0.0
 
 
-def _set_point(dwell: _Dwell) -> str:
-    """Set point as a key: means of the same one may differ by their rounding, and NaN differs from itself."""
-    return f"{round(dwell.chamber_set_c, 3) + 0.0:.3f}"
-
-
-def _is_near(one: _Dwell, other: _Dwell, within_c: float) -> bool:
-    return not any(abs(a - b) > within_c for a, b in zip(one.gyro_c, other.gyro_c, strict=True))
+def _mean_c(dwell: PlateauMember) -> float:
+    """Mean temperature of the gyros that have one; NaN without any."""
+    known = [each for each in dwell.gyro_c if math.isfinite(each)]
+    return sum(known) / len(known) if known else math.nan
 
 
 def _is_same(one: Sequence[DwellRow], other: Sequence[DwellRow], axis: int) -> bool:
     return (
-        _set_point(one[0]) == _set_point(other[0])
-        and abs(mean_c(one, axis) - mean_c(other, axis)) <= COMPARED_WITHIN_C
+        set_point_c(one[0]) == set_point_c(other[0])
+        and abs(mean_c(one, axis) - mean_c(other, axis)) <= MAX_FROM_MEAN_K
         and not {row.position for row in one}.isdisjoint(row.position for row in other)
     )

@@ -1,12 +1,12 @@
-"""Differences of a gyro's bias between the positions of a stop, at one temperature.
+"""Differences of a gyro's bias between the positions of a plateau, at one temperature.
 
-The dwells of a stop come one after the other, while the gyros still drift by a kelvin or more, so a bias
+The dwells of a plateau come one after the other, while the gyros still drift by a kelvin or more, so a bias
 that depends on temperature would look like one that depends on position. Each dwell is therefore reduced to
-the mean temperature of its stop with the gyro's own curve: a cubic through the means of all stops, common
-to all positions, with a constant for each power-on. Its uncertainty, larger where the stops scatter
-about it by more than their noise, goes into that of the differences.
+the mean temperature of its plateau with the gyro's own curve: a cubic through the means of all plateaus,
+common to all positions, with a constant for each power-on. Its uncertainty, larger where the plateaus
+scatter about it by more than their noise, goes into that of the differences.
 
-Passes of the same stop, in several cycles, give their differences together where they agree.
+Passes of the same plateau, in several cycles, give their differences together where they agree.
 
 References
 ----------
@@ -28,9 +28,9 @@ from gyrobench.bench.bias.plateaus import mean_c
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
-_Stop = Sequence[DwellRow]
+_Plateau = Sequence[DwellRow]
 
-#: Slope that a gyro's bias may have where the run does not tell it, standard deviation, (deg/h)/K.
+#: Slope that a gyro's bias may have where the run does not determine it, standard deviation, (deg/h)/K.
 SLOPE_SIGMA_DPH_PER_C = 0.002
 #: Scale of temperatures in the cubic, K: of the order of the range of a campaign.
 _SCALE_C = 50.0
@@ -38,7 +38,7 @@ _POWERS = np.arange(1, 4)
 
 
 @dataclass(frozen=True, eq=False)
-class TemperatureCurve:
+class CubicBiasCurve:
     """Bias of a gyro over its temperature, without its constant.
 
     Attributes
@@ -70,8 +70,8 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class StopDifferences:
-    """Differences between all positions of one stop, over one or more passes.
+class PositionDifferences:
+    """Differences between all positions of one plateau, over one or more passes.
 
     Attributes
     ----------
@@ -88,49 +88,47 @@ class StopDifferences:
     p_value: float
 
 
-def temperature_curve(stops: Sequence[_Stop], axis: int) -> TemperatureCurve:
-    """Fit the curve of one gyro to the means of stops.
+def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
+    """Fit the curve of one gyro to the means of plateaus.
 
     Parameters
     ----------
-    stops : sequence of sequences of DwellRow
+    plateaus : sequence of sequences of DwellRow
         With a result for this gyro in each dwell.
     axis : int
         0, 1 or 2.
 
     Returns
     -------
-    TemperatureCurve
-        From the whole run. Without stops, or with those of one temperature, its slope is zero to
+    CubicBiasCurve
+        From the whole run. Without plateaus, or with those of one temperature, its slope is zero to
         0.002 (deg/h)/K.
     """
     prior = np.full(len(_POWERS), (SLOPE_SIGMA_DPH_PER_C * _SCALE_C) ** -2.0)
-    temperature_c = np.array([mean_c(stop, axis) for stop in stops])
-    curve = TemperatureCurve(
-        float(temperature_c.mean()) if stops else 0.0, np.zeros(len(_POWERS)), np.diag(1.0 / prior)
+    temperature_c = np.array([mean_c(plateau, axis) for plateau in plateaus])
+    curve = CubicBiasCurve(
+        float(temperature_c.mean()) if plateaus else 0.0, np.zeros(len(_POWERS)), np.diag(1.0 / prior)
     )
-    if not stops:
+    if not plateaus:
         return curve
-    bias_dph = np.array([np.mean([row.bias_dph[axis] for row in stop]) for stop in stops])
+    bias_dph = np.array([np.mean([row.bias_dph[axis] for row in plateau]) for plateau in plateaus])
     sigma_dph = np.array(
-        [np.linalg.norm([row.sigma_dph[axis] for row in stop]) / len(stop) for stop in stops]
+        [np.linalg.norm([row.sigma_dph[axis] for row in plateau]) / len(plateau) for plateau in plateaus]
     )
-    runs = sorted({stop[0].run for stop in stops})
-    constants = np.array([[stop[0].run == run for run in runs] for stop in stops], dtype=np.float64)
+    runs = sorted({plateau[0].run for plateau in plateaus})
+    constants = np.array([[plateau[0].run == run for run in runs] for plateau in plateaus], dtype=np.float64)
     rows = np.hstack([constants, curve.responses(temperature_c)]) / sigma_dph[:, np.newaxis]
     data = bias_dph / sigma_dph
     covariance = np.linalg.inv(rows.T @ rows + np.diag(np.r_[np.zeros(len(runs)), prior]))
     unknowns = covariance @ (rows.T @ data)
-    freedom = len(stops) - float(np.trace(rows @ covariance @ rows.T))
-    scatter = float(np.sum((data - rows @ unknowns) ** 2)) / freedom if freedom > 0.5 else 1.0
+    dof = len(plateaus) - float(np.trace(rows @ covariance @ rows.T))
+    scatter = float(np.sum((data - rows @ unknowns) ** 2)) / dof if dof > 0.5 else 1.0
     first = len(runs)
-    return TemperatureCurve(
-        curve.reference_c, unknowns[first:], max(1.0, scatter) * covariance[first:, first:]
-    )
+    return CubicBiasCurve(curve.reference_c, unknowns[first:], max(1.0, scatter) * covariance[first:, first:])
 
 
-def stop_differences(passes: Sequence[_Stop], axis: int, curve: TemperatureCurve) -> StopDifferences:
-    """Differences between positions over the passes of one stop, each with a constant of its own.
+def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve) -> PositionDifferences:
+    """Differences between positions over the passes of one plateau, each with a constant of its own.
 
     Parameters
     ----------
@@ -139,28 +137,28 @@ def stop_differences(passes: Sequence[_Stop], axis: int, curve: TemperatureCurve
     """
     rows = [row for each in passes for row in each]
     index = [number for number, each in enumerate(passes) for _ in each]
-    stop_c = np.array([mean_c(each, axis) for each in passes])[index]
-    responses = curve.responses(np.array([row.gyro_c[axis] for row in rows])) - curve.responses(stop_c)
+    plateau_c = np.array([mean_c(each, axis) for each in passes])[index]
+    responses = curve.responses(np.array([row.gyro_c[axis] for row in rows])) - curve.responses(plateau_c)
     reduced_dph = np.array([row.bias_dph[axis] for row in rows]) - responses @ curve.coefficients
     noise = np.diag([row.sigma_dph[axis] ** 2 for row in rows])
     white = np.linalg.inv(np.linalg.cholesky(noise + responses @ curve.covariance @ responses.T))
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     columns = [[number == each for number in index] for each in range(len(passes))]
-    # The first position is the reference: only differences are told.
+    # The first position is the reference: only differences are observable.
     columns += [[row.position == name for row in rows] for name in positions[1:]]
     design = white @ np.array(columns, dtype=np.float64).T
     data = white @ reduced_dph
     covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
     unknowns = np.asarray(covariance @ (design.T @ data), dtype=np.float64)
-    freedom = len(rows) - len(unknowns)
+    dof = len(rows) - len(unknowns)
     chi2 = float(np.sum((data - design @ unknowns) ** 2))
     first = len(passes)
     differences = _differences(positions, unknowns[first:], covariance[first:, first:])
     met = {(a.position, b.position) for each in passes for a, b in permutations(each, 2)}
-    return StopDifferences(
-        temperature_c=float(stop_c.mean()),
+    return PositionDifferences(
+        temperature_c=float(plateau_c.mean()),
         differences=tuple(each for each in differences if (each.high, each.low) in met),
-        p_value=float(chdtrc(freedom, chi2)) if len(passes) > 1 and freedom else math.nan,
+        p_value=float(chdtrc(dof, chi2)) if len(passes) > 1 and dof else math.nan,
     )
 
 

@@ -1,14 +1,12 @@
 """Gyro bias and Earth rate from raw angular rates at rest, for a unit that does not navigate.
 
-At rest a gyro feels its bias and its part of the Earth's rotation; turned upside down it feels the
-same bias and the opposite part. So two opposite attitudes give both, and more attitudes give the
-biases of all three gyros with a test of whether they are the same in all of them.
+At rest a gyro measures its bias and its part of the Earth's rotation; upside down it measures the same bias
+and the opposite part. So two opposite attitudes give both.
 
-The rate of a recording is not its plain mean. The angle of a dithered ring laser gyro carries noise
-that does not grow with time (quantisation, remains of the dither), and the mean, which is the angle
-between the first and the last sample, has all of that of two samples. The generalised
-least-squares slope of the angle weighs it against the random walk, both as the recording's own
-Allan variance tells them.
+The rate of a recording is not its plain mean. The angle of a dithered ring laser gyro has noise that does not
+grow with time (quantisation, remains of the dither), and the mean, the angle between the first and the last
+sample, has all of it of two samples. The generalised least-squares slope of the angle weighs it against the
+random walk, both as estimated from the recording's own Allan variance.
 
 References
 ----------
@@ -19,12 +17,11 @@ Combination of Observations", 1935.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from gyrobench.bench.bias.allan import (
     RANDOM_WALK,
@@ -36,7 +33,7 @@ from gyrobench.bench.bias.allan import (
 )
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.positions import AXES
 
 #: Shortest recording, s, and fewest samples.
@@ -54,7 +51,7 @@ MOTION_MPS2 = 5e-4
 #: Largest angle between a body axis and the vertical that it should be on, rad.
 MAX_TILT = np.deg2rad(5.0)
 
-_LEAST_IN_BLOCK = 5
+_MIN_IN_BLOCK = 5
 _IQR_TO_SIGMA = 1.0 / 1.349
 
 
@@ -70,7 +67,7 @@ class RateRecording:
         Mean angular rate since the sample before. A coarse output must carry over what it rounds
         off, as counted pulses do, or its noise must exceed the rounding.
     specific_force_mps2 : ndarray, shape (n, 3), optional
-        Tells the vertical.
+        For the vertical.
 
     Raises
     ------
@@ -133,7 +130,7 @@ class RateRecording:
             raise MeasurementError(f"only {count} samples; a recording needs {MIN_SAMPLES}. Record longer")
 
     def _check_rest(self, name: str, values: FloatArray, least: float) -> None:
-        block = max(_LEAST_IN_BLOCK, round(MOTION_BLOCK_S / self.interval_s))
+        block = max(_MIN_IN_BLOCK, round(MOTION_BLOCK_S / self.interval_s))
         whole = len(values) // block * block
         bends = np.diff(values[:whole].reshape(-1, block, 3).mean(axis=1), 2, axis=0)
         low, high = np.quantile(bends, [0.25, 0.75], axis=0)
@@ -210,43 +207,13 @@ class UpDownEstimate:
         return float(np.arcsin(sine)), self.earth_sigma_radps / EARTH_RATE / float(np.sqrt(1.0 - sine**2))
 
 
-@dataclass(frozen=True, eq=False)
-class AttitudesEstimate:
-    """Biases of the three gyros from several attitudes.
-
-    Attributes
-    ----------
-    bias_radps : ndarray, shape (3,)
-        Biases.
-    covariance : ndarray, shape (3, 3)
-        Of the biases.
-    earth_rate_enu_radps : ndarray, shape (3,)
-        Estimated, or that of the latitude.
-    chi_squared : float
-        Sum of squares of what the model leaves, over the variances.
-    degrees_of_freedom : int
-        Rates less unknowns.
-    """
-
-    bias_radps: FloatArray
-    covariance: FloatArray
-    earth_rate_enu_radps: FloatArray
-    chi_squared: float
-    degrees_of_freedom: int
-
-    @property
-    def p_value(self) -> float:
-        """Chance of a larger misfit if the biases are the same in all attitudes."""
-        return float(chi2.sf(self.chi_squared, self.degrees_of_freedom))
-
-
 def estimate_rate(recording: RateRecording) -> RateEstimate:
     """Estimate the mean rate of a recording by generalised least squares.
 
     Raises
     ------
     MeasurementError
-        The recording is too short to tell its noise.
+        The recording is too short to estimate its noise.
     """
     interval = recording.interval_s
     allans, noises, slopes = [], [], []
@@ -266,7 +233,7 @@ def up_down_pair(
 ) -> UpDownEstimate:
     """Separate bias and Earth rate by two recordings with one body axis up and down.
 
-    Where specific forces are recorded, the rates are projected on the vertical that they tell;
+    Where specific forces are recorded, the rates are projected on the vertical that they give;
     otherwise the axis is taken to be on it, and a tilt reads the horizontal Earth rate.
 
     Parameters
@@ -290,58 +257,6 @@ def up_down_pair(
     sigma = 0.5 * float(np.sqrt(variance_up + variance_down))
     return UpDownEstimate(
         axis, 0.5 * (turned_up - turned_down), sigma, 0.5 * (turned_up + turned_down), sigma
-    )
-
-
-def estimate_attitudes(
-    recordings: Sequence[RateRecording],
-    C_nb: FloatArray,
-    latitude_rad: float | None,
-) -> AttitudesEstimate:
-    """Estimate the biases of three gyros from recordings in known attitudes.
-
-    Parameters
-    ----------
-    recordings : sequence of RateRecording, length m
-        One for each attitude.
-    C_nb : ndarray, shape (m, 3, 3)
-        The attitudes.
-    latitude_rad : float or None
-        Where the Earth rate is taken from; None to estimate its North and Up parts too.
-
-    Raises
-    ------
-    MeasurementError
-        Too few attitudes to tell the unknowns apart, too short recordings.
-    """
-    if len(recordings) < 2 or C_nb.shape != (len(recordings), 3, 3):
-        raise MeasurementError(
-            f"{len(recordings)} recordings with attitudes {C_nb.shape}; at least two, with one 3 by 3 "
-            "attitude each, are needed"
-        )
-    rates = [estimate_rate(recording) for recording in recordings]
-    weight = 1.0 / np.concatenate([rate.sigma_radps for rate in rates])
-    measured = np.concatenate([rate.rate_radps for rate in rates])
-    of_earth = np.concatenate([C.T for C in C_nb])
-    design = np.tile(np.eye(3), (len(recordings), 1))
-    if latitude_rad is None:
-        design = np.hstack([design, of_earth[:, 1:]])
-    else:
-        measured = measured - of_earth @ earth_rate_enu(latitude_rad)
-    weighted = design * weight[:, np.newaxis]
-    unknowns, _, rank, _ = np.linalg.lstsq(weighted, measured * weight)
-    if rank < design.shape[1]:
-        raise MeasurementError(
-            "biases and Earth rate can't be told apart in these attitudes. Add the opposite ones, or give "
-            "the latitude"
-        )
-    earth = earth_rate_enu(latitude_rad) if latitude_rad is not None else np.array([0.0, *unknowns[3:]])
-    return AttitudesEstimate(
-        bias_radps=np.asarray(unknowns[:3]),
-        covariance=np.asarray(np.linalg.inv(weighted.T @ weighted)[:3, :3]),
-        earth_rate_enu_radps=earth,
-        chi_squared=float((((measured - design @ unknowns) * weight) ** 2).sum()),
-        degrees_of_freedom=len(measured) - design.shape[1],
     )
 
 

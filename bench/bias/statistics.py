@@ -1,6 +1,7 @@
 """Least squares, weighted means, excess scatter and tests: the statistics that the estimates share.
 
-* :func:`solve` solves white rows with prior knowledge of the parameters; :func:`misfit` tests the residuals.
+* :func:`solve` solves white rows with prior knowledge of the parameters; :func:`chi2_test` tests the
+residuals.
 * :func:`weighted_mean` averages independent values and tests whether their uncertainties explain the scatter.
 * :func:`excess_variance` finds by how much values scatter beyond their uncertainties: values are of
   ``y = X b + c + e``, with noise e of known size in each value and c of one normal distribution for all. Its
@@ -22,21 +23,21 @@ from scipy.special import chdtrc, smirnov, smirnovi
 from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Combinations of data whose variance the estimate leaves less of than this test nothing.
-_LEAST_VARIANCE = 1e-3
+_MIN_VARIANCE = 1e-3
 
 
 def solve(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unknowns (p,) and their covariance (p, p).
+    """Solve white rows for the parameters (p,) and their covariance (p, p).
 
     Parameters
     ----------
     rows : ndarray, shape (n, p)
-        Response of each datum to the unknowns, in standard deviations.
+        Response of each datum to the parameters, in standard deviations.
     data : ndarray, shape (n,)
         The data, in standard deviations.
     prior_root : ndarray, shape (p, k)
-        Root ``L`` of the prior covariance ``L @ L.T``; its k independent causes are solved for, so
-        unknowns may be tied to one another or known exactly.
+        Root ``L`` of the prior covariance ``L @ L.T``; its k independent parts are solved for, so
+        parameters may be tied to one another or known exactly.
     """
     count = prior_root.shape[1]
     stacked = np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
@@ -51,31 +52,31 @@ def compress(rows: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class Chi2Test:
     """Sum of squares of residuals weighted by their covariance, its expectation, and its probability."""
 
     chi2: float
-    freedom: int
+    dof: int
     p_value: float
 
 
-def misfit(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -> Misfit:
-    """Test what an estimate leaves of white data.
+def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -> Chi2Test:
+    """Test the residuals of white data.
 
     Parameters
     ----------
     residuals : ndarray, shape (n,)
-        Data less what the estimate explains.
+        Data less the estimate's prediction.
     rows : ndarray, shape (n, p)
-        Response of the data to the unknowns.
+        Response of the data to the parameters.
     covariance : ndarray, shape (p, p)
         Of the estimate, made from these data, or from data that these are sums of.
     """
     variances, directions = np.linalg.eigh(np.eye(len(residuals)) - rows @ covariance @ rows.T)
-    free = variances > _LEAST_VARIANCE
+    free = variances > _MIN_VARIANCE
     chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
-    freedom = int(free.sum())
-    return Misfit(chi2, freedom, float(chdtrc(freedom, chi2)))
+    dof = int(free.sum())
+    return Chi2Test(chi2, dof, float(chdtrc(dof, chi2)))
 
 
 @dataclass(frozen=True)
@@ -86,24 +87,24 @@ class WeightedMean:
     ----------
     value, sigma : float
         The mean and its standard uncertainty.
-    chi2, freedom : float, int
-        Scatter of the values in units of their uncertainties, and its expectation.
+    chi2, dof : float, int
+        Scatter of the values in units of their uncertainties, and its degrees of freedom.
     """
 
     value: float
     sigma: float
     chi2: float
-    freedom: int
+    dof: int
 
     @property
     def chi2_reduced(self) -> float:
         """Near 1 where the uncertainties explain the scatter; NaN for a single value."""
-        return self.chi2 / self.freedom if self.freedom else math.nan
+        return self.chi2 / self.dof if self.dof else math.nan
 
     @property
     def p_value(self) -> float:
         """Probability of at least this scatter from the uncertainties alone; NaN for a single value."""
-        return float(chdtrc(self.freedom, self.chi2)) if self.freedom else math.nan
+        return float(chdtrc(self.dof, self.chi2)) if self.dof else math.nan
 
 
 def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedMean:
@@ -118,7 +119,7 @@ def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedM
 #: Twice the likelihood that a 95 % interval of one number leaves on either side.
 _DROP = 3.841
 #: Variances are searched up to so many times the values' own.
-_LARGEST_SHARE = 1e3
+_MAX_SHARE = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +132,14 @@ class WeightedFit:
         The unknowns.
     covariance : ndarray, shape (k, k)
         Theirs, if the variances are right.
-    chi2, freedom : float, int
-        Sum of squares left, in units of the variances, and its expectation.
+    chi2, dof : float, int
+        Weighted sum of squared residuals, and its degrees of freedom.
     """
 
     values: FloatArray
     covariance: FloatArray
     chi2: float
-    freedom: int
+    dof: int
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ def excess_sigma(values: FloatArray, variances: FloatArray, design: FloatArray) 
 
 
 def excess_information(variances: FloatArray, design: FloatArray) -> float:
-    """How well values with these whole variances tell the part that all have: 1 over its variance."""
+    """Fisher information on a variance that all values share, given their whole variances."""
     weights = 1.0 / variances
     once, twice, thrice = (design.T @ (design * weights[:, np.newaxis] ** power) for power in (1, 2, 3))
     covariance = np.linalg.inv(once)
@@ -231,11 +232,11 @@ def _criterion(values: FloatArray, variances: FloatArray, design: FloatArray) ->
 
 def _largest(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
     residuals = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    return _LARGEST_SHARE * float(np.mean(residuals**2) + variances.max())
+    return _MAX_SHARE * float(np.mean(residuals**2) + variances.max())
 
 
 def holm(p_values: Sequence[float]) -> FloatArray:
-    """P-values after Holm: what is left below a level is so with that chance at most of one false alarm.
+    """Correct p-values for multiple comparisons (Holm): the family-wise error stays below the level.
 
     It holds whether or not the comparisons depend on one another. NaN stays and is not counted.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from pydantic import AliasChoices, Field
 
 from gyrobench.bench.foundations.csv_tables import read_text, write_text
 from gyrobench.bench.foundations.documents import StrictModel
@@ -23,10 +23,10 @@ RunVerdict = Literal["accepted", "marginal", "rejected", "not judged"]
 
 
 class AcceptanceLimits(StrictModel):
-    """What a gyro has to keep at every stop of the chamber."""
+    """What a gyro has to keep on every plateau."""
 
     position_difference_dph: float = Field(
-        gt=0.0, description="largest difference of a gyro's bias between two positions at one stop, deg/h"
+        gt=0.0, description="largest difference of a gyro's bias between two positions on one plateau, deg/h"
     )
     bias_dph: float | None = Field(
         default=None,
@@ -47,7 +47,7 @@ class AcceptanceLimits(StrictModel):
 
 
 class Judgement(StrictModel):
-    """One gyro at the stops of one bin against one limit; a stop is of the bin of its mean temperature.
+    """One gyro on the plateaus of one bin against one limit; the mean temperature decides the bin.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Judgement(StrictModel):
         Limits of the largest true one, each with the probability ``confidence`` that the limits of
         acceptance state: the lower one for all judgements of the run together.
     passes_agree : bool
-        Whether the stops here had the same differences in each pass; else each pass was judged by itself.
+        Whether these plateaus had the same differences in each pass; else each pass was judged alone.
     """
 
     gyro: str = Field(pattern="^[xyz]$")
@@ -80,7 +80,7 @@ class Judgement(StrictModel):
 
 
 class NotMeasured(StrictModel):
-    """A planned dwell of which a gyro's bias was not compared with the others of its stop."""
+    """A planned dwell of which a gyro's bias was not compared with the others of its plateau."""
 
     gyro: str = Field(pattern="^[xyz]$")
     cycle: int
@@ -97,14 +97,16 @@ class Acceptance(StrictModel):
         None where the procedure states none: then nothing is judged.
     gyros : dict of str to str
         Verdict on each gyro.
-    stops : int
-        Number of stops at which positions were compared.
+    plateaus : int
+        Number of plateaus on which positions were compared; ``stops`` in the file.
     """
 
     verdict: RunVerdict = "not judged"
     limits: AcceptanceLimits | None = None
     gyros: dict[str, GyroVerdict] = Field(default_factory=dict)
-    stops: int = 0
+    plateaus: int = Field(
+        default=0, validation_alias=AliasChoices("plateaus", "stops"), serialization_alias="stops"
+    )
     judgements: list[Judgement] = Field(default_factory=list)
     not_measured: list[NotMeasured] = Field(default_factory=list)
 
@@ -130,7 +132,7 @@ def write_acceptance(path: Path, acceptance: Acceptance) -> None:
     RunFolderError
         The file can't be written.
     """
-    write_text(path, acceptance.model_dump_json(indent=2) + "\n")
+    write_text(path, acceptance.model_dump_json(indent=2, by_alias=True) + "\n")
 
 
 def read_acceptance(path: Path) -> Acceptance:

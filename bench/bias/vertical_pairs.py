@@ -1,16 +1,16 @@
 """Vertical gyros up and down: what is bias, and what a rate Up fixed in the navigation frame.
 
 A gyro with bias ``b`` measures ``b + u`` when it points up and ``b - u`` when it points down, if
-the navigation frame has a rate ``u`` Up that nobody declared. If the bias is the same up and down,
+the navigation frame has a rate ``u`` Up that is not declared. If the bias is the same up and down,
 half the sum is the bias and half the difference the rate. Three gyros give three values of one
 ``u``: where they agree, a common cause is likely; where not, biases differ between up and down and
-nothing can be told. An error of the latitude makes a rate North too, in a fixed proportion, and
-that one the level gyros measure whatever their biases do.
+nothing follows. An error of the latitude makes a rate North too, in a fixed proportion, and
+the level gyros measure it independently of their biases.
 
 What remains open: a bias that follows gravity by the same amount in every gyro, one flaw of one
 design, has the same half-differences. But it makes no rate North, and it will hardly keep its size
 over temperature, hence the comparison with North and the pooling of temperatures. Where the rate
-North tells little (near the equator, or because the rates are small) the two can't be told apart.
+North is weak evidence (near the equator, or because the rates are small) the two are not separable.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 Labels = IntArray
 
 #: Probability below which measurements contradict a hypothesis.
-LEAST_P_VALUE = 0.01
+MIN_P_VALUE = 0.01
 
-# How many sigmas from nothing a rate North must lie, if there is one, to bear a latitude error out.
-_TELLING = 3.0
+# How many sigmas from nothing a rate North must lie, if there is one, to confirm a latitude error.
+_MIN_SIGNIFICANCE = 3.0
 
 
 class Finding(Enum):
@@ -40,23 +40,23 @@ class Finding(Enum):
 
     NO_PAIR = "no gyro was vertical both up and down"
     ONE_GYRO = (
-        "a single gyro was vertical both up and down, and a rate can't be told from a bias that differs "
+        "only one gyro was vertical both up and down, so a rate is not separable from a bias that differs "
         "up and down"
     )
     DIFFERENT = (
-        "the half-differences of up and down disagree: biases differ up and down, and a rate can't be "
-        "told from that"
+        "the half-differences of up and down disagree: biases differ up and down, so a rate is not "
+        "separable from them"
     )
     NOT_LATITUDE = (
         "the half-differences of up and down agree, but the rate North contradicts an error of the "
         "latitude: biases that follow gravity alike in all gyros would look the same"
     )
     NOT_CONTRADICTED = (
-        "the half-differences of up and down agree; the rate North neither contradicts an error of the "
-        "latitude nor bears it out"
+        "the half-differences of up and down agree; the rate North neither contradicts nor confirms an "
+        "error of the latitude"
     )
     LATITUDE = (
-        "the half-differences of up and down agree, and the rate North bears out an error of the latitude"
+        "the half-differences of up and down agree, and the rate North confirms an error of the latitude"
     )
 
 
@@ -99,15 +99,15 @@ class UpRate:
         The gyros that took part.
     weights : mapping of int to float
         By dwell number: what the dwell's vertical bias counts in the rate.
-    chi2, freedom : float, int
-        Scatter of all half-differences about the rate, and its expectation.
+    chi2, dof : float, int
+        Scatter of all half-differences about the rate, and its degrees of freedom.
     p_gyros, p_temperatures : float
         Tests that they are equal, against a value for each gyro and against one for each temperature.
     p_value : float
-        Test that they are equal, whatever the alternative: with several temperatures the smallest of
+        Test that they are equal, against any alternative: with several temperatures the smallest of
         the p-values times their number, for one small difference over many temperatures hides in the sum.
     latitude_error, latitude_sigma : float
-        Of the latitude that the INS uses, rad, as the rates Up and North together tell.
+        Of the latitude that the INS uses, rad, from the rates Up and North together.
     latitude_p_value : float
         Test that the two rates are those of a latitude error.
     finding : Finding
@@ -119,7 +119,7 @@ class UpRate:
     gyros: tuple[int, ...]
     weights: Mapping[int, float]
     chi2: float
-    freedom: int
+    dof: int
     p_gyros: float
     p_temperatures: float
     p_value: float
@@ -155,12 +155,12 @@ def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
     temperatures = np.repeat(np.arange(len(groups)), [len(group.gyros) for group in groups])
     weights = inverse.sum(axis=0) / inverse.sum()
     parts = [weights[temperatures == number] for number in range(len(groups))]
-    chi2, freedom = _scatter(values, inverse, np.zeros_like(gyros))
+    chi2, dof = _scatter(values, inverse, np.zeros_like(gyros))
     p_gyros, p_temperatures = (
-        _p_value(chi2 - part, freedom - free)
+        _p_value(chi2 - part, dof - free)
         for part, free in (_scatter(values, inverse, labels) for labels in (gyros, temperatures))
     )
-    p_value = _p_value(chi2, freedom)
+    p_value = _p_value(chi2, dof)
     if len(groups) > 1:
         p_value = _of_any(p_value, p_gyros, p_temperatures)
     latitude = _latitude_error(*_north_and_up(groups, parts), earth_rate)
@@ -170,7 +170,7 @@ def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
         gyros=tuple(np.unique(gyros).tolist()),
         weights=_dwell_weights(groups, parts),
         chi2=chi2,
-        freedom=freedom,
+        dof=dof,
         p_gyros=p_gyros,
         p_temperatures=p_temperatures,
         p_value=p_value,
@@ -183,30 +183,30 @@ def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
 
 @dataclass(frozen=True)
 class _LatitudeError:
-    """``telling``: sigmas by which rate Up alone would contradict a latitude error."""
+    """``significance``: sigmas by which rate Up alone would contradict a latitude error."""
 
     error: float
     sigma: float
     p_value: float
-    telling: float
+    significance: float
 
 
 def _scatter(values: FloatArray, inverse: FloatArray, labels: Labels) -> tuple[float, int]:
-    """Chi-square about one mean for each label, and its freedom; ``inverse`` is that of the covariance."""
+    """Chi-square about one mean for each label, and its degrees of freedom, by the inverse covariance."""
     design = (labels[:, np.newaxis] == np.unique(labels)).astype(float)
     weighted = inverse @ design
-    left = values - design @ np.linalg.solve(design.T @ weighted, weighted.T @ values)
-    return float(left @ inverse @ left), design.shape[0] - design.shape[1]
+    residuals = values - design @ np.linalg.solve(design.T @ weighted, weighted.T @ values)
+    return float(residuals @ inverse @ residuals), design.shape[0] - design.shape[1]
 
 
-def _p_value(chi2: float, freedom: int) -> float:
-    return float(chdtrc(freedom, chi2)) if freedom else math.nan
+def _p_value(chi2: float, dof: int) -> float:
+    return float(chdtrc(dof, chi2)) if dof else math.nan
 
 
 def _of_any(*p_values: float) -> float:
     """Probability that any of some tests is as unlikely as the least likely one (Bonferroni)."""
-    told = [each for each in p_values if not math.isnan(each)]
-    return min(1.0, len(told) * min(told)) if told else math.nan
+    known = [each for each in p_values if not math.isnan(each)]
+    return min(1.0, len(known) * min(known)) if known else math.nan
 
 
 def _north_and_up(
@@ -235,12 +235,12 @@ def _latitude_error(rates: FloatArray, covariance: FloatArray, earth_rate: Float
     # A latitude error makes no rate along the axis of the Earth.
     axis = earth_rate[1:]
     axis_sigma = float(np.sqrt(axis @ covariance @ axis))
-    misfit = (axis @ rates) / axis_sigma
+    away = (axis @ rates) / axis_sigma
     return _LatitudeError(
         error=error,
         sigma=math.sqrt(variance),
-        p_value=_p_value(float(misfit**2), 1),
-        telling=float(abs(axis[1] * rates[1]) / axis_sigma),
+        p_value=_p_value(float(away**2), 1),
+        significance=float(abs(axis[1] * rates[1]) / axis_sigma),
     )
 
 
@@ -256,11 +256,11 @@ def _dwell_weights(groups: Sequence[VerticalPairs], parts: Sequence[FloatArray])
 def _finding(gyros: int, p_value: float, latitude: _LatitudeError) -> Finding:
     if gyros == 1:
         return Finding.ONE_GYRO
-    if p_value < LEAST_P_VALUE:
+    if p_value < MIN_P_VALUE:
         return Finding.DIFFERENT
-    if latitude.p_value < LEAST_P_VALUE:
+    if latitude.p_value < MIN_P_VALUE:
         return Finding.NOT_LATITUDE
-    return Finding.LATITUDE if latitude.telling > _TELLING else Finding.NOT_CONTRADICTED
+    return Finding.LATITUDE if latitude.significance > _MIN_SIGNIFICANCE else Finding.NOT_CONTRADICTED
 
 
 _NO_RATE = UpRate(

@@ -29,7 +29,7 @@ EPOCH_S = 1.0
 BLOCK_S = 60.0
 
 # Noise of an output without any, m/s and rad: far below what an INS resolves.
-_LEAST_WHITE = np.array([1e-7, 1e-7, 1e-10])
+_MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
 
 
 @dataclass
@@ -79,7 +79,7 @@ class WindowFilter:
         self._site, self._noise = site, noise
         self._first_s = time_s
         white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
-        self._variances = np.maximum(white, _LEAST_WHITE) ** 2
+        self._variances = np.maximum(white, _MIN_WHITE) ** 2
         self._blocks: dict[int, _Block] = {}
         self.C_nb = np.ascontiguousarray(C_nb)
         self.covariance = covariance

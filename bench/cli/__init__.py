@@ -19,6 +19,7 @@ from gyrobench.bench.cli import (
     monitor,
     new,
     plan,
+    raw_rate,
     record,
     replay,
     report,
@@ -68,6 +69,7 @@ app.command()(export.export)
 app.command()(bins.bins)
 app.command()(close.close)
 app.command("import")(import_log.import_log)
+app.command("raw-rate")(raw_rate.raw_rate)
 app.command()(runs.runs)
 app.add_typer(fleet.fleet, name="fleet")
 app.add_typer(new.new, name="new")

@@ -16,11 +16,11 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
-    from gyrobench.bench.engine.session import measure_again
+    from gyrobench.bench.engine.evaluation import recompute_run
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 
-    folder = measure_again(run_folder)
+    folder = recompute_run(run_folder)
     verification = read_calibration_check(folder.verification) if folder.verification.exists() else []
     if as_json:
         print_json(

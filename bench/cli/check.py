@@ -43,8 +43,7 @@ def check(
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
-    from gyrobench.bench.engine.preflight.answer import nobody_answers
-    from gyrobench.bench.engine.preflight.session import check_bench
+    from gyrobench.bench.engine.preflight.bench_check import check_bench, no_instrument_answers
     from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
@@ -56,7 +55,7 @@ def check(
         print_json({"station": station, "fit": is_fit, "checks": records})
     else:
         console().print(preflight_report(checks))
-    if nobody_answers(checks):
+    if no_instrument_answers(checks):
         raise typer.Exit(EXIT_INSTRUMENT)
     if not is_fit:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 GROUPS: dict[str, tuple[str, ...]] = {
     "Measure": ("run", "resume", "tell", "verify"),
     "Before a run": ("plan", "check", "jog", "message"),
-    "Look and report": ("monitor", "report", "export", "bins", "close", "import"),
+    "Look and report": ("monitor", "report", "export", "bins", "close", "import", "raw-rate"),
     "Many runs": ("runs", "fleet"),
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),

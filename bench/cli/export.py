@@ -41,13 +41,13 @@ def export(
     from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
     from gyrobench.bench.runs.folder import open_run_folder
 
-    wanted = ExportSelection(
+    selection = ExportSelection(
         [DataKind(name) for name in _chosen(what, list(DataKind), "--what")],
         [Format(name) for name in _chosen(formats, list(Format), "--format")],
         dwell,
     )
     folder = open_run_folder(run_folder)
-    exported = export_run(folder, wanted, out or folder.path / "export", force)
+    exported = export_run(folder, selection, out or folder.path / "export", force)
     for path in exported.files:
         typer.echo(f"{_size(path):>9}  {path}")
     for kind, why in exported.missing.items():

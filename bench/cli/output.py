@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from gyrobench.bench.bias.bins import BiasBin
     from gyrobench.bench.bias.verdicts import Acceptance
-    from gyrobench.bench.engine.outcome import RunOutcome
+    from gyrobench.bench.engine.observers import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow

@@ -12,7 +12,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.engine.session import Job
+    from gyrobench.bench.engine.job import Job
 
 
 def plan(
@@ -39,7 +39,7 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
-    from gyrobench.bench.engine.session import prepare_job
+    from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure

@@ -31,12 +31,13 @@ def resume(
 
     Example: gyrobench resume runs/six_position_fig7-001
     """
-    from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
+    from gyrobench.bench.engine.resume import prepare_resumption
+    from gyrobench.bench.engine.run import resume_run
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
 
     terminal = console(as_json)
     resumption = prepare_resumption(run_folder, anyway)
-    terminal.print(describe_resumption(resumption), soft_wrap=True)
+    terminal.print(resumption.describe(), soft_wrap=True)
     if look:
         return
     job = resumption.job

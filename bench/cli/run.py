@@ -48,7 +48,8 @@ def run(
 
     Example: gyrobench run six_position_fig7 --world gyro_b
     """
-    from gyrobench.bench.engine.session import prepare_job, run_job
+    from gyrobench.bench.engine.job import prepare_job
+    from gyrobench.bench.engine.run import run_job
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.runs.compensation_file import read_compensation
     from gyrobench.bench.station.instruments import Emulation

@@ -22,7 +22,7 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, p
 
 if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
-    from gyrobench.bench.engine.verify import Verification
+    from gyrobench.bench.engine.verification_runs import VerificationRuns
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 
@@ -72,14 +72,14 @@ def verify(
 
     Example: gyrobench verify runs/six_position_fig7-001
     """
-    from gyrobench.bench.engine.verify import Verification, new_emulation
+    from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
     from gyrobench.bench.report.verification.terminal import verify_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
     run = open_run_folder(run_folder)
     closure = _search(run)
-    verification = Verification(
+    verification = VerificationRuns(
         run,
         closure,
         procedure,
@@ -88,8 +88,8 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
     )
-    missing = [name for name in verification.wanted if not verification.is_there(name)]
-    job = verification.jobs[verification.wanted[0]]
+    missing = [name for name in verification.selected if not verification.is_there(name)]
+    job = verification.jobs[verification.selected[0]]
     terminal.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
         _measure(terminal, verification, name, view)
@@ -107,7 +107,7 @@ def _search(run: RunFolder) -> Closure:
     return closure
 
 
-def _measure(terminal: RunConsole, verification: Verification, name: str, view: View) -> None:
+def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, view: View) -> None:
     """Run the procedure with one compensation; exits where the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
@@ -122,7 +122,7 @@ def _measure(terminal: RunConsole, verification: Verification, name: str, view: 
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _tell(terminal: RunConsole, verification: Verification, run: RunFolder, as_json: bool) -> None:
+def _tell(terminal: RunConsole, verification: VerificationRuns, run: RunFolder, as_json: bool) -> None:
     """Compare what was measured, write it, and say what came out."""
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.page import write_verify_page

@@ -1,4 +1,4 @@
-"""One dwell of a verification: marks and frames in, what shows the biases out."""
+"""One dwell of a calibration check: an alignment, and the navigation straight after it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from gyrobench.bench.bias.dwell_table import NOT_MEASURED, Triple
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.dwell import (
-    LEAST_FIT_P,
+    MIN_FIT_P_VALUE,
     MeasurementSetup,
     checked_navigation,
     dwell_at_rest,
-    misfit_text,
+    lack_of_fit_text,
 )
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
@@ -68,15 +68,40 @@ class CheckDwell:
     flags: str
 
     @property
-    def is_spoilt(self) -> bool:
-        """Whether a fault touched it, so that doing it again may do better."""
+    def dwell(self) -> int:
+        """Number of the dwell."""
+        return self.marks.dwell
+
+    @property
+    def run(self) -> str:
+        """Power cycle of the unit."""
+        return self.marks.run
+
+    @property
+    def cycle(self) -> int:
+        """Cycle of the temperature profile."""
+        return self.marks.cycle
+
+    @property
+    def chamber_set_c(self) -> float | None:
+        """Set point of the chamber, degC."""
+        return self.marks.chamber_set_c
+
+    @property
+    def gyro_c(self) -> Triple:
+        """Mean temperatures of the gyros over the navigation, degC."""
+        return self.temperatures.gyro_c
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether a fault disturbed it, so that a repeated dwell may be better."""
         return bool(self.flags)
 
 
 def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> CheckDwell:
-    """Take what a verification needs out of the frames of one alignment and navigation.
+    """Measure one alignment and the navigation straight after it.
 
-    One that can't be used is flagged with the reason.
+    A dwell that can't be used is flagged with the reason.
     """
     flags = list(marks.disturbances)
     navigation, counts = None, EpochCounts()
@@ -92,8 +117,8 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         flags += [fault.text for fault in setup.output_faults(dwell, navigation.noise)]
         (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
-        if fit.p_value < LEAST_FIT_P:
-            flags.append(misfit_text(fit))
+        if fit.p_value < MIN_FIT_P_VALUE:
+            flags.append(lack_of_fit_text(fit))
     except MeasurementError as error:
         flags.append(str(error))
     return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags))
@@ -102,14 +127,14 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
 def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:
     if len(dwell.windows) != 1:
         raise MeasurementError(
-            f"{len(dwell.windows)} navigations; a verification has one, straight from the alignment"
+            f"{len(dwell.windows)} navigations; a calibration check has one, straight from the alignment"
         )
     thinned = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
     return AlignedNavigation(replace(dwell, windows=thinned), setup.noise_in(dwell.windows))
 
 
 def _aligning_c(data: NavigationData, first_frame: int, temperatures: DwellTemperatures) -> Triple:
-    """Temperatures of the alignment; an INS that does not tell them then has those of the navigation."""
+    """Temperatures of the alignment; where the INS does not send them, those of the navigation."""
     try:
         aligning_c = dwell_temperatures(data, 0, first_frame).gyro_c
     except MeasurementError:

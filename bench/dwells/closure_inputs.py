@@ -22,9 +22,9 @@ from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.bench.station.station import Station
 
-_FEWEST = 2
+_MIN_SAMPLES = 2
 _STEP_S = 30.0
-_MOST_STEPS = 20_000
+_MAX_STEPS = 20_000
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -63,14 +63,14 @@ def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord
     """
     time_s = telemetry["time_s"]
     readings = [telemetry[f"gyro_{axis}_c"] for axis in AXES]
-    told = [np.isfinite(each) for each in readings]
-    if any(np.count_nonzero(each) < _FEWEST for each in told):
+    valid = [np.isfinite(each) for each in readings]
+    if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
         return None
     first_s, last_s = float(time_s[0]), float(time_s[-1])
-    steps = min(max(round((last_s - first_s) / _STEP_S), 1), _MOST_STEPS)
+    steps = min(max(round((last_s - first_s) / _STEP_S), 1), _MAX_STEPS)
     even_s = np.linspace(first_s, last_s, steps + 1)
     gyro_c = [
-        np.interp(even_s, time_s[known], values[known]) for values, known in zip(readings, told, strict=True)
+        np.interp(even_s, time_s[known], values[known]) for values, known in zip(readings, valid, strict=True)
     ]
     return TemperatureRecord(even_s, np.stack(gyro_c, axis=1))
 
@@ -94,6 +94,6 @@ def plan_on(station: Station, document: Document) -> Plan:
     Raises
     ------
     DocumentError
-        It is no procedure any more, or the station can't run it.
+        It is not a valid procedure, or the station can't run it.
     """
     return station.plan(document, checked_procedure(document))

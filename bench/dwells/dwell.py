@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import FitTest, StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.bias_filter import GoodnessOfFit, StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.noise_estimate import estimate_noise
@@ -22,10 +22,10 @@ from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.output_checks import OutputFault, output_faults
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
-    believed_temperatures,
     dwell_temperatures,
     gyro_temperatures_at,
     triple,
+    valid_temperatures,
 )
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -38,10 +38,10 @@ from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData, d
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
 
-#: A fit less probable than this is no matter of chance: one in a hundred thousand good dwells.
-LEAST_FIT_P = 1e-5
+#: Below this p-value the fit fails: one in a hundred thousand good dwells.
+MIN_FIT_P_VALUE = 1e-5
 #: The same for biases that differ between the windows: one in ten thousand.
-_LEAST_STEADY_P = 1e-4
+_MIN_STEADY_P_VALUE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class MeasurementSetup:
         return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
 
     def output_faults(self, dwell: Dwell, noise: NoiseModel) -> list[OutputFault]:
-        """Say what the INS can't have put out at rest."""
+        """Find output that is impossible at rest."""
         return output_faults(
             dwell.windows, noise, self.site.gravity, self.velocity_lsb_mps, self.heading_lsb_rad
         )
@@ -98,7 +98,7 @@ class MeasurementSetup:
         Raises
         ------
         MeasurementError
-            It is to be estimated, and these windows do not tell it.
+            It is to be estimated, and is not observable in these windows.
         """
         if self.noise is not None:
             return self.noise
@@ -119,7 +119,7 @@ class MeasuredDwell:
     estimate, paper : StateSpaceEstimate, BiasEstimate or None
         By the full error model and by the paper's method.
     windows : tuple of NavigationWindow
-        Navigation at rest, an epoch a second, to tell the noise of the INS from; empty where it is
+        Navigation at rest, an epoch a second, for the noise estimate; empty where it is
         disturbed, and where :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     counts : EpochCounts
         How the frames came.
@@ -140,8 +140,8 @@ class MeasuredDwell:
         return self.row.flags
 
     @property
-    def is_spoilt(self) -> bool:
-        """Whether a fault touched it, so that doing it again may do better; larger noise is none."""
+    def is_disturbed(self) -> bool:
+        """Whether a fault disturbed it, so that a repeated dwell may be better; larger noise is none."""
         return self.estimate is None or self.flags not in ("", "; ".join(self.doubts))
 
 
@@ -189,14 +189,14 @@ def checked_navigation(
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
-    navigation, faults = believed_temperatures(
+    navigation, faults = valid_temperatures(
         setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
     )
     flags += faults
     if navigation.counts.contradicted:
         flags.append(
             f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
-            "second node send with its identifiers? Look at the bus"
+            "second node send with its identifiers? Check the bus"
         )
     return navigation
 
@@ -223,14 +223,14 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
 
 
 def _doubts(estimate: StateSpaceEstimate) -> list[str]:
-    """What the estimate says against itself; noise larger than declared explains it as well."""
+    """What contradicts the estimate; noise larger than declared would explain it too."""
     doubts = []
-    if estimate.fit.p_value < LEAST_FIT_P:
-        doubts.append(misfit_text(estimate.fit))
-    if estimate.steady_p_value < _LEAST_STEADY_P:
+    if estimate.fit.p_value < MIN_FIT_P_VALUE:
+        doubts.append(lack_of_fit_text(estimate.fit))
+    if estimate.steady_p_value < _MIN_STEADY_P_VALUE:
         doubts.append(
             f"the biases of the windows differ (p = {estimate.steady_p_value:.1g}): the table was turned "
-            "slowly, or a bias jumped. Look at the table and what it stands on"
+            "slowly, or a bias jumped. Check the table and its base"
         )
     return doubts
 
@@ -243,10 +243,10 @@ def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
         return None
 
 
-def misfit_text(fit: FitTest) -> str:
-    """Say that error model and noise do not explain the data."""
+def lack_of_fit_text(fit: GoodnessOfFit) -> str:
+    """Message where error model and noise do not explain the data."""
     return (
-        f"the error model leaves {fit.ratio:.2f} times the residual that the noise leads to expect "
+        f"the residuals are {fit.ratio:.2f} times as large as the noise explains "
         f"(p = {fit.p_value:.1g}): the noise is larger than declared, or the unit was disturbed"
     )
 
@@ -275,21 +275,21 @@ def rest_output(
 
 
 def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
-    """Turns count as well: an INS that aligns anew in a turn starts with other errors after it."""
+    """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
     modes = set(navigation.mode[inside].tolist())
     if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
         raise MeasurementError(
-            "the INS left navigation during the dwell or in its turn. Look at its status in the raw CAN log"
+            "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"
         )
     if len(set(navigation.alignment[inside].tolist())) > 1:
         raise MeasurementError(
-            "the INS said in the dwell or in its turn that its alignment is another one. Did it align anew?"
+            "the INS reported another alignment during the dwell or its turn. Did it realign?"
         )
     if len(set(navigation.segment[inside].tolist())) > 1:
-        raise MeasurementError("the clock of the INS was set anew in the dwell. Did it restart?")
+        raise MeasurementError("the clock of the INS was reset during the dwell. Did it restart?")
     if not np.isfinite(navigation.attitude[inside]).all():
         raise MeasurementError(
-            "the INS said in the dwell or in its turn that its attitude is not valid. Did it align anew?"
+            "the INS reported an invalid attitude during the dwell or its turn. Did it realign?"
         )
 
 

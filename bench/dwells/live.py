@@ -28,14 +28,14 @@ def warm_up(setup: MeasurementSetup) -> None:
     bias_filter = BiasFilter(setup.site, noise, setup.prior)
     bias_filter.begin_window(0.0, np.eye(3))
     bias_filter.add(np.arange(2.0), np.zeros((2, 2)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
-    bias_filter.test_of_fit()
+    bias_filter.goodness_of_fit()
 
 
 class LiveEstimate:
-    """Biases of one dwell while its last window goes on.
+    """Biases of one dwell during its last window.
 
-    Nothing is done before the first turn, since nothing can be told before it. With declared noise only
-    what is new is filtered; noise that the dwell itself tells becomes better known, and all is filtered anew.
+    Nothing is done before the first turn, since no bias is observable before it. With declared noise only
+    new epochs are filtered; an estimate of the noise improves with the dwell, so all are filtered again.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class LiveEstimate:
         Returns
         -------
         StateSpaceEstimate or None
-            None as long as the biases can't be told, or where the data can't be used.
+            None as long as the biases are not observable, or where the data can't be used.
         """
         if len(windows) < 2:
             return None

@@ -1,7 +1,7 @@
 """Marks: which frames make a dwell, and what table and chamber were doing.
 
 Frames are counted from the part of the raw log that begins with the dwell's alignment, so that the
-log gives the very frames that were there live, whatever the CAN interface's time stamps do.
+log gives the same frames as live, independent of the CAN interface's time stamps.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class DwellMarks:
     windows : tuple of WindowMark
         In the order of time; the paper's method has two.
     is_verification : bool
-        Whether it verifies a calibration: one window straight from the alignment.
+        Whether it checks a calibration: one window straight from the alignment.
     align_s : float
         How long the alignment took.
     start_s, end_s, since_power_on_s : float

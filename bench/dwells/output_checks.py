@@ -1,9 +1,8 @@
-"""What navigation at rest can't put out: values that stand still, and values that jump.
+"""Output that is impossible at rest: values that stay constant, and values that jump.
 
-At rest velocity and attitude move smoothly, by noise and by the error model alone. A value that a frame
-carried wrongly, an INS that started anew or a unit that was knocked shows as a jump from one epoch to
-the next; an output that hangs shows as a value that stays the same to the last bit for longer than the
-declared noise lets it.
+At rest velocity and attitude move smoothly, by noise and by the error model alone. A corrupted frame, an
+INS that restarted or a unit that was knocked shows as a jump from one epoch to the next; a
+stuck output shows as a value that stays the same to the last bit for longer than the declared noise allows.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _JUMP_SIGMAS, _JUMP_STEPS = 10.0, 4.0
 _MAD_TO_SIGMA = 1.4826
 #: Times, s, within which a slope may not change by so many standard deviations, and how often a window
 #: holds them.
-_BEND_LAGS_S, _BEND_SIGMAS, _LEAST_LAGS = (10.0, 30.0), 6.5, 3.0
+_BEND_LAGS_S, _BEND_SIGMAS, _MIN_LAGS = (10.0, 30.0), 6.5, 3.0
 #: A random walk stays within a step of the output for so many times the time in which it goes that far
 #: once in ten thousand million times.
 _STILL_TIMES = 6.0
@@ -100,7 +99,7 @@ def _jump(
         return None
     return OutputFault(
         f"the {first} jumps at {jumps[first]:.1f} s on the clock of the INS: a damaged frame, an INS that "
-        "began anew, or a unit that was knocked. Look at the raw CAN log"
+        "restarted, or a unit that was knocked. Check the raw CAN log"
     )
 
 
@@ -114,7 +113,7 @@ def _bend(
     """A slope that changes by more than noise lets it."""
     for lag_s in _BEND_LAGS_S:
         middle = time_s[(time_s >= time_s[0] + lag_s) & (time_s <= time_s[-1] - lag_s)]
-        if time_s[-1] - time_s[0] < _LEAST_LAGS * lag_s:
+        if time_s[-1] - time_s[0] < _MIN_LAGS * lag_s:
             continue
         for name, values in channels.items():
             before, at, after = (
@@ -160,7 +159,7 @@ def _hanging(
         if still_s > limit_s:
             return OutputFault(
                 f"the {name} stays the same for {still_s:.0f} s from {begin_s:.1f} s on the clock of the "
-                "INS, longer than its noise lets it: the output hangs. Restart the INS"
+                "INS, longer than its noise allows: the output is stuck. Restart the INS"
             )
     return None
 

@@ -11,12 +11,11 @@ from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.joint_solution import (
     JointDwell,
     JointSolution,
-    group_stops,
     pooled_up_rate,
     solve_jointly,
 )
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
-from gyrobench.bench.bias.plateaus import PlannedDwell
+from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup
@@ -27,9 +26,9 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
-    JointStopRow,
+    JointPlateauRow,
     joint_bias_rows,
-    joint_stop_rows,
+    joint_plateau_rows,
     write_joint,
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
@@ -44,11 +43,11 @@ class RunResults:
     bins : list of BiasBin
         Bias per gyro, position and temperature.
     joint : list of JointSolution
-        One for each stop of the chamber.
+        One for each plateau.
     up_rate : UpRate or None
-        Rate Up fixed in the navigation frame, from all stops whose dwells agree; None without any.
+        Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     noise : NoiseEstimate or None
-        Of the INS, from its output; None where that does not tell it.
+        Of the INS, from its output; None where it is not observable.
     calibration_check : list of CalibrationCheckRow
         Biases that a calibration check measured, beside the calibrated ones.
     acceptance : Acceptance
@@ -73,7 +72,7 @@ def evaluate(
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
-    The noise is an exception: dwells that larger noise than declared would explain tell it all the more.
+    The noise is an exception: dwells whose flags larger noise would explain count for it.
 
     Parameters
     ----------
@@ -82,21 +81,21 @@ def evaluate(
     bin_width_c : float
         Width of the temperature bins, K.
     limits : AcceptanceLimits, optional
-        What the gyros have to keep; without limits the unit is not judged.
+        Limits of acceptance; without them the unit is not judged.
     planned : sequence of PlannedDwell
         What was to be measured; see :func:`planned_dwells`.
     calibration_check : sequence of CalibrationCheckRow
         Of the run's check dwells.
     """
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
-    joint = [solve_jointly(stop, setup.prior) for stop in group_stops(_joint_dwells(good))]
+    joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rows = [dwell.row for dwell in good]
     bins = bin_biases(rows, bin_width_c)
     return RunResults(
         bins=bins,
         joint=joint,
         up_rate=pooled_up_rate(joint),
-        noise=_noise([dwell for dwell in dwells if not dwell.is_spoilt], setup),
+        noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
         calibration_check=list(calibration_check),
         acceptance=judge([dwell.row for dwell in dwells], limits, planned, bin_width_c),
     )
@@ -131,7 +130,7 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     """
     write_bins(folder.bias_bins, results.bins)
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
-    write_joint(folder.joint, joint_stop_rows(results.joint, results.up_rate), JointStopRow)
+    write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
     for stale in (folder.noise, folder.verification):
         remove(stale)

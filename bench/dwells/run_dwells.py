@@ -23,10 +23,10 @@ from gyrobench.drivers.ins.can_bus import FrameBlock
 
 
 def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
-    """Measure every finished dwell of a run again, those that verify a calibration apart.
+    """Measure every finished dwell of a run again; check dwells are returned separately.
 
-    The journal tells which frames make a dwell; the frames themselves come from the raw log, one part of
-    it at a time. Of a dwell that the journal says was finished twice, the last time counts; parts of the
+    The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of
+    it at a time. Of a dwell that was finished twice, the last time counts; parts of the
     log that belong to no finished dwell, as a kill leaves them, are passed over.
 
     Raises
@@ -48,7 +48,7 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     finished = _finished(folder)
     pending = {marks.log_part: marks for marks in finished}
     if len(pending) < len(finished):
-        raise RunFolderError(f"{folder.journal}: damaged: two dwells are said to be in one part of the log")
+        raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
     for number, messages in read_can_log(folder.can) if pending else ():
         marks = pending.pop(number, None)
         if marks is not None:
@@ -58,7 +58,7 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
 
 
 def finished_marks(folder: RunFolder) -> Iterator[DwellMarks]:
-    """Marks of the finished dwells as the journal tells them, in the order of time.
+    """Marks of the finished dwells in the journal, in the order of time.
 
     Raises
     ------
@@ -104,8 +104,8 @@ def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -
     return frames.take(slice(0, needed))
 
 
-#: So many dwells tell the noise as well as any larger number.
-_MOST_WITH_NAVIGATION = 128
+#: The noise estimate does not improve with more dwells than this.
+_MAX_WITH_NAVIGATION = 128
 
 
 def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
@@ -132,4 +132,4 @@ def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:
 
 def _spacing(count: int) -> int:
     """Smallest power of two that leaves few enough."""
-    return 1 << max(0, (max(count, 1) - 1) // _MOST_WITH_NAVIGATION).bit_length()
+    return 1 << max(0, (max(count, 1) - 1) // _MAX_WITH_NAVIGATION).bit_length()

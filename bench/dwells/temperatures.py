@@ -22,8 +22,8 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures
 
 #: Fewest samples of a channel, and the share of them that must be numbers.
-_FEWEST = 2
-_LEAST_FINITE = 0.9
+_MIN_SAMPLES = 2
+_MIN_FINITE = 0.9
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def dwell_temperatures(navigation: NavigationData, first_row: int, end_row: int)
         raise MeasurementError("no navigation frames in the dwell. Check the CAN cable and the station's DBC")
     first_s, last_s = navigation.ins_time_s[epochs][[0, -1]]
     inside = (series.ins_time_s >= first_s) & (series.ins_time_s <= last_s)
-    if np.count_nonzero(inside) < _FEWEST:
+    if np.count_nonzero(inside) < _MIN_SAMPLES:
         raise MeasurementError("no gyro temperatures in the dwell. Check the station's temperature signals")
     return DwellTemperatures(
         triple(_means(series.optics_c[inside])),
@@ -67,14 +67,14 @@ def slopes_c_per_h(time_s: FloatArray, values_c: FloatArray) -> FloatArray:
 
 
 def gyro_temperatures_at(time_s: FloatArray, series: Temperatures) -> FloatArray | None:
-    """Temperatures (n, 3) of the gyros' optics at epochs; None where the INS does not tell them all."""
-    told = [_valid(axis_c) for axis_c in series.optics_c.T]
-    if any(np.count_nonzero(each) < _FEWEST for each in told):
+    """Temperatures (n, 3) of the gyros' optics at epochs; None where the INS does not send them all."""
+    valid = [_valid(axis_c) for axis_c in series.optics_c.T]
+    if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
         return None
     return np.column_stack(
         [
             np.interp(time_s, series.ins_time_s[each], axis_c[each])
-            for each, axis_c in zip(told, series.optics_c.T, strict=True)
+            for each, axis_c in zip(valid, series.optics_c.T, strict=True)
         ]
     )
 
@@ -82,20 +82,22 @@ def gyro_temperatures_at(time_s: FloatArray, series: Temperatures) -> FloatArray
 def _valid(values_c: FloatArray) -> BoolArray:
     """Which samples (n,) of a channel are numbers; none of them where too few are."""
     finite = np.isfinite(values_c)
-    return finite & (np.count_nonzero(finite) >= _LEAST_FINITE * len(finite))
+    return finite & (np.count_nonzero(finite) >= _MIN_FINITE * len(finite))
 
 
 def _means(values_c: FloatArray) -> FloatArray:
-    told = [(column_c, _valid(column_c)) for column_c in values_c.T]
-    return np.array([column_c[each].mean() if each.any() else math.nan for column_c, each in told])
+    valid = [(column_c, _valid(column_c)) for column_c in values_c.T]
+    return np.array([column_c[each].mean() if each.any() else math.nan for column_c, each in valid])
 
 
 def _slopes(time_s: FloatArray, values_c: FloatArray) -> FloatArray:
-    told = [(column_c, _valid(column_c)) for column_c in values_c.T]
+    valid = [(column_c, _valid(column_c)) for column_c in values_c.T]
     return np.array(
         [
-            slopes_c_per_h(time_s[each], column_c[each]) if np.count_nonzero(each) >= _FEWEST else math.nan
-            for column_c, each in told
+            slopes_c_per_h(time_s[each], column_c[each])
+            if np.count_nonzero(each) >= _MIN_SAMPLES
+            else math.nan
+            for column_c, each in valid
         ]
     )
 
@@ -115,13 +117,13 @@ _SPREAD_K = 0.5
 #: A sensor that stands still to the bit is stuck if a neighbour moves by this much, K.
 STUCK_K = 3.0
 #: Readings that may be missing: their share, and the longest time without any as a share of all.
-_LEAST_TOLD, _LONGEST_GAP = 0.9, 0.25
+_MIN_FINITE_READINGS, _MAX_GAP = 0.9, 0.25
 
 
-def believed_temperatures(
+def valid_temperatures(
     navigation: NavigationData, first_row: int, end_row: int
 ) -> tuple[NavigationData, tuple[str, ...]]:
-    """Leave out the sensors that can't be believed between two frames.
+    """Mask the sensors that are not valid between two frames.
 
     Returns
     -------
@@ -149,13 +151,11 @@ def believed_temperatures(
     for sensor in np.flatnonzero(moved_k == 0.0):
         if moved_k.max() > STUCK_K and not faults[sensor]:
             faults[sensor] = (
-                f"keeps still to the last bit while another one of the INS moves by {moved_k.max():.1f} K"
+                f"is constant to the last bit while another one of the INS changes by {moved_k.max():.1f} K"
             )
-    believed_c = np.where([not fault for fault in faults], values_c, np.nan)
-    believed = replace(
-        series, optics_c=believed_c[:, :3], electronics_c=believed_c[:, 3:6], case_c=believed_c[:, 6]
-    )
-    return replace(navigation, temperatures=believed), tuple(
+    valid_c = np.where([not fault for fault in faults], values_c, np.nan)
+    valid = replace(series, optics_c=valid_c[:, :3], electronics_c=valid_c[:, 3:6], case_c=valid_c[:, 6])
+    return replace(navigation, temperatures=valid), tuple(
         f"no temperature of the {axis} gyro, so its bias belongs to no bin: its sensor {fault}"
         for axis, fault in zip(AXES, faults[:3], strict=True)
         if fault
@@ -168,18 +168,18 @@ def _finite(values_c: FloatArray) -> FloatArray:
 
 def _fault(time_s: FloatArray, values_c: FloatArray, begin_s: float, end_s: float) -> str:
     """What is wrong with one sensor by itself; empty where nothing is."""
-    told = np.isfinite(values_c)
-    if not told.any():
-        return "tells nothing, or is at the end of its range"
-    if np.count_nonzero(told) < _LEAST_TOLD * len(told):
-        return f"gives a number in {np.count_nonzero(told)} of {len(told)} readings only"
-    time_s, values_c = time_s[told], values_c[told]
+    valid = np.isfinite(values_c)
+    if not valid.any():
+        return "gives no reading, or is at the end of its range"
+    if np.count_nonzero(valid) < _MIN_FINITE_READINGS * len(valid):
+        return f"gives a number in {np.count_nonzero(valid)} of {len(valid)} readings only"
+    time_s, values_c = time_s[valid], values_c[valid]
     low_c, high_c = _PLAUSIBLE_C
     wild = (values_c < low_c) | (values_c > high_c)
     if wild.any():
-        return f"says {values_c[wild][0]:.1f} degC, which no INS survives"
+        return f"reads {values_c[wild][0]:.1f} degC, which no INS survives"
     gap_s = float(np.diff(np.concatenate([[begin_s], time_s, [end_s]])).max())
-    if gap_s > max(_LONGEST_GAP * (end_s - begin_s), 10.0):
+    if gap_s > max(_MAX_GAP * (end_s - begin_s), 10.0):
         return f"was silent for {gap_s:.0f} s"
     steps_k = np.abs(np.diff(values_c))
     jumps = np.flatnonzero(steps_k > _STEP_K + _STEP_K_PER_S * np.diff(time_s))
@@ -214,19 +214,19 @@ def stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[tuple[int, str]]:
     Yields
     ------
     int, str
-        Index of a dwell whose temperature is not to be believed, and why.
+        Index of a dwell whose temperature is invalid, and why.
     """
     if not rows:
         return
     for axis in range(3):
         since = _still_since(rows, axis)
-        earlier = [row for row in rows[_last_valid(rows, since, axis) : -1] if row.unit == rows[-1].unit]
+        earlier = [row for row in rows[_last_reading(rows, since, axis) : -1] if row.unit == rows[-1].unit]
         apart_k = [_apart_k(row, rows[-1], axis) for row in earlier if np.isfinite(row.gyro_c[axis])]
         if since < len(rows) and max(apart_k, default=0.0) > 1.0:
             for index in range(since, len(rows)):
                 yield (
                     index,
-                    f"the temperature of the {AXES[axis]} gyro keeps still to the last bit at "
+                    f"the temperature of the {AXES[axis]} gyro is constant to the last bit at "
                     f"{rows[index].gyro_c[axis]:.2f} degC while the other temperatures change, so its bias "
                     "belongs to no bin: its sensor is stuck",
                 )
@@ -240,8 +240,8 @@ def _still_since(rows: Sequence[DwellRow], axis: int) -> int:
     return since
 
 
-def _last_valid(rows: Sequence[DwellRow], since: int, axis: int) -> int:
-    """Index of the last dwell before ``since`` in which a sensor told a temperature; 0 for none."""
+def _last_reading(rows: Sequence[DwellRow], since: int, axis: int) -> int:
+    """Index of the last dwell before ``since`` with a reading of a sensor; 0 for none."""
     before = max(since - 1, 0)
     while before and not np.isfinite(rows[before].gyro_c[axis]):
         before -= 1

@@ -1,24 +1,23 @@
 """How each kind of step is performed.
 
-An action is a generator that yields once a tick until its step is over; the engine ticks the
-bench in between and minds the step's time limit.
+An action is a generator that yields once a tick until its step is over; the engine ticks the bench in
+between and enforces the step's time limit.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import replace
 from functools import singledispatch
 from typing import TypeVar
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
-from gyrobench.bench.engine.dwell_recorder import DwellRecorder
+from gyrobench.bench.engine.dwell_recording import DwellRecorder
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.operator import Operator, asked
+from gyrobench.bench.engine.operator import ask_operator
+from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     FaultError,
@@ -48,115 +47,96 @@ from gyrobench.drivers.ins.readout import Alignment, InsMode
 Ticks = Iterator[None]
 T = TypeVar("T")
 
-#: Span over which the gyros' rate of temperature is fitted in a soak.
+#: Span over which the rate of the gyro temperatures is fitted in a soak.
 _SOAK_FIT_S = 600.0
 _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
 _OVERSHOOT_S = 10.0
 _BOOT_FRAMES_AGE_S = 2.0
-#: A bus on which the INS has not been heard for so long is opened anew while it is waited for.
-_DEAF_S = 15.0
-#: The chamber's air has come to its set point.
-_REACHED_C = 2.0
+#: A bus on which the INS stays silent for this long after power-on is reopened.
+_BUS_SILENCE_S = 15.0
 _POWER_CYCLE_S = 5.0
-#: How often the biases of the dwell under way are estimated.
-_ESTIMATE_EVERY_S = 30.0
-#: Between a failed exchange with an instrument and the next try.
+#: Period of the estimates of the dwell in progress.
+_ESTIMATE_PERIOD_S = 30.0
+#: Pause before a failed exchange is tried again.
 _RETRY_PAUSE_S = 2.0
 
 
-class Context:
-    """What actions share beyond the bench: the operator, the dwell under way, where the table is to be.
+class StepContext:
+    """What actions share.
+
+    Parameters
+    ----------
+    run : RunContext
+        The run.
+    recorder : DwellRecorder
+        The dwell in progress.
 
     Attributes
     ----------
-    tell_estimate : callable
-        Takes the estimate of the dwell under way.
-    note : callable
-        Takes what a person should know, for journal and screen.
-    tell_retry : callable
-        Takes the error of an exchange that is tried again.
-    angles : tuple of float or None
-        Outer and inner angle last commanded, deg.
-    turns_to_come_deg : sequence of float
-        The turns until the next position: a position is taken so that they have room.
     retries : int
-        How often a failed exchange is tried again in the step under way.
+        How often a failed exchange is tried again in the step in progress.
+    next_turns_deg : sequence of float
+        The turns until the next position: the table is positioned so that they stay within its limits.
     """
 
-    def __init__(
-        self,
-        bench: LiveBench,
-        operator: Operator,
-        recorder: DwellRecorder,
-        tell_estimate: Callable[[StateSpaceEstimate], None],
-        note: Callable[[str], None],
-        tell_retry: Callable[[InstrumentError], None],
-    ) -> None:
-        self.bench = bench
-        self.operator = operator
+    def __init__(self, run: RunContext, recorder: DwellRecorder) -> None:
+        self.run = run
+        self.bench = run.bench
         self.recorder = recorder
-        self.tell_estimate = tell_estimate
-        self.note = note
-        self.tell_retry = tell_retry
         self.retries = 0
-        self.angles: Angles | None = None
-        self.turns_to_come_deg: Sequence[float] = ()
+        self.next_turns_deg: Sequence[float] = ()
 
 
 @singledispatch
-def perform(step: Step, context: Context) -> Ticks:
-    """Perform a step; see the module."""
+def perform(step: Step, context: StepContext) -> Ticks:
+    """Perform a step, as the module describes."""
     raise NotImplementedError(f"no action for {step.name}")
 
 
 @perform.register
-def _power_on(step: PowerOn, context: Context) -> Ticks:
+def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     bench = context.bench
     if bench.station.unit.power == "operator":
-        yield from _answered(context, "Switch the INS off and on, then answer.", ["on", "stop"])
+        yield from _confirmed(context, "Switch the INS off and on, then answer.", ["on", "stop"])
     if bench.station.unit.power == "chamber_event":
         # An INS that is on already is switched off first: the time since power-on has to be known.
-        bench.expected = replace(bench.expected, ins_on=False)
+        bench.state.ins_switched_off()
         yield from tried(context, lambda: bench.instruments.power_unit(False))
         yield from _lasting(bench, _POWER_CYCLE_S)
     yield from tried(context, lambda: bench.instruments.power_unit(True))
     switched_s = reopened_s = bench.clock.now()
     yield
-    while not _talks(bench):
-        if bench.clock.now() - reopened_s > _DEAF_S:
+    while not _is_sending(bench):
+        if bench.clock.now() - reopened_s > _BUS_SILENCE_S:
             reopened_s = bench.clock.now()
             bench.reopen("INS")
         yield
-    bench.read_instruments()  # what was read before it spoke tells nothing of it
-    bench.expected = replace(bench.expected, ins_on=True)
-    bench.has_unit_restarted = False
-    context.recorder.powered_on(switched_s)
+    bench.read_instruments()  # readings from before the INS sent data do not describe it
+    bench.state.ins_powered(switched_s)
     yield from _lasting(bench, step.settle_s)
 
 
 @perform.register
-def _power_off(step: PowerOff, context: Context) -> Ticks:  # noqa: ARG001
+def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
     if bench.station.unit.power == "operator":
-        yield from _answered(context, "Switch the INS off, then answer.", ["off", "stop"])
-    bench.expected = replace(bench.expected, ins_on=bench.station.unit.power == "always_on")
+        yield from _confirmed(context, "Switch the INS off, then answer.", ["off", "stop"])
+    bench.state.ins_switched_off()
     yield from tried(context, lambda: bench.instruments.power_unit(False))
     yield
 
 
 @perform.register
-def _chamber(step: Chamber, context: Context) -> Ticks:
+def _chamber(step: Chamber, context: StepContext) -> Ticks:
     bench = context.bench
-    # Each driver is looked up when it is used: a port that went away gives a new one.
+    # Each driver is looked up when it is used: a port that was reopened has a new one.
     yield from tried(
         context,
         lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min),
     )
     yield from tried(context, lambda: bench.instruments.chamber.switch(True))
-    bench.expected = replace(
-        bench.expected, chamber_set_c=step.temperature_c, chamber_on=True, chamber_reached=False
-    )
+    bench.state.chamber_commanded(step.temperature_c)
     commanded_s = bench.clock.now()
     yield
     while (
@@ -164,21 +144,21 @@ def _chamber(step: Chamber, context: Context) -> Ticks:
         or abs(bench.readings.chamber.temperature_c - step.temperature_c) > step.within_c
     ):
         yield
-    _note_reached(bench)
+    bench.check_set_point_reached()
 
 
 @perform.register
-def _chamber_off(step: ChamberOff, context: Context) -> Ticks:  # noqa: ARG001
+def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
     yield from tried(context, lambda: bench.instruments.chamber.switch(False))
-    bench.expected = replace(bench.expected, chamber_on=False, chamber_reached=False)
+    bench.state.chamber_switched(False)
     yield
 
 
 @perform.register
-def _soak(step: Soak, context: Context) -> Ticks:
+def _soak(step: Soak, context: StepContext) -> Ticks:
     yield from _soaking(step, context.bench)
-    _note_reached(context.bench)
+    context.bench.check_set_point_reached()
 
 
 def _soaking(step: Soak, bench: LiveBench) -> Ticks:
@@ -198,18 +178,18 @@ def _soaking(step: Soak, bench: LiveBench) -> Ticks:
 
 
 @perform.register
-def _go_to(step: GoTo, context: Context) -> Ticks:
+def _go_to(step: GoTo, context: StepContext) -> Ticks:
     if context.bench.capture:
-        context.bench.end_capture()  # of an alignment that no dwell followed
+        context.bench.end_capture()  # of an alignment without a dwell
     table = context.bench.station.table
     C_nb = POSITIONS[step.position].C_nb(np.deg2rad(step.azimuth_deg))
-    yield from _moved(context, table.angles(C_nb, context.turns_to_come_deg), step.rate_dps)
-    context.recorder.position, context.recorder.azimuth_deg = step.position, step.azimuth_deg
+    yield from _moved(context, table.angles(C_nb, context.next_turns_deg), step.rate_dps)
+    context.bench.state.position_reached(step.position, step.azimuth_deg)
     yield from _lasting(context.bench, step.settle_s)
 
 
 @perform.register
-def _align(step: Align, context: Context) -> Ticks:
+def _align(step: Align, context: StepContext) -> Ticks:
     bench = context.bench
     context.recorder.begin()
     yield from _choose_euler_sequence(step, context)
@@ -222,70 +202,68 @@ def _align(step: Align, context: Context) -> Ticks:
 
 
 @perform.register
-def _navigate(step: Navigate, context: Context) -> Ticks:
+def _navigate(step: Navigate, context: StepContext) -> Ticks:
     instruments = context.bench.instruments
     status = instruments.ins.status()
     if status.mode is not InsMode.NAVIGATE and context.recorder.has_window:
         context.recorder.disturb("the INS left navigation in the turn")
     elif status.mode is not InsMode.NAVIGATE:
         if status.alignment is Alignment.NONE:
-            raise InvalidDwellError("the INS has not aligned, so it can't navigate. Give align more time.")
+            raise InvalidDwellError(
+                "the INS has not aligned, so it can't navigate. Increase the duration of align."
+            )
         yield from tried(context, lambda: instruments.ins.navigate())
-    yield from _table_read_anew(context)
+    yield from _table_read(context)
     context.recorder.begin_window()
     yield from _navigating(step, context)
-    yield from _table_read_anew(context)
+    yield from _table_read(context)
     context.recorder.end_window()
 
 
-def _navigating(step: Navigate, context: Context) -> Ticks:
-    """Until its time is over, or the biases are known well enough."""
+def _navigating(step: Navigate, context: StepContext) -> Ticks:
+    """Wait until the time is over, or the biases are known well enough."""
     clock = context.bench.clock
     begin_s = clock.now()
-    next_look_s = begin_s + _ESTIMATE_EVERY_S
+    next_estimate_s = begin_s + _ESTIMATE_PERIOD_S
     while clock.now() < begin_s + step.longest_s - 1e-6:
-        if clock.now() >= next_look_s:
-            next_look_s += _ESTIMATE_EVERY_S
+        if clock.now() >= next_estimate_s:
+            next_estimate_s += _ESTIMATE_PERIOD_S
             estimate = context.recorder.estimate_so_far()
             if estimate is not None:
                 sigma_dph = float(estimate.sigma_dph.max())
-                context.tell_estimate(estimate)
+                context.run.observers.estimated(estimate)
                 if step.is_satisfied(clock.now() - begin_s, sigma_dph):
-                    context.note(f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s")
+                    context.run.note(
+                        f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s"
+                    )
                     return
         yield
     if step.until:
-        wanted_dph = step.until.bias_sigma_below_dph
-        context.note(f"biases not known to {wanted_dph:g} deg/h after {step.longest_s:g} s: going on")
+        limit_dph = step.until.bias_sigma_below_dph
+        context.run.note(f"biases not known to {limit_dph:g} deg/h after {step.longest_s:g} s: continuing")
 
 
 @perform.register
-def _turn(step: Turn, context: Context) -> Ticks:
-    if context.angles is None:
+def _turn(step: Turn, context: StepContext) -> Ticks:
+    state = context.bench.state
+    if state.at.angles_deg is None:
         raise FaultError("rate table", "a turn needs a position first. Put go_to before it.")
-    target = context.bench.station.table.turn(context.angles, step.angle_deg)
+    target = context.bench.station.table.turn(state.at.angles_deg, step.angle_deg)
     context.recorder.begin_turn()
     yield from _moved(context, target, step.rate_dps)
     context.recorder.end_turn()
-    context.recorder.azimuth_deg += step.angle_deg
+    state.position_reached(state.at.position, state.at.azimuth_deg + step.angle_deg)
     yield from _lasting(context.bench, step.settle_s)
 
 
 @perform.register
-def _wait(step: Wait, context: Context) -> Ticks:
+def _wait(step: Wait, context: StepContext) -> Ticks:
     yield from _lasting(context.bench, step.duration_s)
 
 
 @perform.register
-def _ask_operator(step: AskOperator, context: Context) -> Ticks:
-    yield from _answered(context, step.question, step.answers)
-
-
-def _note_reached(bench: LiveBench) -> None:
-    """From here on the chamber's air should keep the set point that it has come to."""
-    set_c, air_c = bench.commanded_c, bench.readings.chamber.temperature_c
-    if set_c is not None and abs(air_c - set_c) <= _REACHED_C:
-        bench.expected = replace(bench.expected, chamber_reached=True)
+def _ask_operator(step: AskOperator, context: StepContext) -> Ticks:
+    yield from _confirmed(context, step.question, step.answers)
 
 
 def _lasting(bench: LiveBench, duration_s: float) -> Ticks:
@@ -294,31 +272,31 @@ def _lasting(bench: LiveBench, duration_s: float) -> Ticks:
         yield
 
 
-def _answered(context: Context, question: str, answers: list[str]) -> Ticks:
-    answer = yield from asked(context.operator, question, answers)
+def _confirmed(context: StepContext, question: str, answers: list[str]) -> Ticks:
+    answer = yield from ask_operator(context.run.operator, question, answers)
     if answer != answers[0]:
         raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
 
 
-def _moved(context: Context, angles: Angles, rate_dps: float) -> Ticks:
-    """Move the table; one that rests elsewhere is sent again as often as the step allows."""
-    context.angles = angles
+def _moved(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
+    """Move the table; if it stops off position, send it again as often as the step allows."""
+    context.bench.state.table_commanded(angles)
     for left in range(context.retries, -1, -1):
         try:
             yield from _sent(context, angles, rate_dps)
-        except _AstrayError as error:
+        except _OffPositionError as error:
             if not left:
                 raise
-            context.tell_retry(error)
+            context.run.record_retry(error)
         else:
             return
 
 
-class _AstrayError(FaultError):
-    """The table calls its motion complete and rests elsewhere."""
+class _OffPositionError(FaultError):
+    """The table reports that its motion is complete, but is off position."""
 
 
-def _sent(context: Context, angles: Angles, rate_dps: float) -> Ticks:
+def _sent(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
     station, instruments = context.bench.station, context.bench.instruments
     yield from tried(context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps))
     yield
@@ -331,18 +309,18 @@ def _sent(context: Context, angles: Angles, rate_dps: float) -> Ticks:
         if np.allclose(reached, angles, rtol=0.0, atol=_POSITION_TOLERANCE_DEG):
             return
         if context.bench.clock.now() - complete_s > _OVERSHOOT_S:
-            raise _AstrayError(
+            raise _OffPositionError(
                 "rate table",
-                f"rests at outer {reached[0]:.4f}, inner {reached[1]:.4f} deg, where {angles[0]:.4f}, "
-                f"{angles[1]:.4f} were commanded. Check its limits and its servo.",
+                f"stopped at outer {reached[0]:.4f}, inner {reached[1]:.4f} deg instead of the commanded "
+                f"{angles[0]:.4f}, {angles[1]:.4f} deg. Check its limits and its servo.",
             )
         yield
 
 
-def tried(context: Context, exchange: Callable[[], T]) -> Generator[None, None, T]:
-    """Exchange something with an instrument; what fails is tried again as often as the step allows.
+def tried(context: StepContext, exchange: Callable[[], T]) -> Generator[None, None, T]:
+    """Exchange something with an instrument; a failed exchange is tried again as often as the step allows.
 
-    Every command of the drivers may be given twice: it names what is to be, not what is to change.
+    Every command of the drivers may be repeated: it gives the final state, not a change.
     """
     for left in range(context.retries, -1, -1):
         try:
@@ -352,15 +330,15 @@ def tried(context: Context, exchange: Callable[[], T]) -> Generator[None, None, 
         except InstrumentError as error:
             if not left:
                 raise
-            context.tell_retry(error)
+            context.run.record_retry(error)
             if isinstance(error, ConnectionFailedError):
                 context.bench.reopen(error.instrument)
             yield from _lasting(context.bench, _RETRY_PAUSE_S)
     raise AssertionError("the last try returns or raises")
 
 
-def _table_read_anew(context: Context) -> Ticks:
-    """Read the table now, and again at each tick until it answers."""
+def _table_read(context: StepContext) -> Ticks:
+    """Read the table, again at each tick until it answers."""
     begin_s = context.bench.clock.now()
     context.bench.read_table()
     while context.bench.readings.table_s < begin_s:
@@ -368,17 +346,17 @@ def _table_read_anew(context: Context) -> Ticks:
         context.bench.read_table()
 
 
-def _talks(bench: LiveBench) -> bool:
+def _is_sending(bench: LiveBench) -> bool:
     status = bench.instruments.ins.status()
     return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
-def _choose_euler_sequence(step: Align, context: Context) -> Ticks:
-    """Select the sequence that is regular here; an INS that can't choose keeps its own."""
+def _choose_euler_sequence(step: Align, context: StepContext) -> Ticks:
+    """Select the Euler sequence that is regular in this position, where the INS supports that."""
     instruments = context.bench.instruments
     if not instruments.ins.supports("set_euler_sequence"):
         return
-    y_is_vertical = context.recorder.position in ("y_up", "y_down")
+    y_is_vertical = context.bench.state.at.position in ("y_up", "y_down")
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
     if instruments.ins.status().euler_sequence is not chosen:
@@ -386,10 +364,10 @@ def _choose_euler_sequence(step: Align, context: Context) -> Ticks:
 
 
 def _gyro_rate_c_per_h(bench: LiveBench, history: deque[tuple[float, ...]]) -> float | None:
-    """Largest rate of the gyros' temperatures over the last minutes; None while that is too short."""
+    """Largest rate of the gyro temperatures over the fit's span; None while it is too short."""
     readings = bench.readings
     if np.isnan(readings.ins.optics_c).any():
-        raise InstrumentError("INS", "sends no gyro temperatures, so a soak can't wait for them. Use for_s.")
+        raise InstrumentError("INS", "sends no gyro temperatures for the soak to wait for. Use for_s.")
     history.append((readings.asked_s, *readings.ins.optics_c.tolist()))
     while history[-1][0] - history[0][0] > _SOAK_FIT_S:
         history.popleft()

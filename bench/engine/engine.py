@@ -1,27 +1,19 @@
-"""The engine: walks a plan step by step, and leaves the bench in its safe state."""
+"""The engine: executes a plan step by step, and leaves the bench in its safe state."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
-from gyrobench.bench.dwells.dwell import MeasurementSetup
-from gyrobench.bench.engine.actions import Context, perform
-from gyrobench.bench.engine.compensation import CompensationWatch
-from gyrobench.bench.engine.dwell_book import DwellBook
-from gyrobench.bench.engine.dwell_recorder import DwellRecorder
-from gyrobench.bench.engine.heartbeat import Heartbeat
-from gyrobench.bench.engine.holding import Holding
-from gyrobench.bench.engine.interlocks import Finding, Trip, text_of
-from gyrobench.bench.engine.interruptions import OrderedError, TrippedError, trip_of
-from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.orders import GivenOrder, Order
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.outputs import SafeOutputs
-from gyrobench.bench.engine.people import People
-from gyrobench.bench.engine.progress import RunProgress
+from gyrobench.bench.engine.actions import StepContext, perform
+from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
+from gyrobench.bench.engine.holding import Heartbeat, Holding
+from gyrobench.bench.engine.interlocks.checks import Finding
+from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips, trip_of_error
+from gyrobench.bench.engine.operator import CommandReceivedError, GivenCommand, RunCommand
+from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.stored_compensation import StoredCompensation
 from gyrobench.bench.foundations.clock import Deadline
-from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import (
     FaultError,
     GyrobenchError,
@@ -31,103 +23,56 @@ from gyrobench.bench.foundations.errors import (
     RunStoppedError,
     StepTimeoutError,
 )
-from gyrobench.bench.guard.link import Guard
-from gyrobench.bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
-from gyrobench.bench.procedure.plan import Plan, PlannedStep, turns_after
+from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
-from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.provenance import add_identity
 from gyrobench.bench.station.safe_state import SafeAction
-from gyrobench.drivers.ins.command_map import Compensation
 
-#: A dwell that was given up so often is tried with the INS switched off and on.
+#: A dwell that was repeated so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
-#: After these the INS may have been off, whatever it says now.
-_UNIT_DOUBTFUL = {"ins_silence", "ins_fault"}
+#: After these trips the INS may have been off, whatever it reports.
+_INS_TRIPS = {"ins_silence", "ins_fault"}
 
 
 class Engine:
-    """Runs one plan on one bench.
+    """Executes one run.
 
-    What interrupts a step - a trip, a failed instrument, an order - leads to a hold, in the safe state
-    where it has to be, and back into the plan by :mod:`gyrobench.bench.procedure.approach`. Nothing of an
-    interrupted dwell is used: it is done again.
+    What interrupts a step - a trip, a failed instrument, a command - leads to a hold, in the safe state
+    where necessary, and back into the plan by :mod:`gyrobench.bench.procedure.approach`. An interrupted dwell
+    is discarded and repeated.
 
     Parameters
     ----------
-    document : Document
-        The procedure's file, to say where a step stands.
-    plan : Plan
-        What to do.
-    bench : LiveBench
-        The opened bench.
-    setup : MeasurementSetup
-        What turns frames into biases.
-    folder, journal
-        Where the run leaves its results.
-    people : People
-        Who can be asked, who watches, and what they order.
-    guard : Guard
-        Gets a sign of life at each tick.
-    done : RunProgress
-        What was done before; the run goes on from there.
-    outcome : RunOutcome
-        Gets how the run ends, and its dwells beside those measured before.
-    compensation : Compensation, optional
-        What the INS is to subtract from its gyros all along; without it, nothing.
+    run : RunContext
+        What is run, on which bench, and what is finished already.
     """
 
-    def __init__(
-        self,
-        document: Document,
-        plan: Plan,
-        bench: LiveBench,
-        setup: MeasurementSetup,
-        folder: RunFolder,
-        journal: Journal,
-        people: People,
-        guard: Guard,
-        done: RunProgress,
-        outcome: RunOutcome,
-        compensation: Compensation | None = None,
-    ) -> None:
-        self._document = document
-        self._plan = plan
-        self._bench = bench
-        self._folder = folder
-        self._journal = journal
-        self._progress = people.progress
-        self._done = done
-        self._outcome = outcome
-        self._heartbeat = Heartbeat(bench, journal, people, guard)
-        self._note = self._heartbeat.note
-        self._outputs = SafeOutputs(bench, self._heartbeat.tell_guard)
-        self._holding = Holding(bench, self._heartbeat, journal, people, done.resumes)
-        self._recorder = DwellRecorder(bench, setup, unit=done.unit, run=done.power_ons)
-        self._dwells = DwellBook(
-            plan.procedure, setup, bench, self._recorder, folder, journal, people.progress, done, outcome
-        )
-        self._context = Context(
-            bench, people.operator, self._recorder, people.progress.estimated, self._note, self._tell_retry
-        )
-        self._compensation = CompensationWatch(
-            bench.instruments, compensation, people.operator, journal.record, self._note, done.decided
-        )
-        self._is_hold_ordered = False
+    def __init__(self, run: RunContext) -> None:
+        self._run = run
+        self._bench = run.bench
+        self._state = run.bench.state
+        self._plan = run.plan
+        self._heartbeat = Heartbeat(run)
+        self._holding = Holding(run, self._heartbeat)
+        self._recorder = DwellRecorder(run.bench, run.setup)
+        self._dwells = DwellLedger(run, self._recorder)
+        self._step_context = StepContext(run, self._recorder)
+        self._compensation = StoredCompensation(run)
+        self._is_hold_commanded = False
         self._unseen_faults: tuple[str, ...] = ()
-        self._under_way: PlannedStep | None = None
+        self._current: PlannedStep | None = None
+        self._state.run_resumed(run.state.unit, run.state.power_ons)
 
     def run(self) -> None:
-        """Perform what is left of the plan, then go to the safe state, whatever happened.
+        """Execute what is left of the plan, then go to the safe state in any case.
 
-        A failure that gyrobench knows of is told by the outcome; any other exception is raised
-        once the bench is safe.
+        The outcome describes an expected failure; any other exception is raised once the bench is safe.
         """
-        outcome, begin_s = self._outcome, self._bench.clock.now()
+        outcome, begin_s = self._run.outcome, self._bench.clock.now()
         try:
             self._begin()
-            self._walk()
+            self._execute_plan()
         except RunStoppedError as error:
             outcome.ended, outcome.reason = "stopped", str(error)
         except GyrobenchError as error:
@@ -140,123 +85,141 @@ class Engine:
             self._end()
 
     def _begin(self) -> None:
-        """Ask all instruments, then give every output its safe value."""
+        """Read all instruments, then bring every output to its safe value."""
         self._bench.start()
         self._unseen_faults = self._bench.readings.table_faults
         self._make_safe(release_table=False)
 
-    def _walk(self) -> None:
-        """Do the steps that are left; an interrupted one is approached and begun again."""
-        index, standing = self._done.next_index, self._standing_at_start()
+    def _execute_plan(self) -> None:
+        """Execute the steps that are left; an interrupted one is approached and started again."""
+        index, retained = self._run.state.next_index, self._retained_at_start()
         while index < len(self._plan.steps):
             try:
-                self._look_before_moving()
-                self._outputs.prepare_table()
-                if standing is not None:
+                self._check_interlocks_before_motion()
+                self._bench.prepare_table()
+                if retained is not None:
                     index = restart_of(self._plan, index)
-                    self._approach(index, standing)
-                    standing = None
+                    self._approach(index, retained)
+                    retained = None
                 planned = self._plan.steps[index]
-                self._look_around_before(planned)
+                self._handle_pending_events(planned)
                 self._perform(planned)
                 index += 1
                 if planned.dwell and self._is_last_of_dwell(planned) and not self._dwells.finish():
-                    standing = self._standing_to_repeat(planned.dwell)
+                    retained = self._retained_for_repeat(planned.dwell)
                     index -= 1
             except TrippedError as error:
-                standing = self._recover(index, error.trips)
+                retained = self._recover(index, error.trips)
             except (InvalidDwellError, StepTimeoutError) as error:
-                index, standing = self._after_failed_step(index, error)
+                index, retained = self._after_failed_step(index, error)
             except InstrumentError as error:
-                standing = self._recover(index, [trip_of(error, self._bench.station)])
-            except OrderedError as error:
-                index, standing = self._obey(index, error.given, standing)
+                retained = self._recover(index, [trip_of_error(error, self._bench.station)])
+            except CommandReceivedError as error:
+                index, retained = self._execute_command(index, error.given, retained)
 
-    def _look_before_moving(self) -> None:
-        """Nothing is commanded while anything is tripped, and no fault of before the run is cleared unseen.
+    def _check_interlocks_before_motion(self) -> None:
+        """Stop while anything is tripped, or for faults from before the run, which are not cleared unseen.
 
         Raises
         ------
         TrippedError
-            An interlock is tripped, or the table reports faults that nobody has looked at.
+            An interlock is tripped, or the table reports faults that the operator has not seen.
         """
         trips = self._bench.trips()
         faults, self._unseen_faults = self._unseen_faults, ()
         if faults:
             rule = self._bench.station.file.interlocks.table_fault
-            problem = f"the table reported {', '.join(faults)} before the run began"
+            problem = f"the rate table reported {', '.join(faults)} before the run began"
             found = Finding("table_fault", problem, "Find the cause.")
             trips = [*trips, Trip("table_fault", (found,), rule)]
         if trips:
             raise TrippedError(trips)
 
-    def _standing_at_start(self) -> Standing | None:
+    def _retained_at_start(self) -> RetainedState | None:
         """None for a new run: its plan begins with the bench as it is."""
-        if self._done.next_index == 0:
+        if self._run.state.next_index == 0:
             return None
-        return self._standing(is_unit_on=False, is_tempered=False)
+        return self._retained(is_ins_on=False, is_at_temperature=False)
 
-    def _standing(self, is_unit_on: bool, is_tempered: bool) -> Standing:
+    def _retained(self, is_ins_on: bool, is_at_temperature: bool) -> RetainedState:
         chamber_c = self._bench.readings.chamber.temperature_c
-        return Standing(is_unit_on and not self._bench.has_unit_restarted, is_tempered, chamber_c)
+        return RetainedState(is_ins_on and not self._state.has_ins_restarted, is_at_temperature, chamber_c)
 
-    def _standing_to_repeat(self, dwell: int) -> Standing:
-        """A dwell that was spoilt again may owe it to the INS: it is switched off and on, if it can be."""
+    def _retained_for_repeat(self, dwell: int) -> RetainedState:
+        """The INS may cause the invalid data: after some repeats it is switched off and on if possible."""
         can_switch = self._bench.station.unit.power == "chamber_event"
-        is_unit_on = self._done.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
-        return self._standing(is_unit_on, is_tempered=True)
+        is_ins_on = self._run.state.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
+        return self._retained(is_ins_on, is_at_temperature=True)
 
     # steps
 
-    def _approach(self, index: int, standing: Standing) -> None:
-        steps = approach(self._plan, index, standing)
+    def _approach(self, index: int, retained: RetainedState) -> None:
+        steps = approach(self._plan, index, retained)
         if steps:
             way = "; ".join(each.step.describe() for each in steps)
-            self._note(f"going back to step {self._plan.steps[index].number}: {way}")
+            self._run.note(f"returning to step {self._plan.steps[index].number}: {way}")
         for planned in steps:
             self._perform(planned, is_approach=True)
 
     def _perform(self, planned: PlannedStep, is_approach: bool = False) -> None:
-        bench, clock = self._bench, self._bench.clock
-        begin_s = clock.now()
-        self._under_way = planned
-        what, kind = planned.step.describe(), planned.step.name
-        event = "approach" if is_approach else "step"
-        self._journal.record(
-            f"{event}_started", step=planned.number, kind=kind, what=what, label=planned.label
+        """Perform one step."""
+        begin_s = self._bench.clock.now()
+        self._start_step(planned, "approach" if is_approach else "step")
+        self._tick_through(planned, begin_s)
+        took_s = self._bench.clock.now() - begin_s
+        self._finish_step(planned, took_s, is_approach)
+
+    def _start_step(self, planned: PlannedStep, event: str) -> None:
+        run, step = self._run, planned.step
+        self._current = planned
+        run.journal.record(
+            f"{event}_started",
+            step=planned.number,
+            kind=step.name,
+            what=step.describe(),
+            label=planned.label,
         )
-        self._progress.step_started(planned, bench)
-        bench.step, bench.dwell = planned.number, planned.dwell or 0
-        self._recorder.dwell, self._recorder.cycle = planned.dwell or 0, planned.cycle
-        self._recorder.is_verification = planned.is_verification
-        self._context.retries = planned.step.retries
-        if isinstance(planned.step, Align) and not self._recorder.unit:
-            self._identify_unit()  # one that is always on
-        if isinstance(planned.step, Align):
+        run.observers.step_started(planned, self._bench)
+        self._state.step_started(planned)
+        self._step_context.retries = step.retries
+        if isinstance(step, Align):
+            if not self._state.at.unit:
+                self._identify_ins()  # one that is always on
             self._settle_compensation(after_power_on=False)
-        if isinstance(planned.step, GoTo):
-            self._context.turns_to_come_deg = turns_after(self._plan, planned)
+        if isinstance(step, GoTo):
+            self._step_context.next_turns_deg = turns_after(self._plan, planned)
+
+    def _tick_through(self, planned: PlannedStep, begin_s: float) -> None:
+        clock, observers = self._bench.clock, self._run.observers
         deadline = Deadline(clock, planned.timeout_s)
-        for _ in perform(planned.step, self._context):
+        for _ in perform(planned.step, self._step_context):
             self._tick()
-            self._progress.ticked(bench, self._plan.duration_s - planned.start_s - (clock.now() - begin_s))
+            elapsed_s = clock.now() - begin_s
+            observers.ticked(self._bench, self._plan.duration_s - planned.start_s - elapsed_s)
             if deadline.expired():
-                raise StepTimeoutError(self._late(planned))
-        took_s = clock.now() - begin_s
+                place = self._run.job.document.place(planned.location)
+                raise StepTimeoutError(
+                    f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) did not "
+                    f"end within {planned.timeout_s:.0f} s. Check the instrument that it waits for, or "
+                    "increase the step's timeout_s"
+                )
+
+    def _finish_step(self, planned: PlannedStep, took_s: float, is_approach: bool) -> None:
+        run, kind = self._run, planned.step.name
         if isinstance(planned.step, PowerOn):
-            self._journal.record("powered_on", run=self._recorder.run)
-            self._identify_unit()
+            run.journal.record("powered_on", run=self._state.at.power_ons)
+            self._identify_ins()
             self._settle_compensation(after_power_on=True)
         if not is_approach:
-            self._outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
-        self._journal.record(
-            f"{event}_finished",
+            run.outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
+        run.journal.record(
+            "approach_finished" if is_approach else "step_finished",
             step=planned.number,
             kind=kind,
             planned_s=round(planned.duration_s, 3),
             took_s=round(took_s, 3),
         )
-        self._progress.ticked(bench, self._plan.duration_s - planned.end_s)
+        run.observers.ticked(self._bench, self._plan.duration_s - planned.end_s)
 
     def _tick(self) -> None:
         """Let a tick pass.
@@ -265,56 +228,46 @@ class Engine:
         ------
         TrippedError
             An interlock is tripped.
-        OrderedError, RunStoppedError
-            Somebody ordered something that interrupts the step.
+        CommandReceivedError, RunStoppedError
+            A command interrupts the step.
         """
         self._heartbeat.beat()
         trips = self._bench.trips()
         if trips:
             raise TrippedError(trips)
-        given = self._heartbeat.ordered()
+        given = self._heartbeat.command()
         if given is None:
             return
-        match given.order:
-            case Order.HOLD:
-                self._is_hold_ordered = True
-                self._note("holds when the dwell under way is over")
-            case Order.CONTINUE:
-                self._is_hold_ordered = False
+        match given.command:
+            case RunCommand.HOLD:
+                self._is_hold_commanded = True
+                self._run.note("holds at the end of the dwell in progress")
+            case RunCommand.CONTINUE:
+                self._is_hold_commanded = False
             case _:
-                raise OrderedError(given)
+                raise CommandReceivedError(given)
 
-    def _tell_retry(self, error: InstrumentError) -> None:
-        self._journal.record("retry", instrument=error.instrument, error=str(error))
-
-    def _identify_unit(self) -> None:
-        ins = self._bench.instruments.ins
+    def _identify_ins(self) -> None:
+        ins, known = self._bench.instruments.ins, self._state.at.unit
         identity = ins.identify()
         unit = str(ins.identity().get("serial_number", "unknown"))
-        if self._recorder.unit not in ("", unit):
-            raise FaultError(
-                "INS", f"is unit {unit}, and this run is of {self._recorder.unit}. Exchange it back."
-            )
-        self._recorder.unit = unit
-        self._journal.record("ins_identified", unit=unit, identity=identity)
-        self._progress.identified(unit)
-        add_identity(self._folder, "INS", identity)
+        if known not in ("", unit):
+            raise FaultError("INS", f"is unit {unit}, but this run measures {known}. Connect {known} again.")
+        self._state.ins_identified(unit)
+        self._run.journal.record("ins_identified", unit=unit, identity=identity)
+        self._run.observers.identified(unit)
+        add_identity(self._run.folder, "INS", identity)
 
     def _settle_compensation(self, after_power_on: bool) -> None:
-        deadline = Deadline(self._bench.clock, self._bench.station.file.interlocks.longest_hold_s)
+        max_hold_s = self._bench.station.file.interlocks.max_hold_s
+        deadline = Deadline(self._bench.clock, max_hold_s)
         for _ in self._compensation.settle(after_power_on):
             self._tick()
             if deadline.expired():
-                raise RunStoppedError("nobody said what is to become of the INS's own compensation")
-
-    def _late(self, planned: PlannedStep) -> str:
-        return (
-            f"{self._document.place(planned.location)}: step {planned.number} "
-            f"({planned.label}: {planned.step.describe()}) was not over after {planned.timeout_s:.0f} s. "
-            "Look at the instrument that it waits for, or give the step a longer timeout_s"
-        )
-
-    # dwells
+                raise RunStoppedError(
+                    f"no answer within {max_hold_s / 3600.0:g} h on the compensation stored in the INS. "
+                    "Resume the run and choose: clear, keep or stop"
+                )
 
     def _is_last_of_dwell(self, planned: PlannedStep) -> bool:
         later = self._plan.steps[planned.number : planned.number + 1]
@@ -322,96 +275,98 @@ class Engine:
 
     # interruptions
 
-    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, Standing]:
-        """Repeat the dwell whose step did not reach its end, or go on without; hold outside dwells."""
+    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, RetainedState]:
+        """Repeat the dwell whose step failed, or continue without it; hold outside of dwells."""
         planned = self._plan.steps[index]
         if planned.dwell is None or not self._bench.capture:
-            failed = self._under_way or planned
-            return index, self._recover(index, [trip_of(error, self._bench.station, failed.step)])
+            failed = self._current or planned
+            return index, self._recover(index, [trip_of_error(error, self._bench.station, failed.step)])
         if self._dwells.may_repeat(planned.dwell):
-            self._dwells.give_up(planned.dwell, str(error), counts=True)
+            self._dwells.discard(planned.dwell, str(error), counts=True)
         else:
             self._recorder.disturb(str(error))
             self._dwells.finish()
             index = end_of_dwell(self._plan, planned.dwell)
-        return index, self._standing_to_repeat(planned.dwell)
+        return index, self._retained_for_repeat(planned.dwell)
 
-    def _recover(self, index: int, trips: Sequence[Trip]) -> Standing:
-        """Make the bench safe and hold until it may go on."""
-        why = text_of(trips)
+    def _recover(self, index: int, trips: Sequence[Trip]) -> RetainedState:
+        """Make the bench safe and hold until the run may continue."""
+        why = text_of_trips(trips)
         names = [trip.name for trip in trips]
-        actions = self._outputs.apply()  # before anything that a slow disk could hold up
-        self._journal.record("tripped", interlocks=names, why=why)
-        self._dwells.give_up(self._plan.steps[index].dwell, why, counts=False)
-        self._tell_safe(actions)
-        if _UNIT_DOUBTFUL & set(names):  # it is switched off and on before it is used again
-            self._bench.expected = replace(self._bench.expected, ins_on=False)
+        actions = self._bench.make_safe(
+            meanwhile=self._heartbeat.signal_guard
+        )  # before a slow disk can delay it
+        self._run.journal.record("tripped", interlocks=names, why=why)
+        self._dwells.discard(self._plan.steps[index].dwell, why, counts=False)
+        self._report_safe(actions)
+        if _INS_TRIPS & set(names):
+            self._state.ins_state_unknown()
         try:
             self._holding.hold(why, trips)
-        except TrippedError as error:  # all of it has to be good, and safe values may be lost
+        except TrippedError as error:  # everything has to be good, and safe values may be lost
             return self._recover(index, [*trips, *error.trips])
-        return self._standing(self._bench.expected.ins_on, is_tempered=False)
+        return self._retained(self._state.expected.ins_on, is_at_temperature=False)
 
-    def _obey(
-        self, index: int, given: GivenOrder, on_the_way: Standing | None
-    ) -> tuple[int, Standing | None]:
-        """Pause or skip; returns where to go on. A way back that was interrupted has to be gone anew."""
+    def _execute_command(
+        self, index: int, given: GivenCommand, approached: RetainedState | None
+    ) -> tuple[int, RetainedState | None]:
+        """Pause or skip; returns where to continue. An interrupted approach starts again."""
         dwell = self._plan.steps[index].dwell
-        is_unit_on = on_the_way is None or on_the_way.is_unit_on
-        is_tempered = on_the_way is None or on_the_way.is_tempered
-        if given.order is Order.SKIP:
-            return self._skip(index), self._standing(is_unit_on, is_tempered)
-        self._dwells.give_up(dwell, f"paused by {given.by}", counts=False)
+        is_ins_on = approached is None or approached.is_ins_on
+        is_at_temperature = approached is None or approached.is_at_temperature
+        if given.command is RunCommand.SKIP:
+            return self._skip(index), self._retained(is_ins_on, is_at_temperature)
+        self._dwells.discard(dwell, f"paused by {given.by}", counts=False)
         is_safe = self._bench.station.safe_state.on_pause == "safe"
         if is_safe:
             self._make_safe()
         try:
-            self._holding.hold(f"paused by {given.by}", ordered=Order.PAUSE)
+            self._holding.hold(f"paused by {given.by}", command=RunCommand.PAUSE)
         except TrippedError as error:
             return index, self._recover(index, error.trips)
-        is_unit_on = is_unit_on and self._bench.expected.ins_on
-        return index, self._standing(is_unit_on, is_tempered and not is_safe)
+        is_ins_on = is_ins_on and self._state.expected.ins_on
+        return index, self._retained(is_ins_on, is_at_temperature and not is_safe)
 
     def _skip(self, index: int) -> int:
         dwell = self._plan.steps[index].dwell
         if not dwell:
-            self._note("no dwell is under way: nothing is skipped, and the step begins again")
+            self._run.note("no dwell is in progress: nothing is skipped, and the step starts again")
             return index
         self._dwells.skip(dwell)
         return end_of_dwell(self._plan, dwell)
 
-    def _look_around_before(self, planned: PlannedStep) -> None:
-        """Between two steps, but not within a dwell: hold if that was ordered, bring a restarted INS back."""
+    def _handle_pending_events(self, planned: PlannedStep) -> None:
+        """Outside of dwells: hold if commanded, switch a restarted INS off and on."""
         if planned.dwell and not isinstance(planned.step, Align):
             return
-        if self._is_hold_ordered:
-            self._is_hold_ordered = False
-            self._holding.hold("to hold at this temperature was ordered", ordered=Order.HOLD)
-        if self._bench.has_unit_restarted:
-            self._note("the INS has started anew by itself")
-            standing = self._standing(is_unit_on=False, is_tempered=True)
-            self._bench.has_unit_restarted = False
-            self._approach(planned.number - 1, standing)
+        if self._is_hold_commanded:
+            self._is_hold_commanded = False
+            self._holding.hold("hold at this temperature commanded", command=RunCommand.HOLD)
+        if self._state.has_ins_restarted:
+            self._run.note("the INS has restarted without a command")
+            retained = self._retained(is_ins_on=False, is_at_temperature=True)
+            self._state.ins_restart_handled()
+            self._approach(planned.number - 1, retained)
 
     # safe state
 
     def _make_safe(self, release_table: bool = True) -> None:
-        self._tell_safe(self._outputs.apply(release_table))
+        self._report_safe(self._bench.make_safe(release_table, self._heartbeat.signal_guard))
 
-    def _tell_safe(self, actions: list[SafeAction]) -> None:
-        self._journal.record("made_safe", actions=[asdict(action) for action in actions])
+    def _report_safe(self, actions: list[SafeAction]) -> None:
+        self._run.journal.record("made_safe", actions=[asdict(action) for action in actions])
         for action in actions:
             if action.problem:
-                self._progress.told(action.text)
+                self._run.observers.noted(action.text)
 
     def _end(self) -> None:
-        outcome = self._outcome
-        outcome.safe_state = self._outputs.apply()
-        if any(action.problem for action in outcome.safe_state):
+        outcome, journal = self._run.outcome, self._run.journal
+        outcome.safe_state = self._bench.make_safe(meanwhile=self._heartbeat.signal_guard)
+        if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
         try:
-            self._journal.record("ticks", **self._bench.lateness.summary())
-            self._journal.record(
+            journal.record("ticks", **self._bench.lateness.summary())
+            journal.record(
                 "run_ended",
                 ended=outcome.ended,
                 reason=outcome.reason,
@@ -419,4 +374,4 @@ class Engine:
             )
         except RunFolderError as error:
             outcome.fail(str(error))
-        self._progress.ended(outcome)
+        self._run.observers.ended(outcome)

@@ -1,19 +1,18 @@
-"""The bench while a run lasts: instruments, time, and what was read last."""
+"""The opened instruments on the run's clock: polled, recorded, watched by the interlocks."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
 import can
+import numpy as np
 
-from gyrobench.bench.engine.capture import Capture
-from gyrobench.bench.engine.interlocks import Expected, InterlockWatch, Trip
-from gyrobench.bench.engine.readings import Readings
-from gyrobench.bench.engine.tick_lateness import TickLateness
+from gyrobench.bench.engine.bench_state import BenchState, Readings
+from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
@@ -23,28 +22,107 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import Instruments
+from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
 from gyrobench.drivers.ins.readout import InsMode
 
-#: How often an instrument that does not answer at the start is asked again, and how long in between.
-_FIRST_ASKS, _FIRST_PAUSE_S = 5, 2.0
-#: An INS whose count of epochs is off by more than this has started anew, or lost its count.
-_COUNTS_ON_S = 3.0
-#: A bus on which nothing was heard for so long may be one that went away without a word.
-_DEAF_S = 4.0
-#: A port that went away is opened anew this often.
-_REOPEN_EVERY_S = 5.0
+#: How often an instrument that does not answer at the start is asked again, and the pause between.
+_FIRST_TRIES, _FIRST_PAUSE_S = 5, 2.0
+#: An INS whose count of epochs is off by more than this has restarted, or lost its count.
+_EPOCH_COUNT_TOLERANCE_S = 3.0
+#: A CAN bus that is silent for this long may have been disconnected without an error.
+_BUS_SILENCE_S = 4.0
+#: Period at which a disconnected port is reopened.
+_REOPEN_PERIOD_S = 5.0
+#: The chamber's air has reached its set point within this.
+_REACHED_C = 2.0
+_FRAMES_PER_BLOCK = 2000
+#: Bins of lateness are evenly wide in the logarithm; below the first edge a tick counts as on time.
+_LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
 
 T = TypeVar("T")
 
 
+@dataclass
+class Capture:
+    """Frames, chamber temperatures and table angles of a dwell since its alignment began."""
+
+    log_part: int
+    chamber_c: list[float] = field(default_factory=list)
+    table_deg: list[Angles] = field(default_factory=list)
+    _blocks: list[FrameBlock] = field(default_factory=list)
+    _messages: list[can.Message] = field(default_factory=list)
+
+    def add(self, messages: list[can.Message]) -> None:
+        """Keep frames; as arrays, since a dwell has tens of thousands of them."""
+        self._messages += messages
+        if len(self._messages) >= _FRAMES_PER_BLOCK:
+            self._pack()
+
+    def count(self) -> int:
+        """Return the number of data frames so far."""
+        self._pack()
+        return sum(map(len, self._blocks))
+
+    def frames(self, first: int = 0) -> FrameBlock:
+        """Return the data frames so far, from a number on."""
+        self._pack()
+        blocks, start = self._blocks, 0
+        while blocks and start + len(blocks[0]) <= first:
+            start += len(blocks[0])
+            blocks = blocks[1:]
+        return concatenate(blocks).take(slice(first - start, None))
+
+    def _pack(self) -> None:
+        if self._messages:
+            self._blocks.append(FrameBlock.from_messages(self._messages))
+            self._messages = []
+
+
+class TickLateness:
+    """Histogram of how late ticks were; a percentile is accurate to the width of a bin, 5 %."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_DECADES * _PER_DECADE + 1, np.int64)
+        self._longest_s = 0.0
+        self._missed = 0
+        self._last_s: float | None = None
+
+    def add(self, due_s: float, now_s: float, period_s: float) -> None:
+        """Count the tick that was due at ``due_s`` and came at ``now_s``."""
+        late_s = max(0.0, now_s - due_s)
+        place = math.ceil(_PER_DECADE * math.log10(max(late_s, _LOWEST_S) / _LOWEST_S))
+        self._counts[min(place, len(self._counts) - 1)] += 1
+        self._longest_s = max(self._longest_s, late_s)
+        if self._last_s is not None:
+            self._missed += round((due_s - self._last_s) / period_s) - 1
+        self._last_s = due_s
+
+    def summary(self) -> dict[str, float | int]:
+        """Return the number of ticks, of ticks missed because one took too long, and the lateness in s."""
+        return {
+            "count": int(self._counts.sum()),
+            "missed": self._missed,
+            "late_median_s": self._late_s(0.5),
+            "late_99_percent_s": self._late_s(0.99),
+            "late_max_s": round(self._longest_s, 6),
+        }
+
+    def _late_s(self, share: float) -> float:
+        """Lateness that this share of the ticks does not exceed."""
+        total = self._counts.sum()
+        place = int(np.searchsorted(np.cumsum(self._counts), share * total)) if total else 0
+        late_s = _LOWEST_S * 10.0 ** (place / _PER_DECADE) if place else 0.0
+        return round(min(late_s, self._longest_s), 6)
+
+
 class FrameLog(Protocol):
-    """Where received frames go, as to a :class:`~gyrobench.bench.runs.can_log.CanLog`."""
+    """Keeps received frames, as :class:`~gyrobench.bench.runs.can_log.CanLog` does."""
 
     @property
     def next_part(self) -> int:
-        """Number of the part that the next frame begins, after :meth:`cut`."""
+        """Number of the part that begins with the next frame, after :meth:`cut`."""
         ...
 
     def write(self, messages: Iterable[can.Message]) -> None:
@@ -52,27 +130,27 @@ class FrameLog(Protocol):
         ...
 
     def cut(self) -> None:
-        """End the present part."""
+        """End the current part."""
         ...
 
 
 class ReadingsLog(Protocol):
-    """Where readings go, as to a :class:`~gyrobench.bench.runs.telemetry.Telemetry`."""
+    """Keeps readings, as :class:`~gyrobench.bench.runs.telemetry.Telemetry` does."""
 
     def add(self, row: tuple[float, ...]) -> None:
         """Add the values of one moment."""
         ...
 
     def flush(self) -> None:
-        """Bring them to the disk."""
+        """Write them to the disk."""
         ...
 
 
 class LiveBench:
-    """The opened instruments on the run's clock, polled at every tick.
+    """The opened instruments of a bench, polled at every tick.
 
-    An instrument that does not answer when it is polled is asked again at the next tick; its last
-    answer grows old meanwhile, until its interlock trips.
+    An instrument that does not answer a poll is asked again at the next tick; its last answer gets older
+    meanwhile, until its interlock trips.
 
     Parameters
     ----------
@@ -81,24 +159,20 @@ class LiveBench:
     clock : Clock
         The run's clock.
     can_log, telemetry
-        Where everything received and read goes.
-    tell_failure : callable
-        Takes the error of an exchange that failed, or None when the instrument of that name answers again.
+        Keep everything received and read.
+    report_failure : callable
+        Gets the instrument's name and the error of a failed exchange, or None when it answers again.
 
     Attributes
     ----------
     readings : Readings
         Newest answers; set by :meth:`start`.
-    expected : Expected
-        What the instruments have been told, for the interlocks.
+    state : BenchState
+        What the bench was commanded to do.
     capture : Capture or None
-        The frames of the dwell under way.
-    has_unit_restarted : bool
-        Whether the INS was seen to start anew by itself since it was switched on.
+        The frames of the dwell in progress.
     lateness : TickLateness
         How late ticks were.
-    step, dwell : int
-        Where the run is, for the telemetry; 0 where it is nowhere.
     """
 
     def __init__(
@@ -108,21 +182,18 @@ class LiveBench:
         clock: Clock,
         can_log: FrameLog,
         telemetry: ReadingsLog,
-        tell_failure: Callable[[str, InstrumentError | None], None],
+        report_failure: Callable[[str, InstrumentError | None], None],
     ) -> None:
         self.station = station
         self.instruments = instruments
         self.clock = clock
         self.readings: Readings
-        self.expected = Expected()
+        self.state = BenchState(station)
         self.capture: Capture | None = None
-        self.has_unit_restarted = False
         self.lateness = TickLateness()
-        self.step = 0
-        self.dwell = 0
         self._can_log = can_log
         self._telemetry = telemetry
-        self._tell_failure = tell_failure
+        self._report_failure = report_failure
         self._watch = InterlockWatch(station, clock)
         self._failing: list[str] = []
         self._next_reopen_s = 0.0
@@ -139,10 +210,10 @@ class LiveBench:
         InstrumentError
             One does not answer, although it was asked several times.
         """
-        table = self._insist(self.instruments.table.read)
-        faults = self._insist(self.instruments.table.faults)
-        chamber = self._insist(self.instruments.chamber.read)
-        alarms = self._insist(self.instruments.chamber.alarms)
+        table = self._first(self.instruments.table.read)
+        faults = self._first(self.instruments.table.faults)
+        chamber = self._first(self.instruments.chamber.read)
+        alarms = self._first(self.instruments.chamber.alarms)
         self.poll_ins()
         now_s = self.clock.now()
         self.readings = Readings(
@@ -151,8 +222,8 @@ class LiveBench:
         self._next_reading_s = now_s + self.station.instruments_period_s
         self._watch.observe(self.readings)
 
-    def _insist(self, ask: Callable[[], T]) -> T:
-        for _ in range(_FIRST_ASKS - 1):
+    def _first(self, ask: Callable[[], T]) -> T:
+        for _ in range(_FIRST_TRIES - 1):
             try:
                 return ask()
             except FaultError:
@@ -163,7 +234,7 @@ class LiveBench:
         return ask()
 
     def tick(self) -> None:
-        """Wait for the next tick, then poll whatever is due."""
+        """Wait for the next tick, then poll what is due."""
         tick_s = self.station.tick_s
         next_tick_s = tick_s * (math.floor(self.clock.now() / tick_s + 1e-9) + 1)
         while (now_s := self.clock.now()) < next_tick_s:
@@ -176,53 +247,53 @@ class LiveBench:
             self.read_instruments()
 
     def trips(self) -> list[Trip]:
-        """Interlocks that are tripped now."""
-        return self._watch.trips(self.clock.now(), self.expected)
+        """Return the interlocks that are tripped."""
+        return self._watch.trips(self.clock.now(), self.state.expected)
 
     def good_for_s(self, trips: Iterable[Trip]) -> float:
-        """How long all of these interlocks have been good; zero if one is not."""
+        """Return for how long none of these interlocks has been tripped; zero while one is."""
         since_s = [self._watch.good_since_s(trip.name) for trip in trips]
         now_s = self.clock.now()
         return min((0.0 if each_s is None else now_s - each_s for each_s in since_s), default=math.inf)
 
     def poll_ins(self) -> None:
-        """Take the frames that have arrived."""
+        """Receive the frames that have arrived."""
         self._asked("INS", self.instruments.ins.poll)
 
     def reopen(self, instrument: str) -> None:
-        """Open a port anew that went away; tells if that fails."""
+        """Reopen the port of an instrument; a failure is reported."""
         self._asked(instrument, lambda: self.instruments.reopen(instrument))
 
     def _asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
         try:
             answer = ask()
         except FaultError:
-            return None  # it answers; what it reports is looked at by the interlocks
+            return None  # it answers; the interlocks evaluate what it reports
         except InstrumentError as error:
             self._failed(error)
             return None
         if instrument in self._failing:
             self._failing.remove(instrument)
-            self._tell_failure(instrument, None)
+            self._report_failure(instrument, None)
         return answer
 
     def _failed(self, error: InstrumentError) -> None:
         if error.instrument not in self._failing:
             self._failing.append(error.instrument)
-            self._tell_failure(error.instrument, error)
+            self._report_failure(error.instrument, error)
 
     def _reopen(self) -> None:
-        """Open an instrument anew that does not answer: an adapter that was unplugged needs it."""
+        """Reopen an instrument that does not answer: an adapter that was unplugged needs it."""
         if self.clock.now() < self._next_reopen_s:
             return
-        self._next_reopen_s = self.clock.now() + _REOPEN_EVERY_S
+        self._next_reopen_s = self.clock.now() + _REOPEN_PERIOD_S
         instrument = self._failing[0]
         self._failing.append(self._failing.pop(0))  # one at a time: it may take long
-        with contextlib.suppress(ConnectionFailedError):  # said already, and still so
+        with contextlib.suppress(ConnectionFailedError):  # reported already
             self.instruments.reopen(instrument)
 
     def read_instruments(self) -> None:
-        """Ask table, chamber and INS, and keep what they say in the telemetry."""
+        """Read table, chamber and INS, and keep the readings in the telemetry."""
         self._next_reading_s = self.clock.now() + self.station.instruments_period_s
         self.poll_ins()
         asked_s = self.clock.now()
@@ -239,7 +310,7 @@ class LiveBench:
         self.readings = readings
         self._watch.observe(readings)
         self._notice_restart(readings)
-        self._notice_deaf_bus(readings)
+        self._notice_silent_bus(readings)
         self._telemetry.add(self._telemetry_row(readings, asked_s))
         if self.capture and of_chamber is not None:
             self.capture.chamber_c.append(of_chamber.temperature_c)
@@ -247,25 +318,25 @@ class LiveBench:
             self.capture.table_deg.append(self.table_angles())
 
     def read_table(self) -> None:
-        """Ask the table alone, between the regular readings."""
+        """Read the table alone, between the regular readings."""
         of_table = self._asked("rate table", lambda: self.instruments.table.read())
         if of_table is not None:
             self.readings = replace(self.readings, table=of_table, table_s=self.clock.now())
 
     def _notice_restart(self, readings: Readings) -> None:
-        """See an INS that has started anew: left its work untold, or does not count on from before."""
+        """Detect an INS that restarted: it left its mode without a command, or its count of epochs jumped."""
         mode, epochs = readings.ins.mode, readings.ins.epochs
         worked = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
         has_left = worked and mode in (InsMode.BOOT, InsMode.STANDBY)
-        if self.expected.ins_on and (has_left or self._counts_anew(readings)):
-            self.has_unit_restarted = True
+        if has_left or self._has_count_jumped(readings):
+            self.state.ins_restarted()
         if mode is not InsMode.UNKNOWN:
             self._mode = mode
         if epochs is not None:
             self._epochs = (readings.asked_s, epochs)
 
-    def _counts_anew(self, readings: Readings) -> bool:
-        """Whether the count of epochs is another than the time since the last reading leads to expect."""
+    def _has_count_jumped(self, readings: Readings) -> bool:
+        """Whether the count of epochs does not match the time since the last reading."""
         ins, before = readings.ins, self._epochs
         if ins.epochs is None or before is None:
             return False
@@ -273,21 +344,28 @@ class LiveBench:
         counted_s = ((ins.epochs - before[1]) % ins.epoch_modulus) * ins.epoch_period_s
         wrap_s = ins.epoch_modulus * ins.epoch_period_s
         off_s = (counted_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
-        return abs(off_s) > _COUNTS_ON_S + ins.age_s
+        return abs(off_s) > _EPOCH_COUNT_TOLERANCE_S + ins.age_s
 
-    def _notice_deaf_bus(self, readings: Readings) -> None:
-        """Take a bus on which the INS has fallen silent for one that may need to be opened anew."""
-        if self.expected.ins_on and readings.ins.age_s > _DEAF_S:
+    def _notice_silent_bus(self, readings: Readings) -> None:
+        """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""
+        if self.state.expected.ins_on and readings.ins.age_s > _BUS_SILENCE_S:
             self._failed(NoReplyError("INS", f"has sent nothing for {readings.ins.age_s:.0f} s"))
 
     def begin_capture(self) -> None:
-        """Keep the frames from here on for a dwell; the raw log starts a new part."""
+        """Start to keep the frames of a dwell; the raw log starts a new part."""
         self.poll_ins()
         self._can_log.cut()
         self.capture = Capture(self._can_log.next_part)
 
+    def begin_window(self, is_first: bool) -> None:
+        """Forget readings of the dwell from before its window; those of the chamber before the first."""
+        if self.capture:
+            self.capture.table_deg.clear()
+            if is_first:
+                self.capture.chamber_c.clear()
+
     def end_capture(self) -> FrameBlock:
-        """Stop keeping frames and return them; log and telemetry so far are on the disk then."""
+        """Stop keeping frames and return them, with log and telemetry written to the disk."""
         frames = self.capture.frames() if self.capture else FrameBlock.from_messages([])
         self.capture = None
         self._can_log.cut()
@@ -295,12 +373,12 @@ class LiveBench:
         return frames
 
     def captured_frames(self) -> int:
-        """Number of data frames of the dwell under way that have arrived by now."""
+        """Return the number of data frames of the dwell in progress so far."""
         self.poll_ins()
         return self.capture.count() if self.capture else 0
 
     def table_angles(self) -> Angles:
-        """Outer and inner angle as last read."""
+        """Return outer and inner angle as last read, deg."""
         return self.station.table_axes_of(self.readings.table.position_deg)
 
     @property
@@ -308,10 +386,42 @@ class LiveBench:
         """Instruments whose last exchange failed."""
         return tuple(self._failing)
 
-    @property
-    def commanded_c(self) -> float | None:
-        """Set point of the chamber; None while nobody controls it."""
-        return self.expected.chamber_set_c if self.expected.chamber_on else None
+    def make_safe(
+        self, release_table: bool = True, meanwhile: Callable[[], object] = lambda: None
+    ) -> list[SafeAction]:
+        """Bring all outputs to their safe values; none raises.
+
+        Parameters
+        ----------
+        release_table : bool
+            Whether the servos are opened as well.
+        meanwhile : callable
+            Called repeatedly during the waits.
+        """
+        actions = make_safe(self.station, self.instruments, release_table, meanwhile=meanwhile)
+        self.state.made_safe()
+        return actions
+
+    def check_set_point_reached(self) -> None:
+        """Expect the chamber's air to stay at the set point once it has reached it."""
+        set_c, air_c = self.state.commanded_c, self.readings.chamber.temperature_c
+        if set_c is not None and abs(air_c - set_c) <= _REACHED_C:
+            self.state.chamber_set_point_reached()
+
+    def prepare_table(self) -> None:
+        """Set the limits of motion, clear latched faults and close the servos, unless that is done.
+
+        Raises
+        ------
+        InstrumentError
+            The table does not answer, or a servo does not close.
+        """
+        if self.state.expected.table_prepared:
+            return
+        table, limits = self.instruments.table, self.station.file.rate_table.limits
+        table.set_limits(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
+        table.prepare()
+        self.state.table_prepared()
 
     def _received(self, messages: list[can.Message]) -> None:
         self._can_log.write(messages)
@@ -319,16 +429,16 @@ class LiveBench:
             self.capture.add(messages)
 
     def _telemetry_row(self, readings: Readings, asked_s: float) -> tuple[float, ...]:
-        """Values of this moment; those of an instrument that did not answer are not known."""
+        """Values of this moment; NaN for an instrument that did not answer."""
         ins = readings.ins
         angles = (*self.table_angles(), *self.station.table_axes_of(readings.table.rate_dps))
         chamber_c = readings.chamber.temperature_c
-        set_c = self.commanded_c
+        set_c = self.state.commanded_c
         return (
             asked_s,
             math.nan if set_c is None else set_c,
             chamber_c if readings.chamber_s >= asked_s else math.nan,
             *(angles if readings.table_s >= asked_s else (math.nan,) * len(angles)),
             *ins.optics_c.tolist(), *ins.electronics_c.tolist(), ins.case_c,
-            float(ins.mode), float(self.step), float(self.dwell),
+            float(ins.mode), float(self.state.at.step), float(self.state.at.dwell),
         )  # fmt: skip

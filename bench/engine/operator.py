@@ -1,18 +1,127 @@
-"""The person at the bench, as the engine sees one."""
+"""The operator of a run: questions that the run asks, and commands that the operator gives.
+
+Commands come from the terminal or as signals: pause, continue, hold, skip, abort.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+import signal
+import threading
+from collections import deque
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from types import FrameType, MappingProxyType, TracebackType
 from typing import Protocol
 
-from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.foundations.errors import GyrobenchError
+
+
+class RunCommand(StrEnum):
+    """A command to a run in progress."""
+
+    PAUSE = "pause"
+    CONTINUE = "continue"
+    HOLD = "hold"
+    SKIP = "skip"
+    ABORT = "abort"
+
+
+#: What each command does, for help texts.
+COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
+    {
+        RunCommand.PAUSE: "discard the dwell in progress and wait; the dwell is repeated on continue",
+        RunCommand.CONTINUE: "continue after a pause or a hold",
+        RunCommand.HOLD: "finish the dwell in progress, then wait at this temperature",
+        RunCommand.SKIP: "discard the dwell in progress and continue with the next one",
+        RunCommand.ABORT: "bring the bench to its safe state and end; the run can be resumed",
+    }
+)
+
+#: Signals that give a command, the preferred one first. Ctrl-Z pauses: a stopped process would leave the
+#: bench without control.
+COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
+    {
+        signal.SIGTERM: RunCommand.ABORT,
+        signal.SIGINT: RunCommand.ABORT,
+        signal.SIGHUP: RunCommand.ABORT,
+        signal.SIGTSTP: RunCommand.PAUSE,
+        signal.SIGCONT: RunCommand.CONTINUE,
+        signal.SIGUSR1: RunCommand.HOLD,
+        signal.SIGUSR2: RunCommand.SKIP,
+    }
+)
+
+_TERMINAL_SIGNALS = (signal.SIGTTIN, signal.SIGTTOU)
+
+
+@dataclass(frozen=True)
+class GivenCommand:
+    """A command and its source (a signal's name, the terminal), for the journal."""
+
+    command: RunCommand
+    by: str
+
+
+class CommandReceivedError(GyrobenchError):
+    """The operator commanded a pause, or skipped the dwell in progress."""
+
+    def __init__(self, given: GivenCommand) -> None:
+        super().__init__(f"{given.command} by {given.by}")
+        self.given = given
+
+
+class CommandQueue:
+    """Commands that wait to be executed; the run reads the queue at every tick.
+
+    As a context manager it catches the signals, so that no signal ends the process in the middle of an
+    exchange with an instrument.
+    """
+
+    def __init__(self) -> None:
+        self._given: deque[GivenCommand] = deque()
+
+    def __enter__(self) -> CommandQueue:
+        self._previous = {}
+        if threading.current_thread() is threading.main_thread():
+            # A signal that is ignored, as SIGHUP under nohup, stays ignored.
+            caught = [number for number in COMMAND_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+            self._previous = {number: signal.signal(number, self._caught) for number in caught}
+            # The terminal must not stop a run in the background that reads from it or writes to it.
+            for number in _TERMINAL_SIGNALS:
+                self._previous[number] = signal.signal(number, signal.SIG_IGN)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _caught(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
+        name = signal.Signals(number)
+        self.give(COMMAND_SIGNALS[name], name.name)
+
+    def give(self, command: RunCommand, by: str) -> None:
+        """Add a command; ``by`` is its source, for the journal."""
+        self._given.append(GivenCommand(command, by))
+
+    def take(self) -> GivenCommand | None:
+        """Remove and return the oldest command; an abort comes before all others."""
+        if not self._given:
+            return None
+        abort = next((given for given in self._given if given.command is RunCommand.ABORT), None)
+        if abort is not None:
+            self._given.clear()
+            return abort
+        return self._given.popleft()
 
 
 class Operator(Protocol):
-    """Somebody who can be asked; the run goes on ticking until the answer is there."""
+    """Answers questions; the run continues to tick until the answer is there."""
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
-        """Put a question; the answer comes later."""
+        """Ask a question without waiting for the answer."""
         ...
 
     def answer(self) -> str | None:
@@ -20,22 +129,22 @@ class Operator(Protocol):
         ...
 
     def withdraw(self) -> None:
-        """Withdraw the question: it has answered itself."""
+        """Withdraw the open question."""
         ...
 
-    def order(self) -> Order | None:
-        """Return an order given without being asked, or None; not while a question is open."""
+    def command(self) -> RunCommand | None:
+        """Return a command typed since the last call, or None; not while a question is open."""
         ...
 
 
 class ConsentingOperator:
-    """Gives the first answer at once, for emulated benches, where nobody sits.
+    """Gives the first answer at once, for emulated benches without an operator.
 
     Parameters
     ----------
     patience : int
-        How often it answers one question in a row before it gives the last answer instead: what is wrong
-        with an emulated bench passes by itself or never.
+        How often it gives the first answer to one question in a row before it gives the last answer instead:
+        a fault of an emulated bench passes by itself or never.
     """
 
     def __init__(self, patience: int = 30) -> None:
@@ -44,25 +153,25 @@ class ConsentingOperator:
         self._answer = ""
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
-        """Settle on an answer."""
+        """Choose an answer."""
         before, times = self._asked
         self._asked = (question, times + 1 if question == before else 1)
         self._answer = answers[0] if self._asked[1] <= self._patience else answers[-1]
 
     def answer(self) -> str | None:
-        """The answer."""
+        """Return the chosen answer."""
         return self._answer
 
     def withdraw(self) -> None:
-        """Nothing is open."""
+        """Do nothing."""
 
-    def order(self) -> Order | None:
-        """None ever: it only consents."""
+    def command(self) -> RunCommand | None:
+        """Return None always."""
         return None
 
 
-def asked(operator: Operator, question: str, answers: Sequence[str]) -> Generator[None, None, str]:
-    """Put a question and yield once a tick until it is answered; returns the answer."""
+def ask_operator(operator: Operator, question: str, answers: Sequence[str]) -> Generator[None, None, str]:
+    """Ask a question and yield once a tick until it is answered; returns the answer."""
     operator.ask(question, answers)
     try:
         while (answer := operator.answer()) is None:

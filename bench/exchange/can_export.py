@@ -31,7 +31,7 @@ from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
-#: The column that has them.
+#: Column of calendar times.
 UTC_FIELD = pa.field("utc", pa.timestamp("us", tz="UTC"))
 _MICROSECONDS = 1e6
 
@@ -43,38 +43,30 @@ def calendar_times(began: datetime, time_s: FloatArray) -> pa.Array:
     return pa.array(times_us, pa.int64()).cast(UTC_FIELD.type)
 
 
-#: 1990-01-01 UTC: no time before it is one of the calendar, for the BLF format neither.
+#: 1990-01-01 UTC: earlier time stamps are not calendar times.
 _FIRST_CALENDAR_S = 631_152_000.0
 
 
 @dataclass(frozen=True)
 class TimedPart:
-    """One part of the log.
-
-    Attributes
-    ----------
-    number : int
-        Of the part.
-    messages : list of can.Message
-        In the order received, time stamps in seconds since 1970 UTC.
-    """
+    """One part of the log: its number, and its frames with time stamps in seconds since 1970 UTC."""
 
     number: int
     messages: list[can.Message]
 
 
 class TimedLog:
-    """The parts of a run's log that hold frames, one after the other; one is in memory at a time.
+    """The parts of a run's log that hold frames, with calendar times; one is in memory at a time.
 
-    A part that was never closed, and any part where the CAN adapter has a clock of its own, tells times
-    from its first frame on only. Where a finished dwell is in it, that tells the time.
+    A part that was never closed, or was stamped by the CAN adapter's own clock, has times relative to its
+    first frame. They are placed by the finished dwell in the part, if there is one.
 
     Attributes
     ----------
     finished : dict of int to DwellMarks
         Marks of the finished dwells by their part.
     estimated : list of int
-        Parts met so far whose time is not known exactly: they are put behind the part before.
+        Parts read so far without an exact time: they are placed at the end of the part before.
 
     Raises
     ------
@@ -101,7 +93,7 @@ class TimedLog:
             yield TimedPart(number, messages)
 
     def _shift_s(self, number: int, messages: list[can.Message], end_s: float) -> float:
-        """What to add to the times of a part."""
+        """Offset from the times of a part to calendar times."""
         marks = self.finished.get(number)
         if marks is not None and marks.windows[0].first_frame < len(messages):
             begin_s = self.began_s + marks.start_s

@@ -18,7 +18,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 
 def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[int]:
-    """Number the cycle_numbers between turning points, from 1.
+    """Number the legs of the temperature between its turning points, from 1.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class ReadLog:
     windows : list of Window
         Good ones and others.
     reasons : list of str
-        Why each is left out; empty for a good one.
+        Why each is left out; empty for a valid window.
     missing : int
         Windows without any sample between the first and the last.
     """
@@ -71,7 +71,7 @@ class ReadLog:
     missing: int
 
     @property
-    def good(self) -> list[Window]:
+    def valid_windows(self) -> list[Window]:
         """Windows that become rows."""
         return [each for each, reason in zip(self.windows, self.reasons, strict=True) if not reason]
 
@@ -82,7 +82,7 @@ def read_log(path: Path, log_map: LogMap) -> ReadLog:
     Raises
     ------
     DocumentError
-        The mapping does not fit the log, or it can't be read.
+        The import map does not match the log, or it can't be read.
     MeasurementError
         Time goes back.
     """
@@ -94,7 +94,7 @@ def read_log(path: Path, log_map: LogMap) -> ReadLog:
 
 
 def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) -> list[DwellRow]:
-    """One row for each good window, in the order of the logs.
+    """One row for each valid window, in the order of the logs.
 
     Parameters
     ----------
@@ -110,9 +110,9 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
     MeasurementError
         Logs of one power-on overlap or do not follow one another.
     """
-    windows = [window for log in logs for window in log.good]
+    windows = [window for log in logs for window in log.valid_windows]
     offsets = _offsets_s(logs, log_map)
-    origins = [index for index, log in enumerate(logs) for _ in log.good]
+    origins = [index for index, log in enumerate(logs) for _ in log.valid_windows]
     cycles = _cycles(windows, origins, offsets, log_map)
     rows = []
     for index, (window, log, cycle) in enumerate(zip(windows, origins, cycles, strict=True), 1):
@@ -164,8 +164,8 @@ def _offsets_s(logs: Sequence[ReadLog], log_map: LogMap) -> list[float]:
             if offsets and offset < end_s - log_map.window_s:
                 raise MeasurementError(
                     f"{log.path}: begins {offset:.1f} s after {logs[0].path}, before the log "
-                    "ahead of it ends. Give the logs in the order of time; if each is of a power-on of its "
-                    "own, say 'each_log_is_a_run: true' in the mapping"
+                    "ahead of it ends. Give the logs in the order of time; if each is a separate power-on, "
+                    "set 'each_log_is_a_run: true' in the import map"
                 )
         offsets.append(offset)
         end_s = offset + (log.windows[-1].end_s if log.windows else 0.0)

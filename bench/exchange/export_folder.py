@@ -58,12 +58,12 @@ _UNITS = MappingProxyType(
 
 
 def unit_of(column: str) -> str:
-    """Unit of a column; empty where it has none."""
+    """Unit of a column; empty if it has none."""
     return next((unit for end, unit in _UNITS.items() if column.endswith(end)), "")
 
 
 def type_of(column: str) -> pa.DataType:
-    """Type of a column in a file that has types."""
+    """Arrow type of a column."""
     if column in _TEXT:
         return pa.string()
     return pa.int64() if column in _WHOLE else pa.float64()
@@ -76,7 +76,7 @@ def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
 
 
 def data_origin(folder: RunFolder) -> dict[str, Any]:
-    """Plain data: run, unit, versions, hashes, and how the run ended; None for what is not known.
+    """Run, unit, versions, hashes and end of the run as plain data; None for unknown values.
 
     Raises
     ------
@@ -99,25 +99,17 @@ def data_origin(folder: RunFolder) -> dict[str, Any]:
     }
 
 
-#: Beside the files: what they are.
+#: Record beside the exported files.
 ABOUT = "export.json"
 _MAX_ABOUT_BYTES = 10_000_000
 
 
 @dataclass
 class ExportFolder:
-    """Where files go, and what is said of them.
+    """The folder, made when the first file is written, and the record of its files.
 
-    Attributes
-    ----------
-    folder : Path
-        Made if it isn't there.
-    origin : mapping
-        Where the data came from.
-    force : bool
-        Whether files that are there are replaced.
-    written : list of Path
-        In order.
+    ``origin`` is the source of the data, ``force`` allows existing files to be replaced, ``written`` lists
+    the files in order.
     """
 
     folder: Path
@@ -127,28 +119,22 @@ class ExportFolder:
     _about: dict[str, Any] = field(default_factory=dict)
 
     def refuse_existing(self, names: list[str]) -> None:
-        """Look whether files are there, before the first one is written.
+        """Check for existing files before the first one is written.
 
         Raises
         ------
         RunFolderError
-            Some are, and they are not to be replaced.
+            A file exists and ``force`` is off.
         """
         there = [name for name in names if (self.folder / name).exists()]
         if there and not self.force:
             raise RunFolderError(
-                f"{self.folder}: holds {', '.join(there)} already. Give --force to replace what is there, or "
-                "another --out"
+                f"{self.folder}: already contains {', '.join(there)}. Use --force or another --out"
             )
 
     @contextlib.contextmanager
     def file(self, name: str, **about: Any) -> Iterator[Path]:
-        """Give a path to write to; the file takes its place once it is whole.
-
-        Parameters
-        ----------
-        about
-            What is to be said of it.
+        """Path to write to; the complete file then replaces the target. ``about`` goes into the record.
 
         Raises
         ------
@@ -172,7 +158,7 @@ class ExportFolder:
         self._about[name] = about
 
     def table(self, name: str, schema: pa.Schema, batches: Iterator[pa.Table], **about: Any) -> None:
-        """Write a table as Parquet or CSV, as the name ends, batch by batch.
+        """Write a table as Parquet or CSV, by the suffix of its name, batch by batch.
 
         Raises
         ------
@@ -195,7 +181,7 @@ class ExportFolder:
                             writer.write_table(batch.cast(schema))
 
     def finish(self) -> None:
-        """Write what is said of all files; what was said of others of the same run bars.
+        """Write the record of all files; entries of other files of the same run are kept.
 
         Raises
         ------
@@ -205,11 +191,11 @@ class ExportFolder:
         if not self.written:
             return
         path = self.folder / ABOUT
-        content = {"origin": self.origin, "files": self._said_before(path) | self._about}
+        content = {"origin": self.origin, "files": self._earlier_entries(path) | self._about}
         write_whole(path, (json.dumps(content, indent=2, default=str) + "\n").encode())
         self.written.append(path)
 
-    def _said_before(self, path: Path) -> dict[str, Any]:
+    def _earlier_entries(self, path: Path) -> dict[str, Any]:
         if not path.exists():
             return {}
         try:
@@ -217,4 +203,4 @@ class ExportFolder:
             is_same_run = content["origin"]["run"] == self.origin["run"]
             return {name: about for name, about in content["files"].items() if is_same_run}
         except (ValueError, TypeError, LookupError, AttributeError):
-            return {}  # something else of that name
+            return {}  # another file of that name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -41,13 +42,11 @@ class TextFormat(StrictModel):
     """A text file, one sample a line."""
 
     separator: Literal["auto", "comma", "semicolon", "tab", "whitespace"] = Field(
-        default="auto", description="what stands between the cells"
+        default="auto", description="separator of the cells"
     )
     header: bool = Field(default=True, description="whether the first line names the columns")
     skip_lines: int = Field(default=0, ge=0, description="lines before the header or the first sample")
-    comment: str | None = Field(
-        default=None, min_length=1, description="what a line that is no sample begins with"
-    )
+    comment: str | None = Field(default=None, min_length=1, description="first characters of a comment line")
     decimal: Literal[".", ","] = Field(default=".", description="decimal point")
 
 
@@ -104,12 +103,14 @@ class GyroColumns(StrictModel):
     y: AxisColumn = Field(description="column of the y gyro, with its sign")
     z: AxisColumn = Field(description="column of the z gyro, with its sign")
     full_scale: Positive | None = Field(
-        default=None, description="largest rate that the gyros can tell, in the unit above"
+        default=None, description="measuring range of the gyros, in the unit above"
     )
 
 
 class TemperatureColumns(StrictModel):
-    """Where temperatures stand; each value times ``scale`` plus ``offset_c`` is degC."""
+    """Columns of temperatures; each value times ``scale`` plus ``offset_c`` is degC."""
+
+    renamed_keys = MappingProxyType({"least_swing_c": "min_swing_c"})
 
     gyros: Column | None = Field(default=None, description="one temperature for all three gyros")
     gyro_x: Column | None = Field(default=None, description="temperature of the x gyro")
@@ -119,7 +120,7 @@ class TemperatureColumns(StrictModel):
         default=None,
         ge=COLDEST_C,
         le=HOTTEST_C,
-        description="for a log without temperatures: the one that was noted, degC",
+        description="for a log without temperatures: the noted temperature, degC",
     )
     boards: Column | None = Field(default=None, description="one temperature for all gyros' electronics")
     board_x: Column | None = Field(default=None, description="temperature of the x gyro's electronics")
@@ -130,8 +131,8 @@ class TemperatureColumns(StrictModel):
     case: Column | None = Field(default=None, description="case of the unit")
     scale: float = Field(default=1.0, description="degC per unit of the columns")
     offset_c: float = Field(default=0.0, description="added after scale, degC")
-    least_swing_c: NotNegative = Field(
-        default=10.0, description="refuse a table whose temperatures span less, K"
+    min_swing_c: NotNegative = Field(
+        default=10.0, description="reject a table whose temperatures span less, K"
     )
 
     @model_validator(mode="after")
@@ -156,20 +157,20 @@ class TemperatureColumns(StrictModel):
 
 
 class StatusRule(StrictModel):
-    """Which samples are good."""
+    """Which samples are valid."""
 
     column: Column = Field(description="column with the status")
-    good: list[str | int] = Field(min_length=1, description="values of a good sample")
+    good: list[str | int] = Field(min_length=1, description="values of a valid sample")
 
 
 class Accelerometers(StrictModel):
-    """Accelerometers that tell the position; their unit does not matter."""
+    """Accelerometers that indicate the position; their unit does not matter."""
 
     x: AxisColumn = Field(description="column of the x accelerometer, with its sign")
     y: AxisColumn = Field(description="column of the y accelerometer, with its sign")
     z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
     tolerance_deg: float = Field(
-        default=10.0, gt=0.0, le=45.0, description="leave windows out that are tilted more"
+        default=10.0, gt=0.0, le=45.0, description="windows tilted more are left out"
     )
 
 
@@ -180,7 +181,7 @@ class PositionRule(StrictModel):
     column: Column | None = Field(default=None, description="column with the position")
     values: dict[str, PositionName] = Field(
         default={name: name for name in get_args(PositionName)},
-        description="position by what that column says",
+        description="position for each value of that column",
     )
     accelerometers: Accelerometers | None = Field(
         default=None, description="the position nearest to what the accelerometers read"
@@ -193,7 +194,7 @@ class PositionRule(StrictModel):
 
 
 class CycleRule(StrictModel):
-    """Which pass of the temperature profile a window belongs to."""
+    """Cycle of the temperature profile that a window belongs to."""
 
     constant: int | None = Field(default=None, ge=0, le=10**9, description="the same for all windows")
     column: Column | None = Field(default=None, description="column with whole numbers")
@@ -216,7 +217,7 @@ class CycleRule(StrictModel):
 
 
 class EarthRate(StrictModel):
-    """Where the Earth's rotation is taken from the rates."""
+    """Place and azimuth for subtracting the Earth's rotation from the rates."""
 
     latitude_deg: float = Field(ge=-90.0, le=90.0, description="geodetic latitude, deg")
     azimuth_deg: float | None = Field(
@@ -228,13 +229,13 @@ class EarthRate(StrictModel):
 
 
 class LogMap(StrictModel):
-    """What stands where in a log, and how it is averaged."""
+    """The columns of a log and how they are averaged."""
 
-    description: str = Field(default="", description="what it is for, for people")
+    description: str = Field(default="", description="purpose, free text")
     unit: Name = Field(description="serial number of the unit")
     run: Name = Field(default="1", description="name of the power-on")
     each_log_is_a_run: bool = Field(
-        default=False, description="several logs are of one power-on each, not of one on one clock"
+        default=False, description="each log is a separate power-on; else all share one power-on and clock"
     )
     since_power_on_s: NotNegative = Field(default=0.0, description="from power-on to the log's first sample")
     text: TextFormat | None = Field(default=None, description="the log is text")
@@ -242,18 +243,18 @@ class LogMap(StrictModel):
     time: TimeRule = Field(description="how the samples are timed")
     gyro: GyroColumns = Field(description="which columns are the rates")
     temperatures: TemperatureColumns = Field(description="which columns are temperatures")
-    status: StatusRule | None = Field(default=None, description="which samples are good")
+    status: StatusRule | None = Field(default=None, description="which samples are valid")
     position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] = Field(
-        description="how the unit stands"
+        description="position of the unit"
     )
     cycle: Annotated[CycleRule, _plain("constant", int, CycleRule)] = Field(
-        default=CycleRule(constant=1), description="what can be held out"
+        default=CycleRule(constant=1), description="cycle of each window; a cycle can be held out"
     )
     earth_rate: EarthRate | None = Field(
-        default=None, description="without it the Earth's rotation bars in the biases"
+        default=None, description="without it the Earth's rotation remains in the biases"
     )
     window_s: float = Field(ge=1e-3, le=1e12, description="length of the windows that are averaged")
-    skip_s: NotNegative = Field(default=0.0, description="left out at the begin of each log")
+    skip_s: NotNegative = Field(default=0.0, description="left out at the beginning of each log")
     max_gap_s: Positive | None = Field(
         default=None,
         description="longest time between samples; by default 5 sample intervals or 1 % of a window",
@@ -268,7 +269,7 @@ class LogMap(StrictModel):
 
 
 def load_log_map(path: Path) -> LogMap:
-    """Read a mapping file.
+    """Read an import map.
 
     Raises
     ------

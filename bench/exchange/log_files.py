@@ -78,7 +78,7 @@ class TextLog:
         except OSError as error:
             raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
         if any("\0" in line for line in head):
-            raise DocumentError(f"{path}: is no text. For binary records give 'records' in the mapping")
+            raise DocumentError(f"{path}: is not text. For binary records give 'records' in the import map")
         if len(head) < (2 if layout.header else 1):
             raise DocumentError(f"{path}: holds no sample. Was the logger running?")
         self._separator = _separator(head, layout)
@@ -103,8 +103,8 @@ class TextLog:
         indices = {column: self._index(column) for column in (*numbers, *texts)}
         if both := {indices[column] for column in numbers} & {indices[column] for column in texts}:
             raise DocumentError(
-                f"{self._path}: the mapping takes column {self.columns[min(both)]} for a number, and for a "
-                "status or position too. Correct the mapping"
+                f"{self._path}: the import map uses column {self.columns[min(both)]} as a number and as a "
+                "status or position. Correct the import map"
             )
         names = [str(index) for index in range(len(self.columns))]
         types = {names[indices[column]]: pa.float64() for column in numbers}
@@ -175,7 +175,7 @@ class TextLog:
             raise DocumentError(f"{self._path}: the header gives '{column}' twice; map it by its number")
         raise DocumentError(
             f"{self._path}: there is no column '{column}'. It has {len(self.columns)}: "
-            f"{', '.join(self.columns)}. Correct the mapping"
+            f"{', '.join(self.columns)}. Correct the import map"
         )
 
     def _numbered_lines(self) -> Iterator[tuple[int, list[str]]]:
@@ -319,7 +319,7 @@ class RecordLog:
         self.truncated = size % self._bytes > 0
 
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
-        """Read columns batch by batch, as float64; those wanted as text as text.
+        """Read columns batch by batch: ``numbers`` as float64, ``texts`` as text.
 
         Raises
         ------
@@ -347,6 +347,6 @@ class RecordLog:
         if column in self.columns:
             return self.columns.index(str(column))
         raise DocumentError(
-            f"{self._path}: there is no field '{column}'. The mapping names {len(self.columns)}: "
+            f"{self._path}: there is no field '{column}'. The import map names {len(self.columns)}: "
             f"{', '.join(self.columns)}"
         )

@@ -38,13 +38,13 @@ class LogImport:
     Attributes
     ----------
     rows : list of DwellRow
-        One for each good window.
+        One for each valid window.
     left_out : dict of str to int
         Windows left out, by the reason.
     warnings : list of str
-        What the user should know before using the table.
+        Limits of the table.
     origin : dict
-        What the table was made of, for the record: logs with their hashes, mapping, samples.
+        Source of the table, for the record: logs with their hashes, import map, samples.
     """
 
     rows: list[DwellRow]
@@ -53,7 +53,7 @@ class LogImport:
     origin: dict[str, Any]
 
     def summary(self) -> str:
-        """Tell in a few lines what became of the logs."""
+        """Result of the import in a few lines."""
         temperatures = np.array([row.gyro_c for row in self.rows])
         windows = len(self.rows) + sum(self.left_out.values())
         lines = [
@@ -76,14 +76,14 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     logs : sequence of Path
         In the order of time.
     mapping : str
-        Mapping file, or the name of a shipped one.
+        Import map: file or shipped name.
 
     Raises
     ------
     DocumentError
-        The mapping is wrong, or does not fit a log, or a log can't be read.
+        The import map is wrong, or does not match a log, or a log can't be read.
     MeasurementError
-        No window is good, time goes back, or the temperatures can't carry a curve.
+        No window is valid, time goes back, or the temperatures can't support a curve.
     """
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path)
@@ -91,15 +91,15 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     left_out = Counter(reason for log in read for reason in log.reasons if reason)
     if missing := sum(log.missing for log in read):
         left_out["no sample at all"] = missing
-    windows = [window for log in read for window in log.good]
+    windows = [window for log in read for window in log.valid_windows]
     if not windows:
         reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
         raise MeasurementError(
-            f"{', '.join(map(str, logs))}: no window of {log_map.window_s:g} s is good. "
-            f"{reasons or 'The log ends before window and skip are over'}. Correct the log or the mapping"
+            f"{', '.join(map(str, logs))}: no window of {log_map.window_s:g} s is valid. "
+            f"{reasons or 'The log is shorter than skip_s and one window'}. Correct the log or the import map"
         )
     with _named(logs):
-        noise_dph = noise_of_means([log.good for log in read])
+        noise_dph = noise_of_means([log.valid_windows for log in read])
     rows = dwell_rows(read, noise_dph, log_map)
     warnings = [*_log_warnings(read), *_map_warnings(log_map, rows)]
     with _named(logs):
@@ -124,7 +124,7 @@ def write_import(out: Path, imported: LogImport) -> Path:
 
 @contextmanager
 def _named(logs: Sequence[Path]) -> Iterator[None]:
-    """Tell of which logs the measurements are that can't give a result."""
+    """Name the logs in errors."""
     try:
         yield
     except MeasurementError as error:
@@ -139,10 +139,10 @@ def _log_warnings(logs: Sequence[ReadLog]) -> list[str]:
         if log.reader.bad_status:
             warnings.append(f"{log.path}: {log.reader.bad_status} samples left out for their status")
         if log.reader.no_time:
-            warnings.append(f"{log.path}: {log.reader.no_time} samples left out that have no time")
+            warnings.append(f"{log.path}: {log.reader.no_time} samples without a time left out")
         dropped = sum(each.dropped for each in log.windows) - log.reader.bad_status
         if dropped > 0:
-            warnings.append(f"{log.path}: {dropped} samples left out whose rate is no number")
+            warnings.append(f"{log.path}: {dropped} samples without a valid rate left out")
     return warnings
 
 
@@ -151,18 +151,18 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
     if log_map.earth_rate is None:
         if len({row.position for row in rows}) > 1:
             warnings.append(
-                "the Earth's rotation, up to 15 deg/h, bars in the biases and differs between positions. "
-                "Give 'earth_rate' in the mapping"
+                "the Earth's rotation, up to 15 deg/h, remains in the biases and differs between positions. "
+                "Give 'earth_rate' in the import map"
             )
     elif log_map.earth_rate.azimuth_deg is None:
         _, north, _ = earth_rate_enu(math.radians(log_map.earth_rate.latitude_deg))
         horizontal_dph = north * RADPS_TO_DPH
         warnings.append(
-            "without an azimuth the Earth's rotation bars in the biases of the horizontal gyros, up to "
+            "without an azimuth the Earth's rotation remains in the biases of the horizontal gyros, up to "
             f"{horizontal_dph:.1f} deg/h"
         )
     if len({row.cycle for row in rows}) == 1:
-        warnings.append("all rows are of one cycle: nothing can be held out to test a model on")
+        warnings.append("all rows belong to one cycle: no cycle can be held out to test a model")
     return warnings
 
 
@@ -182,7 +182,7 @@ def _origin(
                 "samples": sum(each.samples for each in log.windows),
                 "dropped": sum(each.dropped for each in log.windows),
                 "windows": len(log.windows),
-                "windows_used": len(log.good),
+                "windows_used": len(log.valid_windows),
             }
             for log in logs
         ],

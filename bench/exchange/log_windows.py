@@ -13,9 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrobench.bench.bias.raw_rate import RateRecording
 from gyrobench.bench.exchange.import_map import Column, LogMap, TextFormat
 from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DPH_TO_RADPS,
+    RADPS_TO_DPH,
+    STANDARD_GRAVITY,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -27,7 +34,7 @@ Samples = dict[str, FloatArray]
 RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
 
-#: Beyond these nothing is measured, and no log is as long; what lies there counts as NaN does.
+#: Larger values and times count as NaN: no sensor measures them, no log is as long.
 _MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0}
@@ -35,14 +42,14 @@ _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 class SampleReader:
-    """Reads one log as its mapping says.
+    """Reads one log by its import map.
 
     Attributes
     ----------
     first_s : float
         Reading of the log's clock at its first sample, from the first batch on; 0 without a time column.
     bad_status, no_time : int
-        Samples left out so far since their status is not good, or since they have no time.
+        Samples left out so far because of their status, or without a time.
 
     Raises
     ------
@@ -68,12 +75,12 @@ class SampleReader:
     def batches(self) -> Iterator[Samples]:
         """Read the log in the order of time.
 
-        A sample whose status is not good keeps its time and loses its rates.
+        A sample with an invalid status keeps its time; its rates become NaN.
 
         Raises
         ------
         DocumentError
-            The mapping names a column that the log missing, or a cell can't be read.
+            The import map names a column that the log lacks, or a cell can't be read.
         MeasurementError
             Time goes back.
         """
@@ -114,10 +121,10 @@ class SampleReader:
         }
         status, position = self._map.status, self._map.position
         if status is not None:
-            good = np.isin(_words(batch[status.column]), [_word(str(each)) for each in status.good])
-            self.bad_status += int((~good).sum())
+            valid = np.isin(_words(batch[status.column]), [_word(str(each)) for each in status.good])
+            self.bad_status += int((~valid).sum())
             for name in RATES:
-                samples[name] = np.where(good, samples[name], np.nan)
+                samples[name] = np.where(valid, samples[name], np.nan)
         if position.column is not None:
             samples["position"] = self._positions(batch[position.column])
         return samples
@@ -129,7 +136,7 @@ class SampleReader:
         if unknown:
             raise DocumentError(
                 f"{self._path}: column {self._map.position.column} holds '{unknown[0]}', which is none of "
-                f"{', '.join(values)}. Add it to 'position.values' of the mapping"
+                f"{', '.join(values)}. Add it to 'position.values' in the import map"
             )
         order = list(POSITIONS)
         return np.array([float(order.index(values[name])) if name else np.nan for name in names])[which]
@@ -141,8 +148,31 @@ class SampleReader:
             raise MeasurementError(
                 f"{self._path}: time goes back by {-steps[back[0]]:g} s at {time_s[back[0]]:.3f} s after the "
                 "first sample. Cut the log there, or, where only its clock is wrong, give "
-                "'time: {sample_rate_hz: ...}' in the mapping"
+                "'time: {sample_rate_hz: ...}' in the import map"
             )
+
+
+def read_recording(path: Path, log_map: LogMap) -> RateRecording:
+    """Read a whole log at rest as one recording; the specific force is scaled to standard gravity.
+
+    Raises
+    ------
+    DocumentError
+        The log can't be read, or does not fit the map.
+    MeasurementError
+        The unit was not at rest, or samples are missing or wrong.
+    """
+    batches = list(SampleReader(path, log_map).batches())
+    samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    force = None
+    if FORCES[0] in samples:
+        force = np.column_stack([samples[name] for name in FORCES])
+        force *= STANDARD_GRAVITY / np.linalg.norm(force.mean(axis=0))
+    rates = np.column_stack([samples[name] for name in RATES]) * DPH_TO_RADPS
+    try:
+        return RateRecording(samples["time_s"], rates, force)
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error
 
 
 def _open(path: Path, log_map: LogMap) -> TextLog | RecordLog:
@@ -169,7 +199,7 @@ def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
 
 
 def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatArray:
-    """Values of a quantity; NaN where it can't have what the log says."""
+    """Values of a quantity; NaN for impossible values."""
     with np.errstate(over="ignore", invalid="ignore"):
         values = raw * scale + offset
     low, high = (COLDEST_C, HOTTEST_C) if name.endswith("_c") else (-_MAX_VALUE, _MAX_VALUE)
@@ -177,18 +207,18 @@ def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatA
 
 
 def full_scale_dph(log_map: LogMap) -> float:
-    """Largest rate that the gyros can tell; infinite where not known."""
+    """Measuring range of the gyros; infinite if unknown."""
     return np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * _TO_DPH[log_map.gyro.unit]
 
 
 def _words(texts: NDArray[Any]) -> NDArray[np.str_]:
-    """Texts that compare equal where they mean the same."""
+    """Normalised texts, which compare equal if they mean the same."""
     unique, which = np.unique(texts.astype(str), return_inverse=True)
     return np.array([_word(text) for text in unique], dtype=str)[which]
 
 
 def _word(text: str) -> str:
-    """Text without blanks around it; a number as short as it goes: ``0.0`` becomes ``0``."""
+    """Text without blanks around it; a number in its shortest form: ``0.0`` becomes ``0``."""
     try:
         return f"{float(text):g}"
     except ValueError:
@@ -226,14 +256,14 @@ class Window:
     rate_step_dph : ndarray, shape (3,)
         Smallest change from one sample to the next; infinite where there is none.
     extreme_dph, max_samples_at_extreme : ndarray, shape (3,)
-        Largest rate without its sign, and how many samples in a row it stayed.
+        Largest absolute rate, and longest series of samples with it.
     max_samples_unchanged : ndarray, shape (3,)
-        How many samples in a row a rate was the same.
+        Longest series of samples with a constant rate.
     means, slopes_per_h, steps, spans : dict of str to float
         Of temperatures, and of position and cycle: mean, slope, smallest change, and largest less
         smallest value. NaN where not measured.
     force : ndarray, shape (3,)
-        Mean of the accelerometers; NaN where the mapping names none.
+        Mean of the accelerometers; NaN if the import map names none.
     """
 
     start_s: float
@@ -257,7 +287,7 @@ class Window:
 
 
 def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> Iterator[Window]:
-    """Cut a log into windows; those with fewer than :data:`MIN_SAMPLES` good samples have NaN for all means.
+    """Cut a log into windows; those with fewer than :data:`MIN_SAMPLES` valid samples have NaN for all means.
 
     No more than a batch and a window are held at a time.
     """
@@ -280,7 +310,7 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
 
 
 def max_consecutive(same: BoolArray) -> int:
-    """How many true values stand in a row at most."""
+    """Longest series of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
@@ -299,8 +329,8 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
     time_s = samples["time_s"]
     number = int(_window_index(time_s[:1], window_s, skip_s)[0])
     rates = np.column_stack([samples[name] for name in RATES])
-    good = np.isfinite(rates).all(axis=1)
-    rates = rates[good]
+    valid = np.isfinite(rates).all(axis=1)
+    rates = rates[valid]
     steps = np.diff(time_s, prepend=time_s[0] if np.isnan(before_s) else before_s)
     means, slopes, smallest, spans = {}, {}, {}, {}
     for name, values in samples.items():
@@ -312,7 +342,7 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
         start_s=skip_s + number * window_s,
         end_s=skip_s + (number + 1) * window_s,
         samples=len(rates),
-        dropped=int(good.size - len(rates)),
+        dropped=int(valid.size - len(rates)),
         max_step_s=float(steps.max()),
         covered_s=float(time_s[-1] - time_s[0]),
         rate_dph=rates.mean(axis=0) if enough else nothing,

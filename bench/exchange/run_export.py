@@ -31,6 +31,7 @@ from gyrobench.bench.exchange.compensation_tables import compensation_files, exp
 from gyrobench.bench.exchange.export_folder import ExportFolder, data_origin, field_of, type_of, unit_of
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
+from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.runs.folder import RunFolder
@@ -40,7 +41,7 @@ from gyrobench.bench.station.station import Station
 
 
 class DataKind(StrEnum):
-    """What can be exported."""
+    """Kinds of data."""
 
     DWELLS = "dwells"
     BINS = "bins"
@@ -63,28 +64,28 @@ class Format(StrEnum):
 
 _CAN_FORMATS = (Format.BLF, Format.MF4)
 _TABLE_FORMATS = (Format.PARQUET, Format.CSV)
-#: What is written where nobody says so; navigation of a whole run is large, and seldom wanted.
+#: Navigation of a whole run is large and rarely needed.
 _DEFAULT_KINDS = tuple(what for what in DataKind if what is not DataKind.NAVIGATION)
 _DEFAULT_FORMATS = (Format.PARQUET, Format.BLF)
 
 
 @dataclass(frozen=True)
 class ExportSelection:
-    """What somebody wants of a run.
+    """Selected data of a run.
 
     Attributes
     ----------
     what : sequence of DataKind
-        Empty for all that is usual.
+        Empty for all but navigation.
     formats : sequence of Format
-        Empty for Parquet and BLF. What has none of them is left out.
+        Empty for Parquet and BLF. Kinds without any of them are left out.
     dwell : int or None
         Navigation of this dwell alone.
 
     Raises
     ------
     DocumentError
-        Something that is asked for by name has none of the formats, or a dwell is chosen of nothing.
+        A named kind has none of the formats, or a dwell is given without navigation.
     """
 
     what: Sequence[DataKind] = ()
@@ -95,19 +96,19 @@ class ExportSelection:
         unfit = [str(what) for what in self.what if not self.suffixes(what)]
         if unfit:
             raise DocumentError(
-                f"--format {','.join(self.formats)} does not fit {listed(unfit)}: CAN frames are blf "
-                "or mf4, all else as parquet or csv"
+                f"--format {','.join(self.formats)} does not fit {listed(unfit)}: CAN frames are written "
+                "as blf or mf4, other data as parquet or csv"
             )
         if self.dwell is not None and DataKind.NAVIGATION not in self.what:
-            raise DocumentError("--dwell chooses a dwell of the navigation; give --what navigation as well")
+            raise DocumentError("--dwell selects a dwell of the navigation data; add --what navigation")
 
     def suffixes(self, what: DataKind) -> list[str]:
-        """Endings of the files that something is written to."""
+        """Suffixes of the files of a kind."""
         can_be = _CAN_FORMATS if what is DataKind.CAN else _TABLE_FORMATS
         return [f".{each}" for each in self.formats or _DEFAULT_FORMATS if each in can_be]
 
     def kinds(self) -> list[DataKind]:
-        """What is to be written."""
+        """Kinds to be written."""
         return [what for what in self.what or _DEFAULT_KINDS if self.suffixes(what)]
 
 
@@ -132,12 +133,12 @@ def export_csv(path: Path, name: str, destination: ExportFolder) -> None:
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a CSV table; an empty cell is null, but for text.
+    """Read a CSV table; an empty cell is null, except in text columns.
 
     Raises
     ------
     DocumentError
-        It is no table, or a cell is not what its column says.
+        It is not a table, or a cell does not match its column's type.
     """
     text = read_text(path)
     header = next(csv.reader(io.StringIO(text)), [])
@@ -158,7 +159,7 @@ _SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in COLUMNS)])
 
 
 def export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:
-    """Write all readings; where readings are missing a row without values stands between them.
+    """Write all readings; gaps are marked by a row without values.
 
     Raises
     ------
@@ -172,7 +173,7 @@ def export_telemetry(folder: RunFolder, began: datetime, name: str, destination:
 
 
 def _values(column: str, values: np.ndarray) -> pa.Array:
-    """Values with null for what is not known."""
+    """Values with null for unknown."""
     known = pa.array(values, pa.float64(), from_pandas=True)
     return known.cast(type_of(column))
 
@@ -185,96 +186,90 @@ _TABLES = MappingProxyType(
         DataKind.VERIFICATION: ("verification",),
     }
 )
-_TABLE_MISSING = "{} is not there, as where a run was cut off; `gyrobench bins {}` makes it"
+_TABLE_MISSING = "{} is missing, as in an interrupted run; create it with `gyrobench bins {}`"
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written, and what was not.
+    """Files written, and data missing in the run.
 
     Attributes
     ----------
     files : list of Path
         In order.
-    missing : dict of What to str
-        What the run does not hold, and why.
+    missing : dict of DataKind to str
+        Selected data that the run lacks, and why.
     """
 
     files: list[Path]
     missing: dict[DataKind, str]
 
 
-def export_run(folder: RunFolder, wanted: ExportSelection, out: Path, force: bool = False) -> Exported:
-    """Write what is wanted of a run, as far as the run holds it; one that was cut off holds less.
+def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: bool = False) -> Exported:
+    """Write the selected data to the folder ``out``; an interrupted run may lack some of it.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to write to; made if it isn't there.
-    force : bool
-        Whether files that are there are replaced.
+    With ``force`` existing files are replaced.
 
     Raises
     ------
     DocumentError
         A table, station or DBC file is wrong.
     RunFolderError
-        Files are there already, something can't be read or written, or the run holds nothing of what is
-        wanted.
+        Files exist, can't be read or written, or the run holds none of the selected data.
     """
-    missing = {what: why for what in wanted.kinds() if (why := _why_missing(folder, what))}
-    kinds = [what for what in wanted.kinds() if what not in missing]
+    missing = {what: why for what in selection.kinds() if (why := _why_missing(folder, what))}
+    kinds = [what for what in selection.kinds() if what not in missing]
     if not kinds:
         raise RunFolderError(
             f"{folder.path}: " + "; ".join(f"{what}: {why}" for what, why in missing.items())
         )
     destination = ExportFolder(out, data_origin(folder), force)
-    destination.refuse_existing([name for what in kinds for name in _files(what, wanted)])
+    destination.refuse_existing([name for what in kinds for name in _files(what, selection)])
     for what in kinds:
-        _write(folder, what, wanted, destination)
+        _write(folder, what, selection, destination)
     destination.finish()
     return Exported(destination.written, missing)
 
 
 def _why_missing(folder: RunFolder, what: DataKind) -> str:
-    """Why the run does not hold something; empty where it does."""
+    """Why the run lacks a kind of data; empty if it does not."""
     match what:
         case DataKind.VERIFICATION:
-            return "" if folder.verification.exists() else "the run verified nothing"
+            return "" if folder.verification.exists() else "the run made no calibration check"
         case DataKind.TELEMETRY:
             return "" if any(folder.telemetry.glob("part-*")) else "there are no readings"
         case DataKind.NAVIGATION | DataKind.CAN:
             return "" if any(folder.can.glob("part-*")) else "there are no CAN frames"
         case DataKind.COMPENSATION:
             is_closed = (folder.closure / "closure.json").exists()
-            return "" if is_closed else f"the run was not searched; `gyrobench close {folder.path}` does that"
+            return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.path}`"
     names = [f"{table}.csv" for table in _TABLES[what]]
     missing = [name for name in names if not (folder.path / name).exists()]
     return _TABLE_MISSING.format(missing[0], folder.path) if missing else ""
 
 
-def _files(what: DataKind, wanted: ExportSelection) -> list[str]:
-    """Names of the files that something is written to."""
-    suffixes = wanted.suffixes(what)
+def _files(what: DataKind, selection: ExportSelection) -> list[str]:
+    """Names of the files of a kind."""
+    suffixes = selection.suffixes(what)
     if what is DataKind.COMPENSATION:
         return compensation_files(suffixes)
     names = _TABLES.get(what, (str(what),))
-    if what is DataKind.NAVIGATION and wanted.dwell is not None:
-        names = (f"{what}_dwell_{wanted.dwell}",)
+    if what is DataKind.NAVIGATION and selection.dwell is not None:
+        names = (f"{what}_dwell_{selection.dwell}",)
     return [name + suffix for name in names for suffix in suffixes]
 
 
-def _write(folder: RunFolder, what: DataKind, wanted: ExportSelection, destination: ExportFolder) -> None:
+def _write(folder: RunFolder, what: DataKind, selection: ExportSelection, destination: ExportFolder) -> None:
     if what is DataKind.COMPENSATION:
-        _write_compensation(folder, wanted.suffixes(what), destination)
+        _write_compensation(folder, selection.suffixes(what), destination)
         return
-    for name in _files(what, wanted):
+    for name in _files(what, selection):
         match what:
             case DataKind.TELEMETRY:
                 export_telemetry(folder, started_utc(folder), name, destination)
             case DataKind.NAVIGATION:
                 setup = measurement_setup(Station(folder.station))
-                export_navigation(folder, setup, name, destination, wanted.dwell)
+                export_navigation(folder, setup, name, destination, selection.dwell)
             case DataKind.CAN:
                 _write_can(folder, name, destination)
             case _:
@@ -292,13 +287,10 @@ def _write_can(folder: RunFolder, name: str, destination: ExportFolder) -> None:
 
 
 def _write_mf4(path: Path, log: TimedLog, dbc: Path, origin: Mapping[str, Any]) -> None:
-    """Write MDF4; its library is optional, since python-can loads it with every use of CAN where it is."""
-    try:
-        from gyrobench.bench.exchange.mf4 import write_mf4
-    except ImportError as error:
-        raise RunFolderError(
-            f"{path}: MDF4 needs asammdf, which is not installed. Install it: pip install 'gyrobench[mf4]'"
-        ) from error
+    """Write MDF4; its package is optional, since python-can loads it at every use of CAN."""
+    require("asammdf")
+    from gyrobench.bench.exchange.mf4 import write_mf4
+
     write_mf4(path, log, dbc, origin)
 
 

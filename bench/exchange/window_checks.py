@@ -54,16 +54,16 @@ def earth_rate_dph(position: str, rule: EarthRate) -> FloatArray:
     return np.asarray(attitude.C_nb(math.radians(rule.azimuth_deg or 0.0)).T @ rate)
 
 
-#: Part of a window that must have been recorded, and of its samples that must be good.
+#: Part of a window that must have been recorded, and of its samples that must be valid.
 _MIN_PART = 0.9
 #: Samples in a row at the largest rate of a log that are no chance, with noise over several steps.
 _SATURATED_RUN = 3
 _NOISY_STEPS = 3.0
-#: Share of a window that a rate may bar the same.
+#: Share of a window in which a rate may be constant.
 _STUCK_PART = 0.5
-#: A finer temperature never bars the same for this long, in windows and seconds.
+#: A temperature of finer resolution is stuck if it is constant this long, in windows and seconds.
 _LIVELY_RESOLUTION_C, _STUCK_WINDOWS, _STUCK_S = 0.05, 3, 300.0
-#: Coarser steps of a temperature are told; fewer than these steps in its swing are refused.
+#: Coarser steps of a temperature give a warning; fewer steps in its swing are rejected.
 _COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
 
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
@@ -80,14 +80,14 @@ def sample_interval_s(windows: Sequence[Window]) -> float:
 
 
 def max_gap_s_of(windows: Sequence[Window], log_map: LogMap) -> float:
-    """Longest time between samples of a good window."""
+    """Longest time between samples of a valid window."""
     if log_map.max_gap_s is not None:
         return log_map.max_gap_s
     return max(5.0 * sample_interval_s(windows), 0.01 * log_map.window_s)
 
 
 def reasons_against(windows: Sequence[Window], log_map: LogMap) -> list[str]:
-    """Why each window of a log is left out; empty for a good one."""
+    """Why each window of a log is left out; empty for a valid window."""
     interval_s, gap_s = sample_interval_s(windows), max_gap_s_of(windows, log_map)
     saturation = _saturation_dph(windows, log_map)
     stuck = _stuck_temperature(windows, log_map)
@@ -106,7 +106,7 @@ def temperature_resolution_c(windows: Sequence[Window], name: str) -> float:
 
 
 def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], log_map: LogMap) -> list[str]:
-    """Tell what the temperatures of a table can't carry.
+    """Warnings about the temperatures of a table.
 
     Raises
     ------
@@ -114,9 +114,7 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
         They swing too little, or in too few steps, for a curve over temperature.
     """
     if log_map.temperatures.constant_c is not None:
-        return [
-            "all rows have the one temperature of the mapping: they give biases, no curve over temperature"
-        ]
+        return ["all rows have the constant temperature of the import map: no curve over temperature"]
     warnings: dict[str, None] = {}
     for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
         temperatures = np.array([row.gyro_c[index] for row in rows])
@@ -143,13 +141,13 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
 
 
 def _check_swing(axis: str, swing: float, temperatures: FloatArray, log_map: LogMap) -> None:
-    least = log_map.temperatures.least_swing_c
-    if swing < least:
+    min_swing = log_map.temperatures.min_swing_c
+    if swing < min_swing:
         raise MeasurementError(
-            f"the temperature of gyro {axis} bars between {temperatures.min():.2f} and "
-            f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; {least:g} K are needed for a curve "
-            "over temperature. Log a larger swing, or allow a smaller one with "
-            "'temperatures: {least_swing_c: ...}' in the mapping"
+            f"the temperature of gyro {axis} is between {temperatures.min():.2f} and "
+            f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; a curve needs {min_swing:g} K "
+            "of swing. Log a larger swing, or allow a smaller one with "
+            "'temperatures: {min_swing_c: ...}' in the import map"
         )
 
 
@@ -162,7 +160,7 @@ def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s
     if window.max_step_s > gap_s:
         return f"over a gap of more than {gap_s:.3g} s"
     if window.samples < max(_MIN_PART * total, MIN_SAMPLES):
-        return "too many samples without a good rate"
+        return "too many samples without a valid rate"
     return ""
 
 
@@ -210,13 +208,13 @@ def _saturation_dph(windows: Sequence[Window], log_map: LogMap) -> FloatArray:
     known = np.isfinite(scatters).all(axis=1)
     scatter = np.median(scatters[known], axis=0) if known.any() else np.zeros(3)
     step = np.min([each.rate_step_dph for each in windows], axis=0)
-    # A quiet gyro of coarse steps bars at its largest rate for long without being clipped.
+    # A quiet gyro of coarse steps keeps its largest rate for long without being clipped.
     clipped &= np.isfinite(step) & (scatter > _NOISY_STEPS * step)
     return np.where(clipped, np.minimum(highest, declared), declared)
 
 
 def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> list[bool]:
-    """Whether each window lies in a long stretch of one and the same temperature, which should have noise."""
+    """Whether each window belongs to a long series of constant temperature, which should have noise."""
     stuck = [False] * len(windows)
     for name in _GYRO_TEMPERATURES:
         if temperature_resolution_c(windows, name) > _LIVELY_RESOLUTION_C:
@@ -255,13 +253,13 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     averaging time, from parts of windows to whole ones, is split into what is white in the angle
     (a ring laser's dither, quantisation), white in the rate (angle random walk) and independent of
     the averaging time (bias instability), as one does with an Allan variance. Averaging times that
-    show more than these can explain hold drift and do not count. What lies far out, as a
-    knock in one window, is left out. A mean is never known better than the resolution of the rate allows.
+    exceed these terms contain drift and are ignored. Outliers, as a knock in one window, are left out. The
+    uncertainty of a mean is at least that of the resolution of the rate.
 
     Parameters
     ----------
     logs : sequence of sequences of Window
-        Good windows, log by log.
+        Valid windows, log by log.
 
     Raises
     ------
@@ -276,8 +274,8 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     }
     if not differences:
         raise MeasurementError(
-            f"{len(windows)} good windows of {windows[0].samples} samples are too few to tell the noise. "
-            "Take longer or more windows"
+            f"{len(windows)} valid windows of {windows[0].samples} samples are too few for a noise estimate. "
+            "Use more or longer windows"
         )
     squares = np.array([_mean_square(each) for each in differences.values()]) / _OF_WHITE_RATE
     parts = np.array(list(differences))
@@ -286,7 +284,9 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     noise = [_without_drift(parts, square, counts) if (square > 0.0).all() else 0.0 for square in squares.T]
     sigma = np.sqrt(np.maximum(noise, _resolution_variance(windows)))
     if not (sigma > 0.0).all():
-        raise MeasurementError("a gyro's rate never changes. Check its column in the mapping, and the gyro")
+        raise MeasurementError(
+            "a gyro's rate never changes. Check its column in the import map, and the gyro"
+        )
     return np.asarray(sigma)
 
 
@@ -334,7 +334,7 @@ def _between(logs: Sequence[Sequence[Window]]) -> FloatArray:
 
 
 def _mean_square(differences: FloatArray) -> FloatArray:
-    """Mean square by column without what lies beyond three standard deviations."""
+    """Mean square by column without outliers beyond three standard deviations."""
     squares = differences**2
     limit = 9.0 * np.median(squares, axis=0) / _MEDIAN_OF_SQUARE
     return np.asarray(np.nanmean(np.where(squares <= limit, squares, np.nan), axis=0) / _MEAN_WITHIN)

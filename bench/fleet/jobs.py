@@ -104,9 +104,9 @@ def inputs_of(kind: JobKind, path: Path) -> str:
 
 def _measured(folder: RunFolder) -> str:
     from gyrobench.bench.bias.dwell_table import read_dwells
-    from gyrobench.bench.engine.session import measure_again
+    from gyrobench.bench.engine.evaluation import recompute_run
 
-    measure_again(folder.path)
+    recompute_run(folder.path)
     rows = read_dwells(folder.dwells)
     flagged = sum(bool(row.flags) for row in rows)
     return f"{len(rows)} dwells{f', {flagged} flagged' if flagged else ''}"

@@ -20,7 +20,7 @@
     └── MissingPackageError (ImportError) an optional package is not installed
 
 A message says what happened, where, and what to do about it. Kinds that only the engine
-distinguishes are in ``bench/engine/interruptions.py``.
+distinguishes are in ``bench/engine/interlocks/watch.py`` and ``bench/engine/operator.py``.
 """
 
 

@@ -1,4 +1,4 @@
-"""Making the bench safe in place of the engine."""
+"""Making the bench safe in place of the engine, and sending an alarm about it."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import contextlib
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from types import TracebackType
+from typing import Any
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
-from gyrobench.bench.guard.alarm import AlarmSender
-from gyrobench.bench.guard.engine_process import EngineProcess
-from gyrobench.bench.guard.log import GuardLog
-from gyrobench.bench.guard.orders import Orders
-from gyrobench.bench.guard.watch import Ending
+from gyrobench.bench.guard.protocol import GuardConfig
+from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
+from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.journal import Journal, RunFacts, facts_of, read_journal
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
@@ -25,22 +26,24 @@ from gyrobench.bench.station.station import Station
 PAUSES_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, *[60.0] * 14)
 
 _KILL_TIME_S = 10.0
-_LOCK_LOOK_S = 0.2
+_LOCK_PERIOD_S = 0.2
+#: The guard has nothing else to do; networks come back.
+_ALARM_PATIENCE_S = 900.0
 
 
 class Rescue:
-    """Makes table and chamber of a bench safe over their ports, for as long as it takes.
+    """Makes table and chamber of a bench safe over their ports, with repeated attempts.
 
     Parameters
     ----------
-    orders : Orders
-        The engine's.
+    config : GuardConfig
+        The guard's settings.
     engine : EngineProcess
-        Its process.
+        The engine's process.
     clock : Clock
-        The run's clock, going on.
+        The run's clock, continued.
     log : GuardLog
-        What is done, in words.
+        Records what is done.
 
     Raises
     ------
@@ -48,25 +51,27 @@ class Rescue:
         The station file is wrong.
     """
 
-    def __init__(self, orders: Orders, engine: EngineProcess, clock: Clock, log: GuardLog) -> None:
-        self._station = Station(Path(orders.station))
-        self._folder = RunFolder(Path(orders.folder))
-        self._silence_s = orders.silence_s
+    def __init__(self, config: GuardConfig, engine: EngineProcess, clock: Clock, log: GuardLog) -> None:
+        self._station = Station(Path(config.station))
+        self._folder = RunFolder(Path(config.folder))
+        self._silence_s = config.silence_s
         self._engine = engine
         self._clock = clock
         self._log = log
         self._killed = False
-        self._engines_lock = [each for each in bench_holders(self._station) if each.pid == orders.engine_pid]
+        self._engine_holders = [
+            each for each in bench_holders(self._station) if each.pid == config.engine_pid
+        ]
 
-    def act(self, ending: Ending) -> None:
-        """Make the bench safe, unless another run has it by now."""
-        self._log.add(ending.value)
-        if ending is Ending.SILENT:
+    def act(self, end: EngineEnd) -> None:
+        """Make the bench safe, unless another run has taken it over."""
+        self._log.add(end.value)
+        if end is EngineEnd.SILENT:
             self._kill()
         with AlarmSender(self._station, self._folder, self._clock, self._log) as alarm:
-            self._act(ending, alarm)
+            self._act(end, alarm)
 
-    def _act(self, ending: Ending, alarm: AlarmSender) -> None:
+    def _act(self, end: EngineEnd, alarm: AlarmSender) -> None:
         left: list[str] | None = None
         for pause_s in PAUSES_S:
             self._clock.sleep(pause_s)
@@ -74,25 +79,24 @@ class Rescue:
                 with self._lock():
                     actions = self._make_safe(left)
                     if left is None or not all(action.problem for action in actions):
-                        self._record(ending, actions)
+                        self._record(end, actions)
             except BenchInUseError as error:
-                self._log.add(f"leaves without acting: {error}")
+                self._log.add(f"ends without acting: {error}")
                 return
             is_first = left is None
             left = [action.what for action in actions if action.problem]
             if not left:
                 self._log.add("the bench is in its safe state")
-                alarm.raise_for(ending, "The bench is in its safe state.")
+                alarm.send(end, "The bench is in its safe state.")
                 return
             if is_first:
                 problems = "; ".join(
                     f"{action.what}: {action.problem}" for action in actions if action.problem
                 )
-                alarm.raise_for(ending, f"The bench is NOT in its safe state yet: {problems}")
-        self._log.add("gives up: the bench is NOT in its safe state. See to table and chamber.")
-        alarm.raise_for(
-            ending, "The guard gives up: the bench is NOT in its safe state. See to table and chamber."
-        )
+                alarm.send(end, f"The bench is NOT in its safe state yet: {problems}")
+        gives_up = "gives up: the bench is NOT in its safe state. Check table and chamber."
+        self._log.add(gives_up)
+        alarm.send(end, f"The guard {gives_up}")
 
     def _kill(self) -> None:
         self._engine.kill()
@@ -101,12 +105,12 @@ class Rescue:
         self._log.add("killed the engine" if ended else "the killed engine still hangs in the kernel")
 
     def _lock(self) -> AbstractContextManager[object]:
-        """Take the bench's lock as soon as the engine has let go of it.
+        """Lock the bench as soon as the engine has released it.
 
         Raises
         ------
         BenchInUseError
-            Another run has it.
+            Another run has locked it.
         """
         deadline = Deadline(self._clock, self._silence_s)
         while True:
@@ -116,21 +120,21 @@ class Rescue:
                     taken.enter_context(lock)
                     return taken.pop_all()
                 except BenchInUseError:
-                    if not self._engine_holds():
+                    if not self._does_engine_hold():
                         raise
-                    if self._killed:  # it will do nothing any more, so its lock protects nobody
+                    if self._killed:  # it can't act any more, so its lock protects nothing
                         return nullcontext()
                 except GyrobenchError as error:
                     self._log.add(f"acts without the lock: {error}")
                     return nullcontext()
             if deadline.expired():
-                self._log.add("the engine does not let go of the bench")
+                self._log.add("the engine does not release the bench")
                 self._kill()
-            self._clock.sleep(_LOCK_LOOK_S)
+            self._clock.sleep(_LOCK_PERIOD_S)
 
-    def _engine_holds(self) -> bool:
+    def _does_engine_hold(self) -> bool:
         holders: list[Holder] = bench_holders(self._station)
-        return not holders or any(holder in self._engines_lock for holder in holders)
+        return not holders or any(holder in self._engine_holders for holder in holders)
 
     def _make_safe(self, only: list[str] | None) -> list[SafeAction]:
         with Outputs(self._station, self._clock) as outputs:
@@ -139,14 +143,65 @@ class Rescue:
             self._log.add(f"{action.what}: {action.problem or 'done'}")
         return actions
 
-    def _record(self, ending: Ending, actions: list[SafeAction]) -> None:
+    def _record(self, end: EngineEnd, actions: list[SafeAction]) -> None:
         with contextlib.ExitStack() as opened:
             try:
                 journal = opened.enter_context(Journal(self._folder.journal, self._clock))
                 journal.record(
                     "guard_acted",
-                    reason=ending.value,
+                    reason=end.value,
                     safe_state=[asdict(action) for action in actions],
                 )
             except GyrobenchError as error:
                 self._log.add(f"not in the journal: {error}")
+
+
+class AlarmSender:
+    """Sends that the guard had to act; its exit waits up to a quarter of an hour until that is sent.
+
+    Parameters
+    ----------
+    station, folder, clock, log
+        Those of the guard.
+    """
+
+    def __init__(self, station: Station, folder: RunFolder, clock: Clock, log: GuardLog) -> None:
+        self._station = station
+        self._folder = folder
+        self._clock = clock
+        self._log = log
+        self._messenger = Messenger(station.file.messages, self._note, _ALARM_PATIENCE_S)
+
+    def __enter__(self) -> AlarmSender:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._messenger.__exit__(kind, error, trace)
+
+    def send(self, end: EngineEnd, bench: str) -> None:
+        """Send how the engine ended, and the state of the bench."""
+        known = self._facts()
+        message = Message(
+            event="guard_acted",
+            why=f"{end.value[0].upper()}{end.value[1:]}, so the guard acted. {bench}\n"
+            f"Once the cause is found: gyrobench resume {self._folder.path}",
+            station=self._station.file.station,
+            time=self._clock.utc(),
+            folder=self._folder.path,
+            procedure=known.procedure,
+            unit=known.unit,
+        )
+        self._messenger.send(message, about=bench)
+
+    def _facts(self) -> RunFacts:
+        """What the journal holds, up to where it is damaged."""
+        entries: list[dict[str, Any]] = []
+        with contextlib.suppress(GyrobenchError):
+            entries.extend(read_journal(self._folder.journal))
+        return facts_of(entries)
+
+    def _note(self, event: str, **details: Any) -> None:
+        text = ", ".join(f"{key} {value}" for key, value in details.items())
+        self._log.add(f"{event.replace('_', ' ')}: {text}")

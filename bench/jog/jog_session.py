@@ -12,11 +12,11 @@ from pathlib import Path
 
 import can
 
-from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.jog.manual_control import ManualControl
 from gyrobench.bench.jog.manual_limits import manual_limits
 from gyrobench.bench.jog.shell import Shell

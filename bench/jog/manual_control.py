@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from typing import TypeVar
 
-from gyrobench.bench.engine.interruptions import TrippedError
+from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.outputs import SafeOutputs
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
 from gyrobench.bench.jog.manual_limits import AXES, ManualLimits
 from gyrobench.bench.jog.readings import mode_words, watch_line
@@ -23,7 +21,6 @@ _MOVE_FACTOR, _MOVE_MARGIN_S = 1.5, 30.0
 _LONGEST_START_S = 180.0
 _TRIES = 3
 _FRESH_S = 2.0
-_REACHED_C = 2.0
 _MOST_EVENTS = 16
 #: Ticks in which a table comes to rest, and what counts as rest.
 _STOP_TICKS, _REST_DPS = 60, 0.01
@@ -64,11 +61,10 @@ class ManualControl:
         self._display = display
         self._beat_guard = beat_guard
         self._interruptions = interruptions
-        self._outputs = SafeOutputs(bench, beat_guard)
         self._turning: dict[str, float] = {}
         self._ticked_s = bench.clock.now()
         if _talks(bench):
-            bench.expected = replace(bench.expected, ins_on=True)
+            bench.state.ins_seen_on()
         #: Interlocks that are tripped now.
         self.tripped: list[str] = []
         for trip in bench.trips():
@@ -95,7 +91,7 @@ class ManualControl:
         if follow or self._turning:
             self.bench.read_instruments()
         self._beat()
-        self._note_reached()
+        self.bench.check_set_point_reached()
         self._look_at_interlocks()
         self._keep_within_limits()
         self._interruptions.check()
@@ -165,14 +161,14 @@ class ManualControl:
     def servo_on(self) -> None:
         """Bound the table's motions, clear its latched faults and close its servos, unless that is done."""
         self._refuse_while(_TABLE_TRIPS)
-        if not self.bench.expected.table_prepared:
-            self._outputs.prepare_table()
+        if not self.bench.state.expected.table_prepared:
+            self.bench.prepare_table()
             self._display.tell("servos closed")
 
     def servo_off(self) -> None:
         """Stop the table and open its servos."""
         self._turning.clear()
-        self.bench.expected = replace(self.bench.expected, table_prepared=False)
+        self.bench.state.table_released()
         self._insist(lambda: self.bench.instruments.table.release())
         self._display.tell("table stopped, servos open")
 
@@ -184,9 +180,7 @@ class ManualControl:
         # The driver is looked up when it is used: a port that went away gives a new one.
         self._insist(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
         self._insist(lambda: self.bench.instruments.chamber.switch(True))
-        self.bench.expected = replace(
-            self.bench.expected, chamber_set_c=temperature_c, chamber_on=True, chamber_reached=False
-        )
+        self.bench.state.chamber_commanded(temperature_c)
         self._display.tell(f"chamber goes to {temperature_c:g} degC at {ramp:g} degC/min; `watch` follows it")
 
     def chamber_switch(self, on: bool) -> None:
@@ -194,7 +188,7 @@ class ManualControl:
         if on:
             self._refuse_while(_CHAMBER_TRIPS)
         self._insist(lambda: self.bench.instruments.chamber.switch(on))
-        self.bench.expected = replace(self.bench.expected, chamber_on=on, chamber_reached=False)
+        self.bench.state.chamber_switched(on)
         self._display.tell(f"chamber {'on' if on else 'off'}")
 
     def unit_switch(self, on: bool) -> None:
@@ -202,7 +196,7 @@ class ManualControl:
         power = self.bench.station.unit.power
         if power == "always_on":
             raise CommandError("the INS of this bench is always on (unit.power of the station file)")
-        self.bench.expected = replace(self.bench.expected, ins_on=False)
+        self.bench.state.ins_state_unknown()
         if power == "operator":
             self._display.tell(f"Switch the INS {'on' if on else 'off'} by hand now.")
         else:
@@ -218,7 +212,7 @@ class ManualControl:
             self._display.course(f"INS starts, {passed_s:.0f} s")
             self.tick()
         self.bench.read_instruments()
-        self.bench.expected = replace(self.bench.expected, ins_on=True)
+        self.bench.state.ins_seen_on()
         self._display.tell(f"INS on: {mode_words(self.bench.readings.ins)}")
 
     def ins(self, command: str) -> None:
@@ -260,7 +254,7 @@ class ManualControl:
     def make_safe(self) -> list[SafeAction]:
         """Bring the whole bench to the station's safe state, servos open."""
         self._turning.clear()
-        return self._outputs.apply()
+        return self.bench.make_safe(meanwhile=self._beat_guard)
 
     def _follow(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
         """Until the axes are where they were sent."""
@@ -288,7 +282,7 @@ class ManualControl:
         self.tripped = names
         if new:
             self._turning.clear()
-            for action in self._outputs.apply(release_table=False):
+            for action in self.bench.make_safe(release_table=False, meanwhile=self._beat_guard):
                 self._display.tell(action.text)
             raise TrippedError(new)
 
@@ -300,14 +294,6 @@ class ManualControl:
             ):
                 self._display.tell(f"the {axis} axis comes near to its limit")
                 self.stop()
-
-    def _note_reached(self) -> None:
-        bench = self.bench
-        set_c, expected = bench.commanded_c, bench.expected
-        if set_c is None or expected.chamber_reached:
-            return
-        if abs(bench.readings.chamber.temperature_c - set_c) <= _REACHED_C:
-            bench.expected = replace(expected, chamber_reached=True)
 
     def _refuse_while(self, names: set[str]) -> None:
         tripped = sorted(names.intersection(self.tripped))

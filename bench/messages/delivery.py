@@ -265,7 +265,7 @@ def _tag(message: Message) -> str:
     """The sign before the title in the ntfy application."""
     if message.is_urgent:
         return "rotating_light"
-    return {"ends": "white_check_mark", "holds": "pause_button", "goes_on": "arrow_forward"}.get(
+    return {"ends": "white_check_mark", "holds": "pause_button", "resumes": "arrow_forward"}.get(
         message.event, "bell"
     )
 

@@ -21,7 +21,7 @@ _HAPPENED = MappingProxyType(
     {
         "ends": "the run is over",
         "holds": "the run holds",
-        "goes_on": "the run goes on",
+        "resumes": "the run goes on",
         "needs_person": "a person is needed",
         "guard_acted": "the run died, its guard acted",
         "test": "test message",

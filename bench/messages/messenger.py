@@ -28,12 +28,12 @@ class Quota:
 
     Parameters
     ----------
-    most_per_hour : int
+    max_per_hour : int
         So many of the same pass.
     """
 
-    def __init__(self, most_per_hour: int) -> None:
-        self._most = most_per_hour
+    def __init__(self, max_per_hour: int) -> None:
+        self._most = max_per_hour
         self._passed: defaultdict[str, deque[float]] = defaultdict(deque)
 
     def lets_pass(self, about: str, now_s: float) -> bool:
@@ -191,7 +191,7 @@ class Messenger:
         self._is_left = False
         self._clock: Clock = WallClock()  # hours and patience are those of people, on a virtual run too
         self._sendings = [
-            (each, Quota(each.most_per_hour), Sender(each, self._record_once, pauses_s)) for each in receivers
+            (each, Quota(each.max_per_hour), Sender(each, self._record_once, pauses_s)) for each in receivers
         ]
 
     def __enter__(self) -> Messenger:

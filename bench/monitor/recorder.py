@@ -15,9 +15,8 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.bins import bin_biases
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.people import Progress
+from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -138,7 +137,7 @@ def bench_readings(bench: LiveBench) -> BenchReadings:
     readings, now_s = bench.readings, bench.clock.now()
     outer_deg, inner_deg = bench.table_angles()
     outer_dps, inner_dps = bench.station.table_axes_of(readings.table.rate_dps)
-    set_c = bench.commanded_c
+    set_c = bench.state.commanded_c
     ins_age_s = readings.ins.age_s + now_s - readings.asked_s
     return BenchReadings(
         chamber_set_c=math.nan if set_c is None else set_c,
@@ -246,7 +245,7 @@ def _heading_deg(turned: FloatArray) -> float:
 _WRITE_EVERY_S = 2.0
 
 
-class SnapshotRecorder(Progress):
+class SnapshotRecorder(RunObserver):
     """Observes a run and keeps its snapshot, which it writes to the run folder every two seconds.
 
     If the file can't be written, as on a full disk, the run continues without it.
@@ -312,7 +311,7 @@ class SnapshotRecorder(Progress):
         self._take_dwells()
         self._write()
 
-    def told(self, text: str) -> None:
+    def noted(self, text: str) -> None:
         """Keep a message."""
         self._messages.append(Note(self._bench.clock.now() if self._bench else 0.0, text))
 
@@ -353,7 +352,7 @@ class SnapshotRecorder(Progress):
         readings = bench.readings
         if readings.asked_s > self._last_reading_s:
             self._last_reading_s = readings.asked_s
-            set_c = bench.commanded_c
+            set_c = bench.state.commanded_c
             set_or_nan_c = math.nan if set_c is None else set_c
             air_c, gyro_c = readings.chamber.temperature_c, readings.ins.optics_c.tolist()
             self._readings.add((readings.asked_s, set_or_nan_c, air_c, *gyro_c))
@@ -375,11 +374,11 @@ class SnapshotRecorder(Progress):
         """Replace all dwells: the last one may have flagged earlier ones."""
         self._take_dwells()
 
-    def held(self, why: str, needs_person: bool, ordered: Order | None) -> None:
+    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:
         """The run holds; an interrupted dwell will be repeated."""
-        if ordered is Order.PAUSE:
+        if command is RunCommand.PAUSE:
             self._state = RunState.PAUSED
-        elif needs_person and ordered is None:
+        elif needs_person and command is None:
             self._state = RunState.WAITING
         else:
             self._state = RunState.HOLDING

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from gyrobench.bench.engine.progress import WITHOUT_A_WORD, progress_of
+from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.monitor.recorder import live_bins, measured_dwells, planned_profile, profile_of_telemetry
@@ -54,7 +54,7 @@ def snapshot_of(path: Path) -> RunSnapshot:
     return replace(
         snapshot,
         state=RunState.STOPPED,
-        reason=WITHOUT_A_WORD,
+        reason=NO_END_RECORDED,
         question=None,
         step=None,
         dwell=None,
@@ -68,7 +68,7 @@ def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
         return RunState.RUNNING, ""
     if facts.ended in (RunState.FINISHED, RunState.STOPPED, RunState.FAILED):
         return RunState(facts.ended), facts.reason
-    return RunState.STOPPED, WITHOUT_A_WORD
+    return RunState.STOPPED, NO_END_RECORDED
 
 
 def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
@@ -116,7 +116,7 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
 def _left_s(plan: Plan, content: RunContent) -> float:
     """Planned time remaining; the whole duration if the journal does not match the plan."""
     try:
-        done = progress_of(content.journal, plan)
+        done = resume_state_of(content.journal, plan)
     except RunFolderError:
         return plan.duration_s
     return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.next_index].start_s
@@ -179,7 +179,7 @@ def _message_of(entry: Mapping[str, Any]) -> str:
         case "held":
             return f"Holding, waiting for {entry.get('waits_for')}: {entry.get('why')}"
         case "continued":
-            return f"Continuing, by {entry.get('by')}"
+            return f"Continued by {entry.get('by')}"
         case "dwell_given_up":
             return f"dwell {entry.get('dwell')} is repeated: {entry.get('why')}"
         case "dwell_skipped":

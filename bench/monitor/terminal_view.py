@@ -16,13 +16,10 @@ from rich.text import Text
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.operator import ConsentingOperator, Operator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import Job
+from gyrobench.bench.engine.observers import ObserverGroup, RunObserver, RunOutcome
+from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.monitor.recorder import SnapshotRecorder
@@ -68,13 +65,13 @@ class TerminalOperator:
         """Withdraw the question."""
         self._answers = ()
 
-    def order(self) -> Order | None:
+    def command(self) -> RunCommand | None:
         """A command that has been typed; other input prints the commands."""
         typed = "" if self._answers else self._keyboard.line()
-        if typed in list(Order):
-            return Order(typed)
+        if typed in list(RunCommand):
+            return RunCommand(typed)
         if typed:
-            self._console.print(f"Type one of: {', '.join(Order)}", soft_wrap=True)
+            self._console.print(f"Type one of: {', '.join(RunCommand)}", soft_wrap=True)
         return None
 
 
@@ -84,7 +81,7 @@ _HEAD = "dwell   cycle  position gyro x    bias x        bias y        bias z   
 _INDENT = 8
 
 
-class LinesView(Progress):
+class LinesView(RunObserver):
     """Prints each dwell as soon as it is measured; on a terminal with ``has_status`` also a status line."""
 
     def __init__(self, console: Console, plan: Plan, has_status: bool = True) -> None:
@@ -112,7 +109,7 @@ class LinesView(Progress):
         if self._status:
             self._status.stop()
 
-    def told(self, text: str) -> None:
+    def noted(self, text: str) -> None:
         """Print a message."""
         self._console.print(text, highlight=False)
 
@@ -168,7 +165,7 @@ _MIN_HEIGHT = 4
 _SNAPSHOT_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
 
 
-class TerminalView(Progress):
+class TerminalView(RunObserver):
     """Shows the newest snapshot and the keys being typed.
 
     The snapshot is taken in the thread of the run and drawn in a separate thread.
@@ -222,7 +219,7 @@ class TerminalView(Progress):
         if self._clock.now() >= self._next_snapshot_s:
             self._take()
 
-    def held(self, why: str, needs_person: bool, ordered: Order | None) -> None:  # noqa: ARG002
+    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: ARG002
         """Show at once that the run holds."""
         self._take()
 
@@ -262,7 +259,7 @@ class TerminalView(Progress):
         if typed:
             return Text(f"> {typed}_", no_wrap=True)
         question = snapshot.question if snapshot else None
-        choice = "an answer" if question else ", ".join(Order)
+        choice = "an answer" if question else ", ".join(RunCommand)
         return Text.assemble("> ", (f"type {choice}", "dim"), no_wrap=True)
 
 
@@ -273,7 +270,7 @@ _MAX_DRAIN_S = 10.0
 @contextmanager
 def observe_in_terminal(
     console: RunConsole, job: Job, wants_live: bool
-) -> Iterator[tuple[Progress, Operator]]:
+) -> Iterator[tuple[RunObserver, Operator]]:
     """Record the snapshot of a run, and show the run, while the context lasts.
 
     Parameters
@@ -288,7 +285,7 @@ def observe_in_terminal(
 
     Returns
     -------
-    Progress, Operator
+    RunObserver, Operator
         Observer and operator of the run. On virtual time, where no operator can be waited for, every
         question is answered with consent.
     """
@@ -299,11 +296,11 @@ def observe_in_terminal(
     with ExitStack() as shown:
         stream = shown.enter_context(_background_output(console))
         lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
-        watchers: list[Progress] = [recorder, lines]
+        watchers: list[RunObserver] = [recorder, lines]
         if is_live:
             view = TerminalView(console, recorder, keyboard, not job.is_virtual, lambda: not stream.is_behind)
             watchers.append(shown.enter_context(view))
-        yield Audience(*watchers), operator
+        yield ObserverGroup(*watchers), operator
 
 
 @contextmanager

@@ -18,21 +18,21 @@ _NEAR_C = 1.0
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What of the bench is still as it was when the plan was left.
+class RetainedState:
+    """What of the bench remains valid after an interruption.
 
     Attributes
     ----------
-    is_unit_on : bool
+    is_ins_on : bool
         Whether the INS has been on all the time.
-    is_tempered : bool
+    is_at_temperature : bool
         Whether the chamber has held its set point all the time.
     chamber_c : float
         Air of the chamber now.
     """
 
-    is_unit_on: bool
-    is_tempered: bool
+    is_ins_on: bool
+    is_at_temperature: bool
     chamber_c: float
 
 
@@ -49,7 +49,7 @@ def end_of_dwell(plan: Plan, dwell: int) -> int:
     return 1 + max(i for i, planned in enumerate(plan.steps) if planned.dwell == dwell)
 
 
-def approach(plan: Plan, index: int, standing: Standing) -> list[PlannedStep]:
+def approach(plan: Plan, index: int, retained: RetainedState) -> list[PlannedStep]:
     """Steps that bring the bench to what the plan expects before one of its steps.
 
     The INS is switched off and on, so that the time since power-on is known; its temperature is reached from
@@ -67,17 +67,17 @@ def approach(plan: Plan, index: int, standing: Standing) -> list[PlannedStep]:
         With their number in the plan; durations and time limits are those of the way from here.
     """
     target = plan.steps[index]
-    is_cold = target.before.powered and not standing.is_unit_on
+    is_cold = target.before.powered and not retained.is_ins_on
     steps = _latest(plan, index, PowerOn) if is_cold else []
-    if is_cold or not standing.is_tempered or _is_on_ramp(plan, index):
-        steps += _tempering(plan, index, standing.chamber_c)
+    if is_cold or not retained.is_at_temperature or _is_on_ramp(plan, index):
+        steps += _tempering(plan, index, retained.chamber_c)
     # In the order of the plan: temperatures that were soaked with the INS off are again.
     steps.sort(key=lambda planned: planned.number)
     if _is_to_be_off(plan, index, steps):
         steps.insert(0, replace(target, step=PowerOff()))
     if target.before.position is not None and _stands_in_position(plan, index):
         steps += _position(plan, index)
-    return list(_timed(steps, target, standing.chamber_c))
+    return list(_timed(steps, target, retained.chamber_c))
 
 
 def _is_on_ramp(plan: Plan, index: int) -> bool:

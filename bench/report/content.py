@@ -24,9 +24,9 @@ from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
-    JointStopRow,
+    JointPlateauRow,
     read_joint_biases,
-    read_joint_stops,
+    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -49,7 +49,7 @@ class RunContent:
         Content of these files; empty where missing.
     dwells, bins, telemetry
         The tables; empty where missing. Bins are computed from the dwells if only their file is missing.
-    joint_biases, joint_stops, noise, verification
+    joint_biases, joint_plateaus, noise, verification
         Joint solution, noise of the INS, calibration check; empty without results.
     acceptance : Acceptance or None
         Verdict on the unit, or None.
@@ -68,7 +68,7 @@ class RunContent:
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
     joint_biases: list[JointBiasRow] = field(default_factory=list)
-    joint_stops: list[JointStopRow] = field(default_factory=list)
+    joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     verification: list[CalibrationCheckRow] = field(default_factory=list)
     acceptance: Acceptance | None = None
@@ -122,7 +122,7 @@ def read_run(folder: RunFolder) -> RunContent:
         return read(path, reader, missing) if path.exists() else missing
 
     no_joint_biases: list[JointBiasRow] = []
-    no_joint_stops: list[JointStopRow] = []
+    no_joint_plateaus: list[JointPlateauRow] = []
     no_verification: list[CalibrationCheckRow] = []
     read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
@@ -145,7 +145,9 @@ def read_run(folder: RunFolder) -> RunContent:
         joint_biases=read_if_there(
             folder.joint_biases, lambda: read_joint_biases(folder.joint_biases), no_joint_biases
         ),
-        joint_stops=read_if_there(folder.joint, lambda: read_joint_stops(folder.joint), no_joint_stops),
+        joint_plateaus=read_if_there(
+            folder.joint, lambda: read_joint_plateaus(folder.joint), no_joint_plateaus
+        ),
         noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
         verification=verification,
         acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),

@@ -25,7 +25,7 @@ from gyrobench.bench.report.figures.noise import noise_figure
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE, fit_sentence
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow
 
 _STATE_SPACE = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "
@@ -133,14 +133,18 @@ _WRONG_FIT_P = 1e-3
 _UNKNOWN_ACCELEROMETER_UG = 100.0
 
 
-def joint_section(biases: Sequence[JointBiasRow], stops: Sequence[JointStopRow]) -> Section | None:
+def joint_section(biases: Sequence[JointBiasRow], plateaus: Sequence[JointPlateauRow]) -> Section | None:
     """Results of the joint solution; None without its tables."""
-    if not (biases and stops):
+    if not (biases and plateaus):
         return None
     return Section(
         "Joint solution of each plateau",
-        [f"{_TOGETHER} {_gain_sentence(biases)}", f"{_UP} {_finding_sentence(stops)}", *_misfits(stops)],
-        tables=[_gain_table(biases), _stop_table(stops)],
+        [
+            f"{_TOGETHER} {_gain_sentence(biases)}",
+            f"{_UP} {_finding_sentence(plateaus)}",
+            *_misfits(plateaus),
+        ],
+        tables=[_gain_table(biases), _plateau_table(plateaus)],
     )
 
 
@@ -167,10 +171,10 @@ def _is_vertical(row: JointBiasRow) -> bool:
     return AXES[POSITIONS[row.position].up_axis] == row.gyro
 
 
-def _finding_sentence(stops: Sequence[JointStopRow]) -> str:
-    last = stops[-1]
+def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
+    last = plateaus[-1]
     finding = Finding[last.finding.upper()]
-    where = "Over all plateaus" if last.stop == 0 else "At this plateau"
+    where = "Over all plateaus" if last.plateau == 0 else "At this plateau"
     if finding is Finding.NO_PAIR:
         return f"{where}: {finding.value}."
     rate = f"{1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h"
@@ -182,11 +186,11 @@ def _finding_sentence(stops: Sequence[JointStopRow]) -> str:
     return text
 
 
-def _misfits(stops: Sequence[JointStopRow]) -> list[str]:
+def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     return [
-        f"At plateau {row.stop} dwells disagree on shared parameters{_p_in_brackets(row.fit_p_value)}: "
+        f"At plateau {row.plateau} dwells disagree on shared parameters{_p_in_brackets(row.fit_p_value)}: "
         + (_LATITUDE if row.any_north_p_value >= _WRONG_FIT_P else _NOT_TRUSTED)
-        for row in stops
+        for row in plateaus
         if row.fit_p_value < _WRONG_FIT_P
     ]
 
@@ -198,11 +202,11 @@ def _p_in_brackets(p_value: float) -> str:
 
 
 def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
-    stops = sorted({row.stop for row in rows})
+    plateaus = sorted({row.plateau for row in rows})
     cells = []
-    for stop in stops:
-        own = [row for row in rows if row.stop == stop]
-        cells.append([str(stop)])
+    for plateau in plateaus:
+        own = [row for row in rows if row.plateau == plateau]
+        cells.append([str(plateau)])
         for vertical in (False, True):
             chosen = [row for row in own if _is_vertical(row) is vertical]
             cells[-1] += [
@@ -220,14 +224,14 @@ def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
     )
 
 
-def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
+def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
     return SectionTable(
         "Shared parameters of each plateau: accelerometer biases in µg where observable, rates in 10⁻³ deg/h,"
         " p-value of the fit",
         ["plateau", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
         [
             [
-                "all" if row.stop == 0 else str(row.stop),
+                "all" if row.plateau == 0 else str(row.plateau),
                 "" if math.isnan(row.chamber_set_c) else f"{row.chamber_set_c:g}",
                 str(row.dwells),
                 *(
@@ -241,7 +245,7 @@ def _stop_table(stops: Sequence[JointStopRow]) -> SectionTable:
                 _signed(1e3 * row.up_rate_dph, 1e3 * row.up_rate_sigma_dph, 2),
                 "" if math.isnan(row.fit_p_value) else p_text(row.fit_p_value),
             ]
-            for row in stops
+            for row in plateaus
         ],
     )
 

@@ -179,7 +179,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
     sections = [
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
-        joint_section(content.joint_biases, content.joint_stops),
+        joint_section(content.joint_biases, content.joint_plateaus),
         noise_section(content.noise, content.station),
         verification_section(content.verification),
     ]

@@ -170,7 +170,7 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
 
 def _plateaus(acceptance: Acceptance) -> str:
     bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
-    return f"{counted(acceptance.stops, 'plateau')} in {counted(len(bins), 'temperature bin')}"
+    return f"{counted(acceptance.plateaus, 'plateau')} in {counted(len(bins), 'temperature bin')}"
 
 
 def _gyros(acceptance: Acceptance, verdict: str) -> str:

@@ -2,8 +2,8 @@
 
 A BLF file is complete once it is closed, so the log is cut into parts: a part ends where
 :meth:`CanLog.cut` is called, and is on the disk from then on. A part that a kill or a power cut
-left open can still be read up to its last full container. Nobody writes to it again: what comes
-later begins a new part, so that frames before and after a gap are never taken for neighbours.
+left open can still be read up to its last full container. Later frames begin a new part, so that
+frames before and after a gap are never taken for neighbours.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _SUFFIX = ".blf"
 MAX_PART_BYTES = 1_000_000_000
 #: zlib level: a tenth more bytes than the default in less time.
 _FAST = 1
-#: Bytes before compression, some 340 frames: what a kill loses at most.
+#: Bytes before compression, some 340 frames: the maximum loss after a kill.
 _CONTAINER_BYTES = 16 * 1024
-#: What no program packs into one container; a few damaged bytes could ask for gigabytes.
+#: No program packs as much into one container; damaged bytes could request gigabytes.
 _MAX_UNPACKED_BYTES = 16 * 1024 * 1024
 
 
@@ -48,7 +48,7 @@ class CanLog:
     Parameters
     ----------
     folder : Path
-        Made if absent; parts that are there are kept and numbering goes on.
+        Made if absent; existing parts are kept and numbering continues.
 
     Raises
     ------
@@ -68,7 +68,7 @@ class CanLog:
         return self._next
 
     def write(self, messages: Iterable[can.Message]) -> None:
-        """Add frames, in the order received; full containers can be read at once."""
+        """Add frames in the order received; full containers are readable at once."""
         path = part_path(self._folder, self._next, _SUFFIX)
         try:
             if self._part is None:
@@ -76,7 +76,7 @@ class CanLog:
                 self._next += 1
             self._part.write(messages)
         except OSError as error:
-            raise self._given_up(path, error) from error
+            raise self._abandon(path, error) from error
 
     def cut(self) -> None:
         """End the present part; when this returns, all frames so far are on the disk."""
@@ -86,13 +86,13 @@ class CanLog:
             self._part.end()
             sync_folder(self._folder)
         except OSError as error:
-            raise self._given_up(self._part.path, error) from error
+            raise self._abandon(self._part.path, error) from error
         self._part = None
 
-    def _given_up(self, path: Path, error: OSError) -> RunFolderError:
+    def _abandon(self, path: Path, error: OSError) -> RunFolderError:
         part, self._part = self._part, None
         if part is not None:
-            part.give_up()
+            part.abandon()
             path = part.path
         return cant_be_written(path, error)
 
@@ -120,7 +120,7 @@ class _OpenPart:
         finally:
             os.close(descriptor)
 
-    def give_up(self) -> None:
+    def abandon(self) -> None:
         with contextlib.suppress(OSError):
             self._stream.close()
 
@@ -140,7 +140,7 @@ def read_can_log(
     """
     parts = find_parts(folder, _SUFFIX)
     if not parts:
-        raise RunFolderError(f"{folder}: holds no CAN log")
+        raise RunFolderError(f"{folder}: contains no CAN log")
     for number, path in parts.items():
         if numbers is not None and number not in numbers:
             continue

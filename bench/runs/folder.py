@@ -34,15 +34,15 @@ def find_parts(folder: Path, suffix: str) -> dict[int, Path]:
     return dict(sorted((int(match[1]), path) for match, path in matches if match))
 
 
-#: Where runs go that nobody gave a folder.
+#: Parent of runs without --out.
 RUNS = Path("runs")
 #: The file by which a process holds a run folder; the first that is made in it.
 LOCK = ".lock"
-#: Files and folders of a run that are known by their names alone where a run lies in an object store.
+#: Names of files and folders, which are all that is known of a run in an object store.
 PROCEDURE, PROVENANCE, JOURNAL = "procedure.yaml", "provenance.json", "journal.jsonl"
 DWELLS, BIAS_BINS = "dwells.csv", "bias_bins.csv"
 ACCEPTANCE, COMPENSATION, CLOSURE = "acceptance.json", "compensation.yaml", "closure"
-#: What a run writes before its journal.
+#: Files that a run writes before its journal.
 _BEFORE_THE_JOURNAL = re.compile(
     r"(procedure|station|compensation)\.yaml|calibration\.csv|provenance\.json|.*\.dbc|\.lock|\..*\.part"
 )
@@ -71,12 +71,12 @@ class RunFolder:
 
     @property
     def journal(self) -> Path:
-        """What was done."""
+        """The journal."""
         return self.path / JOURNAL
 
     @property
     def live(self) -> Path:
-        """The picture of the run at its last moment, for those who watch it."""
+        """The latest snapshot of the run, for its views."""
         return self.path / "live.json"
 
     @property
@@ -106,7 +106,7 @@ class RunFolder:
 
     @property
     def joint(self) -> Path:
-        """What the dwells of each temperature share."""
+        """Parameters common to the dwells of each temperature."""
         return self.path / "joint.csv"
 
     @property
@@ -161,15 +161,15 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
     Parameters
     ----------
     out : Path or None
-        The folder, which must be absent or empty, or hold no more than a run that was cut off before its
-        journal began; None for a new one under ``runs/``.
+        The folder, which must be absent or empty, or contain no more than a run interrupted before its
+        journal began; None for a new folder under ``runs/``.
     name : str
         Name of the procedure, for a folder under ``runs/``.
 
     Raises
     ------
     RunFolderError
-        The folder can't be made, or something is in it.
+        The folder can't be made, or is not empty.
     """
     if out is not None:
         make_folder(out)
@@ -179,7 +179,7 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
             raise RunFolderError(f"{out}: can't be read: {error.strerror}") from error
         was_begun = LOCK in held and all(_BEFORE_THE_JOURNAL.fullmatch(name) for name in held)
         if held and not was_begun:
-            raise RunFolderError(f"{out}: is not empty. Give another --out, or none for a new folder.")
+            raise RunFolderError(f"{out}: is not empty. Choose another --out, or omit it for a new folder.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
     candidates = (RUNS / f"{safe_name}-{number:03d}" for number in itertools.count(1))
@@ -208,12 +208,12 @@ def open_run_folder(path: Path) -> RunFolder:
         inner = path / name
         if not inner.resolve().is_relative_to(path.resolve()):
             raise RunFolderError(
-                f"{inner}: leads out of the run folder, to {inner.resolve()}, where nothing may be written. "
-                "Put a folder in the place of the link"
+                f"{inner}: is a link out of the run folder, to {inner.resolve()}. "
+                "Replace the link by a folder"
             )
     if not folder.journal.is_file():
         raise RunFolderError(
-            f"{path}: is no run folder (it has no {folder.journal.name}). A run that was cut off before it "
-            "began is started anew"
+            f"{path}: is not a run folder (it has no {folder.journal.name}). A run interrupted before its "
+            "start can't be resumed; start it again"
         )
     return folder

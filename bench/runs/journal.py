@@ -27,9 +27,8 @@ _SHOWN_CHARACTERS = 60
 class Journal:
     """Append-only JSON lines; each is on the disk when :meth:`record` returns.
 
-    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. A journal that is there is
-    gone on with. If its last line was cut off, that line goes, and an entry ``journal_repaired``
-    says so.
+    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. An existing journal is continued.
+    If its last line was cut off, that line is removed and an entry ``journal_repaired`` added.
 
     Raises
     ------
@@ -174,12 +173,12 @@ MAX_RUN_S = 1e9
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What the entries so far tell; empty where they do not.
+    """Summary of a journal; unknown texts are empty.
 
     Attributes
     ----------
     procedure, station, unit : str
-        What was run, on which bench, and the serial number of the INS.
+        Procedure, station, and serial number of the INS.
     options : mapping
         Options of the command that began or resumed it.
     started_utc : str
@@ -187,14 +186,13 @@ class RunFacts:
     last_s : float
         Latest time of an entry, on the run's clock.
     resumes : int
-        How often it was resumed.
+        Number of resumptions.
     dwells : int
-        How many were measured.
+        Number of completed dwells.
     ended, reason : str
-        How it ended and why: "finished", "stopped" or "failed". Empty for a run that was cut off, or goes
-        on: what was said before it was resumed no longer holds.
+        "finished", "stopped" or "failed", and why. Empty for a run that was cut off or is in progress.
     safe_state : tuple of mapping
-        What was done at its end to make the bench safe.
+        Actions at its end that made the bench safe.
     """
 
     procedure: str = ""
@@ -211,7 +209,7 @@ class RunFacts:
 
 
 def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:
-    """Read a journal with patience: entries that are not as they should be are passed over."""
+    """Summarise a journal; malformed entries are ignored."""
     facts = RunFacts()
     for entry in entries:
         facts = _with(replace(facts, last_s=max(facts.last_s, _time_s(entry))), entry)

@@ -34,7 +34,7 @@ def write_provenance(
     started : datetime
         Calendar time of the run's clock at its start.
     identities : mapping
-        What each instrument said it is.
+        Reported identity of each instrument.
     options : mapping
         Options of the command that decide what was run.
     """
@@ -55,14 +55,14 @@ def write_provenance(
 
 
 def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
-    """Add what an instrument that was switched on later said it is."""
+    """Add the identity of an instrument that was switched on later."""
     content = read_provenance(folder)
     content["instruments"][instrument] = identity
     _write(folder, content)
 
 
 def note_preparer(folder: RunFolder, name: str) -> None:
-    """Keep who prepares the report, for every time that it is written anew."""
+    """Keep the name of who prepares the report, for each time it is written."""
     if content := read_provenance(folder):
         _write(folder, content | {"prepared_by": name})
 
@@ -84,7 +84,7 @@ def read_provenance(folder: RunFolder) -> dict[str, Any]:
     parts = [content, *(content.get(key, {}) for key in _OBJECTS)] if isinstance(content, dict) else [None]
     if not all(isinstance(part, dict) for part in parts):
         raise RunFolderError(
-            f"{folder.provenance}: damaged: it, and {', '.join(_OBJECTS)} in it, have to be objects"
+            f"{folder.provenance}: damaged: it, and {', '.join(_OBJECTS)} in it, must be JSON objects"
         )
     return dict(content)
 
@@ -100,7 +100,7 @@ def started_utc(folder: RunFolder) -> datetime:
     try:
         return datetime.fromisoformat(read_provenance(folder)["started_utc"])
     except (KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{folder.provenance}: does not tell when the run began") from error
+        raise RunFolderError(f"{folder.provenance}: does not state when the run began") from error
 
 
 def _write(folder: RunFolder, content: Mapping[str, Any]) -> None:
@@ -114,7 +114,7 @@ def _utc_offset_s(moment: datetime) -> float:
 
 
 def _user() -> str:
-    """Login name of who started the run; a container may know none."""
+    """Login name of the user; unknown in some containers."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):

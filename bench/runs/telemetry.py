@@ -1,8 +1,8 @@
 """Telemetry: the readings of the bench's instruments, as a folder of Parquet files.
 
 pandas, polars, DuckDB and the like open the folder as one table. Where readings are missing, a row
-of NaN with the time of the next reading stands between them, so that a line drawn through the
-readings is broken there.
+of NaN with the time of the next reading marks the gap, so that a line through the readings is
+broken there.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COLUMNS = (
     "dwell",
 )
 _ROWS_PER_PART = 900
-#: A kill loses the readings of this time at most.
+#: Maximum loss after a kill.
 _MAX_UNWRITTEN_S = 600.0
 _SUFFIX = ".parquet"
 _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
@@ -50,9 +50,9 @@ _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 class Telemetry:
     """Writes the readings, part by part.
 
-    The present part is written anew, whole, with every flush until it is full: so a run of weeks
-    has few parts, and each can be read at any instant. Parts that are there at the start are kept;
-    the readings go on in a new one, after a gap.
+    The present part is rewritten as a whole with every flush until it is full: a run of weeks has few
+    parts, and each is readable at any instant. Existing parts are kept; the readings continue in a new
+    part, after a gap.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _read_part(path: Path) -> dict[str, FloatArray]:
     content = pa.BufferReader(read_limited(path, _MAX_PART_BYTES, RunFolderError))
     try:
         part = pq.ParquetFile(content)
-        # A few damaged bytes could ask for gigabytes.
+        # Damaged bytes could request gigabytes.
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
         table = part.read(columns=list(COLUMNS))

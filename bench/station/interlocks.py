@@ -1,32 +1,30 @@
-"""The station file's section `interlocks`: what trips, and what becomes of the run then.
+"""The station file's section `interlocks`: what trips, and how the run resumes after a trip.
 
-Every interlock has a default, so a station file names only what it wants otherwise.
+Every interlock has defaults; a station file gives only what differs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.station.instrument_sections import NotNegative, Positive
 
-_Positive = Annotated[float, Field(gt=0.0)]
-_NotNegative = Annotated[float, Field(ge=0.0)]
-
-#: Defaults that follow from other limits of the station.
+#: Margins of the defaults beyond the limits of the station.
 _AIR_MARGIN_C = 5.0
 _ANGLE_MARGIN_DEG = 1.0
-_TABLE_RATE_SHARE, _TABLE_RATE_MARGIN_DPS = 1.1, 0.5
-_ACCELERATION_SHARE = 1.5
-_RAMP_SHARE, _RAMP_MARGIN_C_PER_MIN = 1.5, 2.0
+_TABLE_RATE_FACTOR, _TABLE_RATE_MARGIN_DPS = 1.1, 0.5
+_ACCELERATION_FACTOR = 1.5
+_RAMP_FACTOR, _RAMP_MARGIN_C_PER_MIN = 1.5, 2.0
 _SILENCE_S, _SILENT_READINGS = 30.0, 4
 
-_WIDEN = "widen it, or narrow the limits"
-_NEEDS = "person: somebody has to say that the run may go on; nobody: it goes on by itself"
-_RESUME_AFTER = "how long the value must have been good again before the run may go on, s"
-_MOST_RESUMES = "how often in a run it may go on by itself after this trip; then a person is needed"
+_WIDEN = "Widen the interlock or narrow the limits"
+_RESUME = "person: an operator has to confirm that the run may resume; automatic: it resumes by itself"
+_RESUME_AFTER = "how long the value must be good again before the run may resume, s"
+_MAX_RESUMES = "how often in a run it resumes by itself after this trip; then an operator is needed"
 
 
 def _given(value: float | None, default: float) -> float:
@@ -39,18 +37,21 @@ def _check_order(unit: str, low: float | None, high: float | None) -> None:
 
 
 class InterlockRule(StrictModel):
-    """What becomes of the run after a trip; a person is needed."""
+    """How the run resumes after a trip: when an operator confirms it."""
 
-    needs: Literal["person", "nobody"] = Field(default="person", description=_NEEDS)
-    resume_after_s: _NotNegative = Field(default=60.0, description=_RESUME_AFTER)
-    most_resumes: int = Field(default=5, ge=0, description=_MOST_RESUMES)
+    renamed_keys: ClassVar[Mapping[str, str]] = {"needs": "resume", "most_resumes": "max_resumes"}
+    renamed_values: ClassVar[Mapping[str, Mapping[str, str]]] = {"resume": {"nobody": "automatic"}}
+
+    resume: Literal["person", "automatic"] = Field(default="person", description=_RESUME)
+    resume_after_s: NotNegative = Field(default=60.0, description=_RESUME_AFTER)
+    max_resumes: int = Field(default=5, ge=0, description=_MAX_RESUMES)
 
 
 class PassingRule(InterlockRule):
-    """What becomes of the run after a trip that may pass by itself."""
+    """How the run resumes after a trip that may pass: by itself."""
 
-    needs: Literal["person", "nobody"] = Field(default="nobody", description=_NEEDS)
-    resume_after_s: _NotNegative = Field(default=300.0, description=_RESUME_AFTER)
+    resume: Literal["person", "automatic"] = Field(default="automatic", description=_RESUME)
+    resume_after_s: NotNegative = Field(default=300.0, description=_RESUME_AFTER)
 
 
 class TemperatureInterlock(InterlockRule):
@@ -89,39 +90,39 @@ class ChamberAirInterlock(InterlockRule):
 class TemperatureRateInterlock(PassingRule):
     """How fast a temperature may change, up or down."""
 
-    limit_c_per_min: _Positive | None = Field(
+    limit_c_per_min: Positive | None = Field(
         default=None,
-        description="fastest change, degC/min; by default 2 beyond 1.5 times the chamber's fastest ramp",
+        description="fastest change, degC/min; by default 1.5 times the chamber's fastest ramp plus 2",
     )
-    window_s: _Positive = Field(default=60.0, description="time over which the change is taken, s")
+    window_s: Positive = Field(default=60.0, description="time over which the change is taken, s")
 
     def limit_or_default_c_per_min(self, ramp_c_per_min: float) -> float:
         """Fastest change, where ``ramp_c_per_min`` is the chamber's fastest ramp."""
-        return _given(self.limit_c_per_min, ramp_c_per_min * _RAMP_SHARE + _RAMP_MARGIN_C_PER_MIN)
+        return _given(self.limit_c_per_min, ramp_c_per_min * _RAMP_FACTOR + _RAMP_MARGIN_C_PER_MIN)
 
 
 class TableRateInterlock(InterlockRule):
     """How fast an axis of the table may turn."""
 
-    limit_dps: _Positive | None = Field(
-        default=None, description="fastest turn, deg/s; by default a tenth and 0.5 deg/s beyond the limit"
+    limit_dps: Positive | None = Field(
+        default=None, description="fastest rate, deg/s; by default 1.1 times the limit plus 0.5"
     )
 
     def limit_or_default_dps(self, rate_dps: float) -> float:
         """Fastest turn, where the table has this limit."""
-        return _given(self.limit_dps, rate_dps * _TABLE_RATE_SHARE + _TABLE_RATE_MARGIN_DPS)
+        return _given(self.limit_dps, rate_dps * _TABLE_RATE_FACTOR + _TABLE_RATE_MARGIN_DPS)
 
 
 class TableAccelerationInterlock(InterlockRule):
     """How fast the rate of an axis may change between two readings."""
 
-    limit_dps2: _Positive | None = Field(
-        default=None, description="largest acceleration, deg/s2; by default half as much again as the limit"
+    limit_dps2: Positive | None = Field(
+        default=None, description="largest acceleration, deg/s2; by default 1.5 times the limit"
     )
 
     def limit_or_default_dps2(self, acceleration_dps2: float) -> float:
         """Largest acceleration, where the table has this limit."""
-        return _given(self.limit_dps2, acceleration_dps2 * _ACCELERATION_SHARE)
+        return _given(self.limit_dps2, acceleration_dps2 * _ACCELERATION_FACTOR)
 
 
 class AngleInterlock(InterlockRule):
@@ -148,43 +149,45 @@ class AngleInterlock(InterlockRule):
 
 
 class SilenceInterlock(PassingRule):
-    """How old the last answer of an instrument may be; older values tell nothing."""
+    """How old the last reply of an instrument may be."""
 
-    limit_s: _Positive | None = Field(
+    limit_s: Positive | None = Field(
         default=None,
-        description="oldest answer, s; by default 30 s, or four readings where these take longer",
+        description="oldest reply, s; by default 30 s, or four reading periods if these are longer",
     )
 
     def limit_or_default_s(self, period_s: float) -> float:
-        """Oldest answer, where the instrument is asked every ``period_s``."""
+        """Oldest reply, where the instrument is read every ``period_s``."""
         return _given(self.limit_s, max(_SILENCE_S, _SILENT_READINGS * period_s))
 
 
 class InsSilenceInterlock(PassingRule):
     """How long the INS may send nothing while it is on."""
 
-    limit_s: _Positive = Field(default=5.0, description="longest silence, s")
+    limit_s: Positive = Field(default=5.0, description="longest silence, s")
 
 
 class ChamberDeviationInterlock(PassingRule):
-    """Whether the chamber's air keeps a set point that it had reached."""
+    """Whether the chamber's air stays at a set point that it had reached."""
 
-    tolerance_c: _Positive = Field(default=5.0, description="allowed difference of the air, K")
+    tolerance_c: Positive = Field(default=5.0, description="allowed difference of the air, K")
 
 
 class ChamberCommandInterlock(InterlockRule):
-    """Whether the chamber still holds what the bench told it: set point, on or off."""
+    """Whether the chamber still has the commanded set point and state (on or off)."""
 
-    tolerance_c: _Positive = Field(
+    tolerance_c: Positive = Field(
         default=0.6,
-        description="allowed difference of the set point, K; a controller of whole degrees rounds by 0.5 K",
+        description="allowed difference of the set point, K; a controller with whole degrees rounds by 0.5 K",
     )
 
 
 class Interlocks(StrictModel):
-    """What is watched at every tick, whatever the procedure does."""
+    """What is monitored at every tick, in every step."""
 
-    longest_hold_s: _Positive = Field(default=86_400.0, description="a hold longer than this ends the run, s")
+    renamed_keys: ClassVar[Mapping[str, str]] = {"longest_hold_s": "max_hold_s"}
+
+    max_hold_s: Positive = Field(default=86_400.0, description="a hold longer than this ends the run, s")
     chamber_air: ChamberAirInterlock = Field(
         default=ChamberAirInterlock(), description="temperature of the chamber's air"
     )
@@ -218,11 +221,11 @@ class Interlocks(StrictModel):
     )
     chamber_command: ChamberCommandInterlock = Field(
         default=ChamberCommandInterlock(),
-        description="the chamber is not as the bench told it: another set point, switched off at its panel",
+        description="the chamber differs from the command: another set point, or switched off at its panel",
     )
     chamber_deviation: ChamberDeviationInterlock = Field(
         default=ChamberDeviationInterlock(),
-        description="the chamber had reached its set point, and its air does not keep it",
+        description="the chamber had reached its set point, and its air does not stay there",
     )
     table_fault: InterlockRule = Field(
         default=InterlockRule(),
@@ -246,7 +249,7 @@ class Interlocks(StrictModel):
         outer_deg: Sequence[float],
         inner_deg: Sequence[float],
     ) -> list[str]:
-        """Say which interlocks would trip within the limits that chamber and table are given."""
+        """Messages on the interlocks that would trip within the limits of chamber and table."""
         ranges = (
             ("chamber_air", self.chamber_air.range_c(chamber_c), chamber_c, "degC"),
             ("outer_angle", self.outer_angle.range_deg(outer_deg), outer_deg, "deg"),
@@ -257,12 +260,12 @@ class Interlocks(StrictModel):
             ("table_rate", self.table_rate.limit_dps, rate_dps, "deg/s"),
         )
         return [
-            f"interlocks.{name} trips outside {low:g} to {high:g} {unit}, inside the limits, which are "
-            f"{limits[0]:g} to {limits[1]:g} {unit}; {_WIDEN}"
+            f"interlocks.{name} trips outside {low:g} to {high:g} {unit}, within the limits of "
+            f"{limits[0]:g} to {limits[1]:g} {unit}. {_WIDEN}"
             for name, (low, high), limits, unit in ranges
             if low > limits[0] or high < limits[1]
         ] + [
-            f"interlocks.{name} trips above {trips:g} {unit}, inside the limit of {limit:g} {unit}; {_WIDEN}"
+            f"interlocks.{name} trips above {trips:g} {unit}, within the limit of {limit:g} {unit}. {_WIDEN}"
             for name, trips, limit, unit in highest
             if trips is not None and trips < limit
         ]

@@ -1,29 +1,30 @@
-"""The station file's section ``messages``: who off the bench is told how a run goes, and where.
+"""The station file's section ``messages``: the receivers of messages about a run, and their addresses.
 
-No secret stands in it, since every run folder has a copy of the station file. A secret comes from an
-environment variable or from a file, and ``{secret}`` in an address is where it belongs.
+Every run folder has a copy of the station file, so secrets are not in it: a secret comes from an environment
+variable or a file, and ``{secret}`` in an address marks its place.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
 
 from gyrobench.bench.foundations.documents import StrictModel
 
-#: What a receiver can be told of; that the guard had to act is told to all.
-EventName = Literal["ends", "holds", "goes_on", "needs_person"]
-#: Where the secret goes in an address.
+#: Events that a receiver can choose; all receivers get those of the guard.
+EventName = Literal["ends", "holds", "resumes", "needs_person"]
+#: Place of the secret in an address.
 SECRET = "{secret}"  # noqa: S105 - the place of one
 
-_ALL: list[EventName] = ["ends", "holds", "goes_on", "needs_person"]
+_ALL: list[EventName] = ["ends", "holds", "resumes", "needs_person"]
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _SECRET_KEY = re.compile(r"passw|secret|token|credential|key|auth|sig", re.IGNORECASE)
-#: So many characters with letters and digits are no word.
+#: A random sequence of letters and digits, longer than words are.
 _RANDOM = re.compile(r"(?=[^/]*[0-9])(?=[^/]*[A-Za-z])[A-Za-z0-9_@-]{20,}")
 _MAIL = re.compile(r"[^\s@,;<>]{1,64}@[A-Za-z0-9.-]{1,190}")
 _WHERE = (
@@ -35,9 +36,9 @@ _WHERE = (
 def _http_address(address: str) -> str:
     try:
         parts = urlsplit(address)
-        host, _ = parts.hostname, parts.port  # a port that is no number is told here
+        host, _ = parts.hostname, parts.port  # raises if the port is not a number
     except ValueError as error:
-        raise ValueError(f"is no address: {error}") from error
+        raise ValueError(f"not an address: {error}") from error
     if parts.scheme not in ("http", "https") or not host or not address.isprintable() or " " in address:
         raise ValueError("an address begins with https:// or http:// and a host")
     if parts.username is not None:
@@ -67,7 +68,10 @@ MailAddress = Annotated[str, AfterValidator(_mail_address)]
 
 
 class _Receiver(StrictModel):
-    """What all receivers have."""
+    """Keys of all receivers."""
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {"most_per_hour": "max_per_hour"}
+    renamed_values: ClassVar[Mapping[str, Mapping[str, str]]] = {"on": {"goes_on": "resumes"}}
 
     kind: str
     address: str
@@ -78,7 +82,7 @@ class _Receiver(StrictModel):
         "needs_person: holds until a person says to go on, or asks something. That the guard made the bench "
         "safe in the place of a run that died is told in any case",
     )
-    most_per_hour: int = Field(default=6, ge=1, le=60, description="not more messages of the same in an hour")
+    max_per_hour: int = Field(default=6, ge=1, le=60, description="messages per hour about the same event")
     secret_env: str | None = Field(
         default=None,
         pattern="^[A-Za-z_][A-Za-z0-9_]{0,99}$",
@@ -95,7 +99,7 @@ class _Receiver(StrictModel):
 
     @property
     def has_secret(self) -> bool:
-        """Whether there is a secret to be read."""
+        """Whether it needs a secret."""
         return self.secret_env is not None or self.secret_file is not None
 
     @model_validator(mode="after")
@@ -108,7 +112,7 @@ class _Receiver(StrictModel):
 
 
 class _HttpReceiver(_Receiver):
-    """A receiver that HTTP reaches."""
+    """A receiver reached by HTTP."""
 
     @model_validator(mode="after")
     def _no_secret_in_clear(self) -> Self:
@@ -119,11 +123,11 @@ class _HttpReceiver(_Receiver):
 
 
 class Webhook(_HttpReceiver):
-    """A server that takes messages as JSON."""
+    """A server that receives messages as JSON."""
 
     kind: Literal["webhook"]
     address: HttpAddress = Field(
-        description=f"address that JSON is posted to; a secret goes where {SECRET} stands in it, else into "
+        description=f"address for the POST of JSON; a secret replaces {SECRET} in it, else goes into "
         "the header Authorization: Bearer"
     )
 
@@ -134,7 +138,7 @@ class Ntfy(_HttpReceiver):
     kind: Literal["ntfy"]
     address: HttpAddress = Field(
         description=f"server and topic, https://HOST/TOPIC; the secret is an access token, or the topic "
-        f"where {SECRET} stands for it"
+        f"if the address has {SECRET} in its place"
     )
 
     @model_validator(mode="after")
@@ -148,18 +152,18 @@ class Email(_Receiver):
     """A mailbox, by way of a mail server."""
 
     kind: Literal["email"]
-    address: MailAddress = Field(description="who gets the mail")
-    sender: MailAddress = Field(description="whom it comes from")
+    address: MailAddress = Field(description="recipient")
+    sender: MailAddress = Field(description="sender")
     server: str = Field(pattern=r"^[A-Za-z0-9.:-]{1,200}$", description="host of the mail server")
     port: int = Field(default=587, ge=1, le=65535, description="its port")
     security: Literal["starttls", "tls", "none"] = Field(
-        default="starttls", description="encryption: from STARTTLS on, from the start, or none"
+        default="starttls", description="encryption: by STARTTLS, from the start, or none"
     )
     user: str | None = Field(
         default=None,
         min_length=1,
         max_length=200,
-        description="name to log in with; the secret is its password",
+        description="user name for the login; the secret is its password",
     )
 
     @model_validator(mode="after")

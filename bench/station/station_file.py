@@ -58,7 +58,7 @@ def why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
             return f"{address} is a real port"
         url = urlsplit(address)
         if url.scheme and url.scheme not in _SCHEMES_HERE and url.hostname not in _LOOPBACK:
-            return f"{address} is no address of this computer"
+            return f"{address} is not an address of this computer"
     return ""
 
 

@@ -43,7 +43,7 @@ class Calibration:
             for row in self._rows
             if row.position == position
         ]
-        return TemperatureCurve(points, self._prior.bias_slope * RADPS_TO_DPH).at(temperature_c)
+        return InterpolatedCurve(points, self._prior.bias_slope * RADPS_TO_DPH).at(temperature_c)
 
     def accelerometers(self, position: str, gyro_c: Triple) -> KnownAccelerometers:
         """Accelerometer biases in a position; prior knowledge where they were not measured near.
@@ -80,7 +80,7 @@ class Calibration:
         return together.value, together.sigma
 
     def _in_position(self, position: str, axis: int, temperature_c: float) -> tuple[float, float] | None:
-        """Measured bias of one accelerometer; one that stays vertical is not measured."""
+        """Measured bias of one accelerometer; None for the vertical one."""
         if POSITIONS[position].up_axis == axis:
             return None
         points = [
@@ -88,7 +88,7 @@ class Calibration:
             for row in self._rows
             if row.position == position
         ]
-        return TemperatureCurve(points, _ACCELEROMETER_SLOPE_UG).at(temperature_c)
+        return InterpolatedCurve(points, _ACCELEROMETER_SLOPE_UG).at(temperature_c)
 
 
 #: How far beyond the outermost temperature that was measured a curve goes, K.
@@ -100,7 +100,7 @@ AVERAGED_K = 5.0
 _CHANCE = 0.01
 
 
-class TemperatureCurve:
+class InterpolatedCurve:
     """Values at some temperatures, and straight lines between them.
 
     Values at nearly the same temperature are averaged. A line across a gap is wrong by what the

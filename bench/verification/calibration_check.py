@@ -1,4 +1,4 @@
-"""What the dwells of a verification show of the biases, beside the calibrated ones."""
+"""Calibration check: biases from alignments and navigations, beside the calibrated ones."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import erfc
 
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple
+from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
@@ -28,18 +29,16 @@ from gyrobench.bench.verification.calibration_check_bias import (
 _EAST, _NORTH = np.eye(3)[:2]
 _TURN_TOLERANCE_DEG = 0.5
 #: A gyro points East or North if it is no farther away than this.
-_LARGEST_ANGLE_DEG = 1.0
-#: Two alignments whose gyros were farther apart than this do not show the same bias, K.
-_ONE_STOP_K = 5.0
+_MAX_ANGLE_DEG = 1.0
 
 
 def calibration_check_rows(
     dwells: Sequence[CheckDwell], calibration: Sequence[DwellRow], setup: MeasurementSetup
 ) -> list[CalibrationCheckRow]:
-    """Biases that a verification shows, beside the calibrated ones.
+    """Biases that a calibration check measures, beside the calibrated ones.
 
     Each navigation gives the gyro along North; two alignments half a turn apart, in one position and
-    at one stop, give the gyro along East. What can't be told is a row with the reason.
+    on one plateau, give the gyro along East. A bias that is not observable is a row with the reason.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ def _alignment_row(
 ) -> CalibrationCheckRow:
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
-        alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one shows the table's error too"
+        alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one contains the table's error too"
         return _empty_row(first.marks, "alignment", _EAST, [first.flags, alone])
     flags = [f"dwell {each.marks.dwell}: {each.flags}" for each in (first, second) if each.flags]
     row = replace(_empty_row(first.marks, "alignment", _EAST, flags), turned_dwell=second.marks.dwell)
@@ -104,28 +103,26 @@ def _alignment_row(
 def _half_turn_pairs(
     dwells: Sequence[CheckDwell],
 ) -> list[tuple[CheckDwell, CheckDwell | None]]:
-    """Pair each dwell with the next one half a turn from it; None for those left over."""
+    """Pair each dwell with the next one of its plateau half a turn from it; None for those left over."""
     pairs: list[tuple[CheckDwell, CheckDwell | None]] = []
-    waiting: list[CheckDwell] = []
-    for each in sorted(dwells, key=lambda dwell: dwell.marks.dwell):
-        other = next((one for one in waiting if _are_half_turn_apart(one, each)), None)
-        if other is None:
-            waiting.append(each)
-        else:
-            waiting.remove(other)
-            pairs.append((other, each))
-    return [*pairs, *((each, None) for each in waiting)]
+    for plateau in group_plateaus(sorted(dwells, key=lambda dwell: dwell.dwell)):
+        waiting: list[CheckDwell] = []
+        for each in plateau:
+            other = next((one for one in waiting if _are_half_turn_apart(one, each)), None)
+            if other is None:
+                waiting.append(each)
+            else:
+                waiting.remove(other)
+                pairs.append((other, each))
+        pairs += [(each, None) for each in waiting]
+    return pairs
 
 
 def _are_half_turn_apart(one: CheckDwell, other: CheckDwell) -> bool:
-    stops = [
-        (each.marks.unit, each.marks.run, each.marks.cycle, each.marks.position, each.marks.chamber_set_c)
-        for each in (one, other)
-    ]
     away_deg = (other.marks.azimuth_deg - one.marks.azimuth_deg) % 360.0 - 180.0
+    is_same = (one.marks.unit, one.marks.position) == (other.marks.unit, other.marks.position)
     apart_k = np.abs(np.subtract(one.aligning_c, other.aligning_c))  # NaN where there are no data
-    is_far = bool((apart_k > _ONE_STOP_K).any())
-    return stops[0] == stops[1] and abs(away_deg) < _TURN_TOLERANCE_DEG and not is_far
+    return is_same and abs(away_deg) < _TURN_TOLERANCE_DEG and not (apart_k > MAX_FROM_MEAN_K).any()
 
 
 def _empty_row(
@@ -157,8 +154,8 @@ def _compared(
     """Fill in the bias of the gyro and hold it against the calibrated one."""
     axis = AXES.index(row.gyro)
     along = bias.direction[axis]
-    if (angle_deg := math.degrees(math.acos(min(abs(along), 1.0)))) > _LARGEST_ANGLE_DEG:
-        oblique = f"the {row.gyro} gyro is {angle_deg:.0f} deg off: verify at azimuth 0, 90, 180 or 270 deg"
+    if (angle_deg := math.degrees(math.acos(min(abs(along), 1.0)))) > _MAX_ANGLE_DEG:
+        oblique = f"the {row.gyro} gyro is {angle_deg:.0f} deg off: check at azimuth 0, 90, 180 or 270 deg"
         return replace(row, flags="; ".join(flag for flag in (row.flags, oblique) if flag))
     sign = math.copysign(1.0, along)
     row = replace(

@@ -4,7 +4,7 @@ An INS that levelled and gyrocompassed itself starts with the attitude errors th
 make: tilts that hide the accelerometer biases, and a heading at which the East gyro's bias hides
 behind the Earth's rotation. So the heading after alignment shows the East gyro, and the velocity
 East of the navigation that follows shows the North gyro. An accelerometer bias ``a`` along the same
-axis cannot be told from the gyro's here: both show ``b - (W_U / g) a``, 0.9e-3 deg/h for 100 ug at
+axis is not separable from the gyro's here: both show ``b - (W_U / g) a``, 0.9e-3 deg/h for 100 ug at
 middle latitudes. What is known of ``a`` from the calibration is taken into account.
 
 References
@@ -66,7 +66,7 @@ class AxisBias:
 
 @dataclass(frozen=True, eq=False)
 class KnownAccelerometers:
-    """Accelerometer biases as the calibration left them, m/s^2, body axes.
+    """Accelerometer biases of the calibration, m/s^2, body axes.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ def _check_half_turn(first: Dwell, second: Dwell) -> None:
     half_turned = rotation_matrix(UP, np.pi) @ first.C_nb_table[0]
     if angle_between(second.C_nb_table[0], half_turned) > TURN_TOLERANCE:
         raise MeasurementError(
-            f"{first.position_name}: two alignments tell a bias only if they are half a turn apart. "
+            f"{first.position_name}: two alignments give a bias only if they are half a turn apart. "
             "Align once at an azimuth and once 180 deg from it"
         )
 
@@ -196,8 +196,8 @@ def _check_half_turn(first: Dwell, second: Dwell) -> None:
 def _only_window(dwell: Dwell) -> NavigationWindow:
     if len(dwell.windows) != 1:
         raise MeasurementError(
-            f"{dwell.position_name}: {len(dwell.windows)} windows of navigation; a verification has one, "
-            "straight from the alignment"
+            f"{dwell.position_name}: {len(dwell.windows)} windows of navigation; a calibration check has "
+            "one, straight from the alignment"
         )
     return dwell.windows[0]
 

@@ -210,7 +210,7 @@ def _total(
     compensation: str, rows: Sequence[ComparisonRow], good: Sequence[DwellRow], varying: FloatArray
 ) -> ComparisonRow:
     sigma = np.array([row.sigma_dph for row in good]).reshape(-1, 3)
-    freedom = varying.size - varying.shape[1] * len({row.run for row in good})
+    dof = varying.size - varying.shape[1] * len({row.run for row in good})
     spread, spread_noise = _largest(rows, lambda row: (row.spread_dph, row.spread_noise_dph))
     velocity, velocity_noise = _largest(rows, lambda row: (row.velocity_east_mps, row.velocity_noise_mps))
     position, position_noise = _largest(rows, lambda row: (row.position_nmi, row.position_noise_nmi))
@@ -225,7 +225,7 @@ def _total(
         bias_rms_dph=_rms(np.array([row.bias_dph for row in good])),
         bias_noise_dph=_rms(sigma),
         varying_rms_dph=_rms(varying),
-        varying_p_value=float(chi2.sf(np.sum((varying / sigma) ** 2), freedom)) if freedom > 0 else math.nan,
+        varying_p_value=float(chi2.sf(np.sum((varying / sigma) ** 2), dof)) if dof > 0 else math.nan,
         spread_dph=spread,
         spread_noise_dph=spread_noise,
         velocity_east_mps=velocity,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,9 +12,9 @@ import numpy as np
 from scipy.stats import norm, studentized_range
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.plateaus import group_plateaus, set_point_c
 from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
@@ -32,12 +32,12 @@ from gyrobench.bench.navigation.rotational_ins import (
 
 @dataclass(frozen=True, eq=False)
 class ResidualCheck:
-    """What is left at one stop of the chamber, all positions together.
+    """What is left on one plateau, all positions together.
 
     Attributes
     ----------
     cycle, chamber_set_c : int, float or None
-        Which stop; None where the chamber had no set point.
+        Which plateau; None where the chamber had no set point.
     dwells : tuple of int
         Numbers of the dwells whose biases are in it.
     gyro_c : float
@@ -68,64 +68,47 @@ class ResidualCheck:
 
 
 def check_residuals(
-    rows: Iterable[DwellRow], verifications: Iterable[CheckDwell], site: Site
+    rows: Iterable[DwellRow], check_dwells: Iterable[CheckDwell], site: Site
 ) -> list[ResidualCheck]:
-    """Check each stop of a run, in the order of time; what has flags is left out.
+    """Check each plateau of a run, in the order of time; what has flags is left out.
 
     Parameters
     ----------
     rows : iterable of DwellRow
-        Biases as they show with whatever the INS compensates.
-    verifications : iterable of CheckDwell
+        Biases with the compensation that the INS applies.
+    check_dwells : iterable of CheckDwell
         Navigations straight from an alignment.
     """
-    by_stop: dict[Hashable, tuple[list[DwellRow], list[CheckDwell]]] = defaultdict(lambda: ([], []))
-    for row in rows:
-        if not row.flags:
-            by_stop[_stop(row)][0].append(row)
-    for each in verifications:
-        if not each.flags:
-            by_stop[_stop(each.marks)][1].append(each)
-    return [_check(*stop, site) for stop in sorted(by_stop.values(), key=_begin)]
+    measured: list[DwellRow | CheckDwell] = [each for each in rows if not each.flags]
+    measured += [each for each in check_dwells if not each.flags]
+    plateaus = group_plateaus(sorted(measured, key=lambda each: each.dwell))
+    return [_check(plateau, site) for plateau in plateaus]
 
 
-def _stop(measured: DwellRow | DwellMarks) -> Hashable:
-    return measured.run, measured.cycle, _set_c(measured)
-
-
-def _set_c(measured: DwellRow | DwellMarks) -> float | None:
-    set_c = measured.chamber_set_c
-    return None if set_c is None or math.isnan(set_c) else set_c
-
-
-def _begin(stop: tuple[list[DwellRow], list[CheckDwell]]) -> int:
-    rows, verifications = stop
-    return min([*(row.dwell for row in rows), *(each.marks.dwell for each in verifications)])
-
-
-def _check(rows: list[DwellRow], verifications: list[CheckDwell], site: Site) -> ResidualCheck:
-    first = rows[0] if rows else verifications[0].marks
-    measured_c = [row.gyro_c for row in rows] or [each.temperatures.gyro_c for each in verifications]
+def _check(plateau: Sequence[DwellRow | CheckDwell], site: Site) -> ResidualCheck:
+    rows = [each for each in plateau if isinstance(each, DwellRow)]
+    check_dwells = [each for each in plateau if isinstance(each, CheckDwell)]
+    measured_c = [each.gyro_c for each in rows or check_dwells]
     biases, sigmas = ([getattr(row, name) for row in rows] for name in ("bias_dph", "sigma_dph"))
     all_six = {row.position for row in rows} == POSITIONS.keys()
     return ResidualCheck(
-        cycle=first.cycle,
-        chamber_set_c=_set_c(first),
+        cycle=plateau[0].cycle,
+        chamber_set_c=set_point_c(plateau[0]),
         dwells=tuple(row.dwell for row in rows),
         gyro_c=float(np.mean(measured_c)),
         bias_rms_dph=_rms(biases),
         sigma_rms_dph=_rms(sigmas),
         spread_dph=_spread(rows),
         spread_noise_dph=_spread_noise(rows),
-        velocity_east_mps=max(map(_largest_velocity_east, verifications), default=math.nan),
-        velocity_noise_mps=_velocity_noise(verifications, site),
+        velocity_east_mps=max(map(_largest_velocity_east, check_dwells), default=math.nan),
+        velocity_noise_mps=_velocity_noise(check_dwells, site),
         day=day_of_navigation(rows, site) if all_six else None,
     )
 
 
-def _velocity_noise(verifications: Sequence[CheckDwell], site: Site) -> float:
+def _velocity_noise(check_dwells: Sequence[CheckDwell], site: Site) -> float:
     """Median of the largest of some velocities, if there is nothing but noise in them."""
-    sigmas = [_velocity_sigma(each, site) for each in verifications]
+    sigmas = [_velocity_sigma(each, site) for each in check_dwells]
     if not sigmas:
         return math.nan
     return float(np.sqrt(np.mean(np.square(sigmas))) * norm.ppf(0.5 + 0.5 ** (1.0 + 1.0 / len(sigmas))))

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.station.instruments import Emulation
 
@@ -57,7 +58,7 @@ def _make_run(folder, unit, repetition, seed, outlying_dph):
     world.parent.mkdir(exist_ok=True)
     world.write_text(yaml.safe_dump(_world(unit, days, outlying_dph), sort_keys=False))
     job = prepare_job(str(PROCEDURE), "quick", Emulation(str(world), seed))
-    _, outcome = run_job(job, folder, Progress(), ConsentingOperator())
+    _, outcome = run_job(job, folder, RunObserver(), ConsentingOperator())
     if outcome.ended != "finished":
         raise RuntimeError(f"{folder}: {outcome.reason}")
     _date(folder / "provenance.json", FIRST_DAY + timedelta(days=days))

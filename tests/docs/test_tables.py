@@ -14,7 +14,7 @@ from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table as verification_table
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow
 from gyrobench.bench.verification.comparison import ComparisonRow
 from tests.bench.report.made_up_closure import explained
 
@@ -45,7 +45,7 @@ def values_of_findings():
     [
         ("dwells.csv", set(dwell_table.COLUMNS)),
         ("bias_bins.csv", names(BiasBin)),
-        ("joint.csv", names(JointStopRow) | {"finding"} | values_of_findings()),
+        ("joint.csv", names(JointPlateauRow) | {"finding"} | values_of_findings()),
         ("joint_biases.csv", names(JointBiasRow)),
         ("verification.csv", set(verification_table.COLUMNS)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),

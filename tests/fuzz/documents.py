@@ -10,7 +10,7 @@ import cantools
 import numpy as np
 
 from gyrobench.bench.dwells.dwell import measurement_setup
-from gyrobench.bench.engine.session import Job, prepare_job
+from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import find_document

@@ -16,10 +16,12 @@ from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.files import read_held_out_cycles
 from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.engine.evaluation import recompute_run
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption, resume_run
-from gyrobench.bench.engine.session import measure_again, prepare_job, run_job
-from gyrobench.bench.engine.verify import new_emulation
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
+from gyrobench.bench.engine.verification_runs import new_emulation
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
@@ -30,7 +32,7 @@ from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.calibration_check_table import COLUMNS as VERIFICATION_COLUMNS
 from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
-from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_stops
+from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
 from gyrobench.bench.station.instruments import Emulation
@@ -72,7 +74,7 @@ def use_journal(run: Path) -> Callable[[Path, bytes], None]:
         (copy / "journal.jsonl").write_bytes(data)
         read_run(RunFolder(copy))
         new_emulation(open_run_folder(copy))
-        measure_again(copy)
+        recompute_run(copy)
 
     return use
 
@@ -96,11 +98,11 @@ def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
         frames = _frames(copy, _PART_OF_NO_DWELL)
         if frames != sound_frames[: len(frames)]:
             raise WrongResultError("the damaged part gives frames that were not in it")
-        if measure_again(copy).dwells.read_bytes() != measured:
+        if recompute_run(copy).dwells.read_bytes() != measured:
             raise WrongResultError("a part of no dwell changed the dwells")
         shutil.copy(run / _PART_OF_NO_DWELL, copy / _PART_OF_NO_DWELL)
         (copy / PART).write_bytes(data)
-        measure_again(copy)
+        recompute_run(copy)
         for row, sound in zip(read_dwells(copy / "dwells.csv"), expected, strict=True):
             if not row.flags and not np.allclose(
                 row.bias_dph, sound.bias_dph, rtol=0.0, atol=5.0 * max(sound.sigma_dph)
@@ -157,12 +159,12 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         copy = _copied(run, folder)
         (copy / "journal.jsonl").write_bytes(data)
         resumption = prepare_resumption(copy)
-        describe_resumption(resumption)
+        resumption.describe()
         told = _whole_entries(data)
         finished = {each["marks"]["dwell"] for each in told if each.get("event") == "dwell_finished"}
-        if resumption.done.finished != finished:
+        if resumption.state.finished != finished:
             raise WrongResultError(
-                f"dwells {resumption.done.finished} are finished, the journal says {finished}"
+                f"dwells {resumption.state.finished} are finished, the journal says {finished}"
             )
         plan = resumption.job.plan
         with Path(os.devnull).open("w") as nowhere, _unseen(nowhere, plan) as view:
@@ -173,7 +175,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
             raise WrongResultError(f"resumed, the run {outcome.ended}: {outcome.reason}")
         measured = {row.dwell for row in read_dwells(resumed.dwells)}
         verified = {each.marks.dwell for each in outcome.verifications}
-        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.done.skipped
+        missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.state.skipped
         if missing:
             raise WrongResultError(f"the dwells {missing} are lost")
 
@@ -220,7 +222,7 @@ def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
     def use(folder: Path, data: bytes) -> None:
         copy = RunFolder(_copied(run, folder))
         copy.calibration.write_bytes(data)
-        measure_again(copy.path)
+        recompute_run(copy.path)
         for row in read_calibration_check(copy.verification):
             difference_dph = row.bias_dph - row.calibrated_dph
             if row.is_compared and not math.isclose(
@@ -247,7 +249,7 @@ def use_noise(run: Path) -> Callable[[Path, bytes], None]:
         copy.noise.write_bytes(data)
         for path, read in (
             (copy.bias_bins, read_bins),
-            (copy.joint, read_joint_stops),
+            (copy.joint, read_joint_plateaus),
             (copy.joint_biases, read_joint_biases),
         ):
             read(path)

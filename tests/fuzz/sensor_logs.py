@@ -18,7 +18,7 @@ unit: A7
 text: {separator: comma, comment: "#"}
 time: {column: time, unit: s}
 gyro: {unit: deg/s, x: gx, y: gy, z: {column: gz, sign: -1}, full_scale: 100}
-temperatures: {gyros: temp, least_swing_c: 5, scale: 1.0, offset_c: 0.0}
+temperatures: {gyros: temp, min_swing_c: 5, scale: 1.0, offset_c: 0.0}
 position: z_up
 cycle: {turning_point_c: 5}
 earth_rate: {latitude_deg: 40, azimuth_deg: 0}

@@ -14,7 +14,7 @@ from tests.soak.faults import inject_faults
 from tests.soak.kills import kill_runs
 from tests.soak.long_run import long_run
 from tests.soak.real_time import real_time
-from tests.soak.results import PartResult, PartTable, keep, kept, machine, page, told
+from tests.soak.results import PartResult, PartTable, keep, kept, machine, page, terminal_text
 
 #: The order in which the table shows them.
 PARTS = ("kills", "faults", "fuzz", "long", "real_time")
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         shutil.rmtree(work, ignore_errors=True)
         result = runs[part](work)
         keep(options.results, result)
-        sys.stdout.write(told(result) + "\n")
+        sys.stdout.write(terminal_text(result) + "\n")
         is_well &= not result.problems
     if options.table:
         options.table.write_text(page(kept(options.results, PARTS)) + "\n")

@@ -1,6 +1,6 @@
-"""A run on a wall clock while somebody sets the host's calendar, over an hour or a day at a time.
+"""A run on a wall clock while the host's calendar is set by up to a day at a time.
 
-A child process of its own, since it lasts in real time and another calendar would disturb others.
+A separate process, since it lasts in real time and another calendar would disturb others.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from pathlib import Path
 from random import Random
 from unittest import mock
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.resumption import prepare_resumption, resume_run
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -70,12 +71,12 @@ def calendar_jumps(folder: Path, kind: str, count: int, seed: int) -> KindTally:
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "tests.soak.calendar_run", str(folder), kind, str(count), str(seed)]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-    told = json.loads(done.stdout.splitlines()[-1])
+    result = json.loads(done.stdout.splitlines()[-1])
     tally = KindTally(
-        kind, dwells=told["dwells"], lost=told["lost"], flagged=told["flagged"], wrong=told["wrong"]
+        kind, dwells=result["dwells"], lost=result["lost"], flagged=result["flagged"], wrong=result["wrong"]
     )
-    tally.outcomes.update(told["outcomes"])
-    tally.problems = told["problems"]
+    tally.outcomes.update(result["outcomes"])
+    tally.problems = result["problems"]
     return tally
 
 

@@ -24,10 +24,11 @@ import numpy as np
 import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator
-from gyrobench.bench.engine.outcome import RunOutcome
-from gyrobench.bench.engine.resumption import Resumption, prepare_resumption, resume_run
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.resume import Resumption, prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -196,10 +197,10 @@ class FaultyRun:
         return self.tally
 
     def before_resume(self) -> None:
-        """What a person mends before a run is resumed."""
+        """What an operator repairs before a run is resumed."""
 
     def _once(self, resumption: Resumption | None, operator: Operator) -> RunOutcome | None:
-        """Run or resume; None where an exception came out of it, which the journal tells as well."""
+        """Run or resume; None where an exception came out of it, which the journal records as well."""
         try:
             if resumption is None:
                 _, outcome = run_job(self.job, self.run.path, self.watcher, operator)
@@ -211,14 +212,14 @@ class FaultyRun:
         return outcome
 
     def _inspect(self, outcome: RunOutcome | None) -> None:
-        """The table is at rest and the chamber at its safe set point, or it is told that they are not."""
+        """The table is at rest and the chamber at its safe set point, or the outcome reports it."""
         bench = self.watcher.bench
         if bench is None:
             return
         bench.clock.sleep(60.0)
         bench.advance()
-        told = outcome is not None and any(action.problem for action in outcome.safe_state)
-        if told:
+        reported = outcome is not None and any(action.problem for action in outcome.safe_state)
+        if reported:
             return
         if any(axis.is_moving(bench.clock.now()) for axis in bench.world.axes.values()):
             self.tally.unsafe.append(f"{self.tally.kind}: the table turns after the end")
@@ -255,7 +256,7 @@ class InjectedError(Exception):
 
 
 def outcomes_of(injected_s: Iterable[float], entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The gravest that the journal tells between each injection and the next one."""
+    """The gravest outcome in the journal between each injection and the next one."""
     first = np.searchsorted([entry["time_s"] for entry in entries], sorted(injected_s))
     return [_outcome(entries[begin:end]) for begin, end in itertools.pairwise([*first, len(entries)])]
 
@@ -265,24 +266,24 @@ def _outcome(entries: Sequence[Mapping[str, Any]]) -> str:
     for entry in entries:
         match entry["event"]:
             case "run_ended" if entry["ended"] != "finished":
-                told = ENDED
+                seen = ENDED
             case "run_resumed":
-                told = ENDED
+                seen = ENDED
             case "tripped":
-                told = HELD
+                seen = HELD
             case "dwell_given_up":
-                told = REPEATED
+                seen = REPEATED
             case "dwell_finished" if entry["flags"]:
-                told = FLAGGED
+                seen = FLAGGED
             case "held":
-                told = HELD
+                seen = HELD
             case "retry" | "answers_again":
-                told = RETRIED
+                seen = RETRIED
             case "note" if "anew" in entry["text"]:
-                told = REPEATED
+                seen = REPEATED
             case _:
                 continue
-        found = min(found, told, key=OUTCOMES.index)
+        found = min(found, seen, key=OUTCOMES.index)
     return found
 
 
@@ -377,11 +378,11 @@ def _result(tallies: Sequence[KindTally], took_s: float) -> PartResult:
             "dwells lost": str(lost),
             "wrong results let through": str(len(of("wrong"))),
             f"temperatures off by more than {WRONG_C:g} K without a flag": str(len(of("wrong_temperature"))),
-            "ends with the bench not safe and nobody told": str(len(of("unsafe"))),
+            "ends with the bench not safe without a report": str(len(of("unsafe"))),
         },
         "One kind in a run, at random times; half of the injections under a procedure that repeats "
         "disturbed dwells, half under one that flags them. A run that ended was resumed. An injection's "
-        "outcome is the gravest thing that the journal tells before the next one; a retry inside a "
+        "outcome is the gravest entry of the journal before the next one; a retry inside a "
         "driver's exchange leaves no trace there. "
         f"Took {took_s / 60.0:.0f} min.",
         [PartTable(["kind", "injected", *reversed(OUTCOMES), "dwells", "of them flagged", "wrong"], rows)],

@@ -18,8 +18,7 @@ from typing import Any
 from unittest import mock
 
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.procedure.steps import STEP_KINDS
 from gyrobench.bench.runs.journal import read_journal
@@ -99,7 +98,7 @@ class PatientOperator(ConsentingOperator):
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Only a pause waits."""
         super().ask(question, answers)
-        self._ticks = 20 if "paused" in question and answers[0] == Order.CONTINUE else 0
+        self._ticks = 20 if "paused" in question and answers[0] == RunCommand.CONTINUE else 0
 
     def answer(self) -> str | None:
         """None while it waits."""
@@ -129,14 +128,14 @@ class FullDisk:
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
 
     @staticmethod
-    def mend() -> None:
+    def repair() -> None:
         """Make room."""
         _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
 
 
 class SmallDisk:
-    """A disk of its own that is filled by another file; needs the right to mount one."""
+    """A separate disk that is filled by another file; needs the right to mount one."""
 
     def __init__(self, folder: Path) -> None:
         self._ballast = folder / "ballast"
@@ -149,7 +148,7 @@ class SmallDisk:
                     while True:
                         file.write(b"x" * size_bytes)
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Make room."""
         self._ballast.unlink(missing_ok=True)
 
@@ -163,7 +162,7 @@ class BadDisk:
 
     def __call__(self, bench: LiveBench, left: int) -> None:
         """Let the next calls fail; some failures pass by themselves, others last."""
-        self.mend()
+        self.repair()
         real, failing = os.fsync, self._random.choice([1, 2, 1_000_000])
 
         def fsync(descriptor: int) -> None:
@@ -176,7 +175,7 @@ class BadDisk:
         self._broken = contextlib.ExitStack()
         self._broken.enter_context(mock.patch("os.fsync", fsync))
 
-    def mend(self) -> None:
+    def repair(self) -> None:
         """Put another disk in."""
         if self._broken:
             self._broken.close()
@@ -184,14 +183,14 @@ class BadDisk:
 
 
 class HostRun(FaultyRun):
-    """A faulty run whose cause somebody mends before it is resumed."""
+    """A faulty run whose cause is repaired before it is resumed."""
 
-    mend: Callable[[], None] | None = None
+    repair: Callable[[], None] | None = None
 
     def before_resume(self) -> None:
-        """Mend it."""
-        if self.mend:
-            self.mend()
+        """Repair it."""
+        if self.repair:
+            self.repair()
 
     def _judge(self) -> None:
         self.before_resume()
@@ -215,10 +214,10 @@ def _host_run(folder: Path, kind: str, rule: str, count: int, random: Random) ->
         watcher: type[Deeds] = DeedsByStep if kind == "exception in a step" else Deeds
         if kind == "disk full":
             deed = SmallDisk(disk) if disk else FullDisk()
-            run.mend = deed.mend
+            run.repair = deed.repair
         elif kind == "write error":
             deed = BadDisk(random)
-            run.mend = deed.mend
+            run.repair = deed.repair
         run.watcher = watcher(run, deed, count, random)
         try:
             return run.go(PatientOperator() if kind == "SIGTSTP, SIGCONT" else None)

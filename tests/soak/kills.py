@@ -25,10 +25,10 @@ from scipy.stats import chi2 as chi2_distribution
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.progress import progress_of
-from gyrobench.bench.engine.resumption import describe_resumption, prepare_resumption
-from gyrobench.bench.engine.session import Job, prepare_job, run_job
+from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.steps import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
@@ -44,7 +44,7 @@ _GYROBENCH = str(Path(sys.executable).with_name("gyrobench"))
 _LOOK_PERIOD_S = 0.0005
 #: A run is killed so often before it is left alone.
 _KILLS_PER_RUN = 12
-#: One kill in so many, the folder is looked at by a process of its own as well.
+#: One kill in so many, the folder is looked at by a separate process as well.
 _LOOKS_BY_PROCESS = 5
 _LONGEST_S = 600.0
 #: So far ahead it is aimed, and so near the end at what comes after it.
@@ -109,7 +109,7 @@ class KilledRun:
         self._start_s = 2.0
 
     def go(self, most_kills: int) -> bool:
-        """Run, kill and resume until it is finished; tells whether it came to that."""
+        """Run, kill and resume until it is finished; returns whether it was."""
         code = None
         while code is None:
             code = self._attempt(self._aim() if self._kills < most_kills else None)
@@ -135,7 +135,7 @@ class KilledRun:
 
     def _look(self, anyway: bool = True) -> str:
         try:
-            return describe_resumption(prepare_resumption(self._path, anyway))
+            return prepare_resumption(self._path, anyway).describe()
         except RunFolderError as error:
             return str(error)
 
@@ -160,13 +160,13 @@ class KilledRun:
     def _ahead(self) -> list[str]:
         """Kinds of the next steps; all of them where nothing is done yet."""
         journal, steps = self._path / "journal.jsonl", self._job.plan.steps
-        done = progress_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
+        done = resume_state_of(read_journal(journal), self._job.plan).next_index if journal.exists() else 0
         return [planned.step.name for planned in (steps[done : done + _NEXT_STEPS] if done else steps)]
 
     def _attempt(self, aim: str | None) -> int | None:
         """Start a process and kill it where aimed; its exit code if it was through before."""
         if (self._path / "procedure.yaml").exists() and not (self._path / "journal.jsonl").exists():
-            # Killed before the run began: nothing was done, and a run begins in a folder of its own.
+            # Killed before the run began: nothing was done, and a run begins in a new folder.
             self._path = self._path.with_name(f"{self._path.name}_again")
         tail = _Tail(self._path / "journal.jsonl")
         command = self._command()
@@ -227,7 +227,7 @@ class KilledRun:
         try:
             readable(open_run_folder(self._path), self._job)
             words = self._look()
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
+        except Exception as error:  # noqa: BLE001 - every exception is a finding
             self._problem(f"the folder can't be read: {type(error).__name__}: {error}")
             return
         if "dwells are finished" not in words and "nothing to resume" not in words:
@@ -375,7 +375,7 @@ def _result(tally: Tally, took_s: float) -> PartResult:
         f"of their own on virtual time, killed with SIGKILL up to {_KILLS_PER_RUN} times each, then left to "
         "finish. After each kill journal, raw log, telemetry and dwell table were read, the finished dwells "
         "measured again from the raw log, and what `resume --look` says was looked at "
-        f"({tally.looks} times by a process of its own). The guard against resuming in vain asked for "
+        f"({tally.looks} times by a separate process). The limit on resumes without progress asked for "
         f"`--anyway` {tally.guarded} times. "
         f"Took {took_s / 60.0:.0f} min.",
         [counts("under way at the kill", by_kind)],

@@ -1,4 +1,4 @@
-"""One run of a thousand hours with a fault every few minutes: it goes on, and the program stays small."""
+"""One run of a thousand hours with a fault every few minutes: all dwells finish, memory stays bounded."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import Job
 from gyrobench.bench.foundations.shipped import find_document
 from tests.soak.faults import OUTCOMES, FaultyRun
 from tests.soak.results import PartResult, PartTable, counts, machine

@@ -93,9 +93,9 @@ def real_time(folder: Path, minutes: float, seed: int) -> PartResult:
             if not name.startswith("processor")
         },
         f"Two benches of the world `{_WORLD}` side by side, an epoch of the INS every 0.1 s: "
-        "`gyrobench run` with its guard, and the emulators in a process of their own. A tick's lateness is "
-        "told by every run at the end of its journal. Frames are compared one by one with what the emulated "
-        "INS sent. Processor load is that of one core, from the first step on.",
+        "`gyrobench run` with its guard, and the emulators in a separate process. A tick's lateness is "
+        "written by every run at the end of its journal. Frames are compared one by one with what the "
+        "emulated INS sent. Processor load is that of one core, from the first step on.",
         [PartTable(["", *_BUSES], [[name, *(figures[name] for figures, _ in runs)] for name in names])],
         [problem for _, problems in runs for problem in problems],
         machine(),

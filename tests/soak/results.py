@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-_INTRODUCTION = """# Soak: what the bench has lived through
+_INTRODUCTION = """# Reliability: kills, faults, damaged files, long runs
 
 Made by `make soak`, on the emulated bench; `python -m tests.soak PART` runs one part. *Wrong* is a result
 without a flag that is off the world's truth by more than five of its stated sigma.
@@ -109,7 +109,7 @@ def markdown(table: PartTable) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def told(result: PartResult) -> str:
+def terminal_text(result: PartResult) -> str:
     """A part's result for the terminal."""
     lines = [result.title, *(f"  {name:42}{value}" for name, value in result.figures.items())]
     for table in result.tables:

@@ -60,7 +60,7 @@ def test_a_run_of_some_hours_with_faults_keeps_its_descriptors(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("lines", "told"),
+    ("lines", "expected"),
     [
         ([], START),
         ([{"event": "run_resumed"}], START),
@@ -70,8 +70,8 @@ def test_a_run_of_some_hours_with_faults_keeps_its_descriptors(tmp_path):
         ([{"event": "step_finished", "kind": "turn"}, {"event": "run_ended"}], RESULTS),
     ],
 )
-def test_the_journal_tells_what_was_under_way_at_a_kill(lines, told):
-    assert under_way([json.dumps(line) for line in lines]) == told
+def test_the_journal_shows_what_was_under_way_at_a_kill(lines, expected):
+    assert under_way([json.dumps(line) for line in lines]) == expected
 
 
 def test_an_injection_is_told_by_the_gravest_thing_before_the_next():

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import Job
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
@@ -73,7 +73,7 @@ class Agreement:
         self.wrong += other.wrong
 
 
-class TruthWatcher(Progress):
+class TruthWatcher(RunObserver):
     """Keeps what is true in the emulated world while the INS navigates, dwell by dwell.
 
     Attributes

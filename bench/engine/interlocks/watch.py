@@ -1,24 +1,37 @@
-"""The watch over all interlocks of a run."""
+"""Trips: which interlocks are tripped, and by whose rule a failed step is treated."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from gyrobench.bench.engine.interlocks.chamber_checks import ChamberChecks
-from gyrobench.bench.engine.interlocks.expected import Expected
-from gyrobench.bench.engine.interlocks.findings import Finding, told
-from gyrobench.bench.engine.interlocks.ins_checks import InsChecks
-from gyrobench.bench.engine.interlocks.table_checks import TableChecks
-from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.engine.bench_state import ExpectedState, Readings
+from gyrobench.bench.engine.interlocks.checks import (
+    ChamberChecks,
+    Finding,
+    InsChecks,
+    TableChecks,
+    text_of_findings,
+)
 from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    GyrobenchError,
+    InstrumentError,
+    InterlockError,
+    RefusedError,
+)
+from gyrobench.bench.procedure.steps import PowerOn, Step
 from gyrobench.bench.station.interlocks import InterlockRule
 from gyrobench.bench.station.station import Station
+
+_SILENCE = {"rate table": "table_silence", "chamber": "chamber_silence", "INS": "ins_silence"}
+_FAULT = {"rate table": "table_fault", "chamber": "chamber_alarm", "INS": "ins_fault"}
 
 
 @dataclass(frozen=True)
 class Trip:
-    """An interlock that is tripped now.
+    """A tripped interlock.
 
     Attributes
     ----------
@@ -27,7 +40,7 @@ class Trip:
     findings : tuple of Finding
         What is wrong.
     rule : InterlockRule
-        What becomes of the run.
+        When the run may continue.
     """
 
     name: str
@@ -37,12 +50,35 @@ class Trip:
     @property
     def text(self) -> str:
         """What is wrong: value, limit, and what to do."""
-        return told(self.findings)
+        return text_of_findings(self.findings)
 
 
-def text_of(trips: Iterable[Trip]) -> str:
-    """What is wrong by all of them, each advice once."""
-    return told(finding for trip in trips for finding in trip.findings)
+def text_of_trips(trips: Iterable[Trip]) -> str:
+    """Return what is wrong as text, each advice once."""
+    return text_of_findings(finding for trip in trips for finding in trip.findings)
+
+
+class TrippedError(InterlockError):
+    """Interlocks are tripped."""
+
+    def __init__(self, trips: Sequence[Trip]) -> None:
+        super().__init__(text_of_trips(trips))
+        self.trips = trips
+
+
+def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = None) -> Trip:
+    """Return the trip by whose rule a failed step is treated: the instrument is silent, or has a fault.
+
+    Another step that did not end in time needs the operator, unless the INS did not start.
+    """
+    name = "step"
+    if isinstance(error, InstrumentError):
+        has_fault = isinstance(error, FaultError | RefusedError)
+        name = (_FAULT if has_fault else _SILENCE)[error.instrument]
+    elif isinstance(step, PowerOn):
+        name = "ins_silence"
+    rule = InterlockRule() if name == "step" else getattr(station.file.interlocks, name)
+    return Trip(name, (Finding(name, str(error), ""),), rule)
 
 
 class InterlockWatch:
@@ -59,34 +95,32 @@ class InterlockWatch:
     def __init__(self, station: Station, clock: Clock) -> None:
         self._clock = clock
         self._rules = station.file.interlocks.rules()
-        self._table = TableChecks(station)
-        self._chamber = ChamberChecks(station)
-        self._ins = InsChecks(station)
+        self._checks = (TableChecks(station), ChamberChecks(station), InsChecks(station))
         self._readings: Readings | None = None
         self._good_since_s: dict[str, float] = {}
 
     def observe(self, readings: Readings) -> None:
-        """Take what the instruments said; to be called after every poll, whoever answered in it."""
-        self._table.observe(readings)
-        self._chamber.observe(readings)
-        self._ins.observe(readings, self._clock.now())
+        """Take the readings; to be called after every poll, whether the instruments answered or not."""
+        now_s = self._clock.now()
+        for checks in self._checks:
+            checks.observe(readings, now_s)
         self._readings = readings
 
-    def trips(self, now_s: float, expected: Expected) -> list[Trip]:
-        """All interlocks that are tripped now; to be called at every tick.
+    def trips(self, now_s: float, expected: ExpectedState) -> list[Trip]:
+        """Return all interlocks that are tripped; to be called at every tick.
 
         Parameters
         ----------
         now_s : float
             On the run's clock.
-        expected : Expected
-            What the bench told the instruments last. They are held to it by readings that are newer
-            than the call that brought it first.
+        expected : ExpectedState
+            What the bench commanded last. Only readings newer than the first call with a command are
+            compared with it.
 
         Returns
         -------
         list of Trip
-            In the order of the station file's model; one for each interlock, with all it finds.
+            In the order of the station file's model; one for each interlock, with all its findings.
         """
         found: dict[str, list[Finding]] = {name: [] for name in self._rules}
         for finding in self._findings(now_s, expected):
@@ -102,8 +136,7 @@ class InterlockWatch:
         """Time of the call of :meth:`trips` since which an interlock is good; None while it is tripped."""
         return self._good_since_s.get(name)
 
-    def _findings(self, now_s: float, expected: Expected) -> Iterator[Finding]:
-        if self._readings is None:
-            return
-        for checks in (self._table, self._chamber, self._ins):
-            yield from checks.findings(self._readings, expected, now_s)
+    def _findings(self, now_s: float, expected: ExpectedState) -> Iterator[Finding]:
+        if self._readings is not None:
+            for checks in self._checks:
+                yield from checks.findings(self._readings, expected, now_s)

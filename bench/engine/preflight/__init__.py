@@ -1,4 +1,1 @@
-"""Preflight: whether a bench is fit for a run, looked at without moving anything.
-
-``preflight`` asks the checks of ``table``, ``chamber``, ``ins`` and ``disk`` in turn.
-"""
+"""Preflight check: is the bench ready for a run? Moves nothing."""

@@ -1,4 +1,4 @@
-"""Preflight of the INS and its bus: a few seconds of what it sends."""
+"""Preflight check of the INS and its CAN bus: ten seconds of what it sends."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import can
 import numpy as np
 
-from gyrobench.bench.engine.preflight.answer import answered, failed, unanswered
+from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.station.check import Check
@@ -25,30 +25,30 @@ from gyrobench.drivers.ins.readout import Alignment, InsMode
 from gyrobench.drivers.ins.resolution import resolution_report
 
 _SUBJECT = "INS"
-#: A unit that is on is heard within this; its status comes once a second or so.
-_LISTEN_S = 3.0
-#: A unit that was switched on has started within this.
+#: An INS that is on sends within this time; its status comes about once a second.
+_FIRST_FRAME_S = 3.0
+#: An INS that was switched on has started within this time.
 _START_S = 180.0
 _OBSERVE_S = 10.0
-#: Rates of clocks and epochs are told no better than this in that time.
+#: Accuracy of the rates of clocks and epochs in that time.
 _RATE_TOLERANCE = 0.02
-#: An INS whose clock is beyond this date tells the calendar time, in seconds since 1970.
+#: An INS whose clock is beyond this date sends the calendar time, in seconds since 1970.
 _CALENDAR_S = datetime(2020, 1, 1, tzinfo=UTC).timestamp()
 _OFFSET_LIMIT_S = 60.0
-#: Epochs that the beginning and the end of the listening may cut off.
-_AT_THE_ENDS = 2
+#: Epochs that the begin and the end of the observation may cut off.
+_CUT_OFF_EPOCHS = 2
 
 
 @dataclass
-class Listened:
-    """What came from the bus in some seconds.
+class CanTraffic:
+    """Frames received from the bus in some seconds.
 
     Attributes
     ----------
     duration_s : float
         On the run's clock.
     arrived_s : list of float
-        When each batch of frames was taken from the bus, on the run's clock.
+        When each frame was received, on the run's clock.
     """
 
     duration_s: float = 0.0
@@ -57,23 +57,23 @@ class Listened:
 
     @property
     def frames_per_s(self) -> float:
-        """How many frames there are to be recorded in a second."""
+        """Frames per second; NaN before any."""
         return len(self.messages) / self.duration_s if self.duration_s else math.nan
 
 
 def ins_checks(
-    station: Station, outputs: Outputs, ins: Callable[[], CanIns], clock: Clock, listened: Listened
+    station: Station, outputs: Outputs, ins: Callable[[], CanIns], clock: Clock, traffic: CanTraffic
 ) -> list[Check]:
-    """Look whether it sends what it should; one that the bench can switch on is on meanwhile.
+    """Check whether it sends what it should; an INS that the bench can switch on is on during the check.
 
     Parameters
     ----------
     outputs
-        Switch the unit's supply.
+        Switch the supply of the INS.
     ins : callable
-        Gives the driver, or raises where it can't be opened.
-    listened : Listened
-        Is filled with what came from the bus.
+        Returns the driver, or raises where it can't be opened.
+    traffic : CanTraffic
+        Is filled with what is received from the bus.
     """
     try:
         opened = ins()
@@ -82,9 +82,9 @@ def ins_checks(
     checks: list[Check] = []
     try:
         with contextlib.ExitStack() as switched:
-            checks.extend(_running(station, outputs, opened, clock, listened, switched))
+            checks.extend(_running(station, outputs, opened, clock, traffic, switched))
     except InstrumentError as error:
-        checks.append(failed(_SUBJECT, "switched off again", error))
+        checks.append(failed(_SUBJECT, "switched off", error))
     return checks
 
 
@@ -93,11 +93,11 @@ def _running(
     outputs: Outputs,
     ins: CanIns,
     clock: Clock,
-    listened: Listened,
+    traffic: CanTraffic,
     switched: contextlib.ExitStack,
 ) -> Iterator[Check]:
     try:
-        if not _is_heard(ins, clock, _LISTEN_S):
+        if not _is_sending(ins, clock, _FIRST_FRAME_S):
             _switch_on(station, outputs, switched)
             _await_start(station, ins, clock)
         yield answered(_SUBJECT, ins.identify(), station.file.ins.identity)
@@ -105,43 +105,43 @@ def _running(
         yield _silent(station, error)
         return
     try:
-        _listen(ins, clock, station.poll_period_s, listened)
+        _observe(ins, clock, station.poll_period_s, traffic)
     except InstrumentError as error:
-        yield failed(_SUBJECT, "listening", error)
+        yield failed(_SUBJECT, "frames", error)
         return
     yield from _states(station, ins.status())
     yield _resolution(station, ins)
-    yield from _stream(station, ins, clock, listened)
+    yield from _stream(station, ins, clock, traffic)
 
 
 def _silent(station: Station, error: InstrumentError) -> Check:
     if station.unit.power == "operator" and isinstance(error, NoReplyError):
-        why = "sends nothing; it is the operator who switches it"
-        return Check.skipped(_SUBJECT, "answers", why, "Switch it on to have it looked at.")
+        why = "sends nothing; the operator switches it on"
+        return Check.skipped(_SUBJECT, "answers", why, "Switch it on to check it.")
     return unanswered(_SUBJECT, error)
 
 
 def _switch_on(station: Station, outputs: Outputs, switched: contextlib.ExitStack) -> None:
-    """Switch the unit's supply on where the bench can and it is off; the stack switches it off."""
+    """Switch the supply on if the bench can and it is off; the stack switches it off."""
     unit = station.unit
     if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
         switched.callback(outputs.power_unit, False)
         outputs.power_unit(True)
 
 
-def _is_heard(ins: CanIns, clock: Clock, limit_s: float) -> bool:
+def _is_sending(ins: CanIns, clock: Clock, limit_s: float) -> bool:
     deadline = Deadline(clock, limit_s)
-    heard = ins.health().frames
-    while ins.health().frames == heard and not deadline.expired():
+    before = ins.health().frames
+    while ins.health().frames == before and not deadline.expired():
         clock.sleep(0.1)
         ins.poll()
-    return ins.health().frames > heard
+    return ins.health().frames > before
 
 
 def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
     limit_s = _START_S if station.unit.power == "chamber_event" else 0.0
     deadline = Deadline(clock, limit_s)
-    while not _is_heard(ins, clock, _LISTEN_S):
+    while not _is_sending(ins, clock, _FIRST_FRAME_S):
         if deadline.expired():
             raise NoReplyError(
                 _SUBJECT, "sends nothing. Check its power, the bus, its bit rate and the cable."
@@ -151,16 +151,16 @@ def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
         ins.poll()
 
 
-def _listen(ins: CanIns, clock: Clock, period_s: float, listened: Listened) -> None:
+def _observe(ins: CanIns, clock: Clock, period_s: float, traffic: CanTraffic) -> None:
     ins.poll()
     begin_s = clock.now()
     deadline = Deadline(clock, _OBSERVE_S)
     while not deadline.expired():
         clock.sleep(min(period_s, deadline.remaining_s()))
         messages = ins.poll()
-        listened.messages += messages
-        listened.arrived_s += [clock.now()] * len(messages)
-    listened.duration_s = clock.now() - begin_s
+        traffic.messages += messages
+        traffic.arrived_s += [clock.now()] * len(messages)
+    traffic.duration_s = clock.now() - begin_s
 
 
 def _resolution(station: Station, ins: CanIns) -> Check:
@@ -173,7 +173,7 @@ def _resolution(station: Station, ins: CanIns) -> Check:
         all(limit.sufficient for limit in limits),
         f"steps of {' and '.join(f'{lsb:.2g} {unit}' for unit, lsb in steps.items())} move a bias by up to "
         f"{worst.worst_dph:.2g} deg/h in windows of 10 min; the limit is {worst.limit_dph:g} deg/h",
-        f"Map a finer output than {worst.signal}, or navigate longer.",
+        f"Map a finer output than {worst.signal}, or increase the duration of the windows.",
     )
 
 
@@ -186,10 +186,10 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
         }[status.alignment]  # fmt: skip
         yield Check.of(
             _SUBJECT,
-            "its state",
+            "mode",
             status.mode not in (InsMode.FAULT, InsMode.UNKNOWN),
             f"reports {status.mode.name.lower()}{alignment}",
-            "Read its own diagnostics, and check the signal map's mode.",
+            "Read its built-in test results, and check `mode` in the signal map.",
         )
     yield _temperatures(station, status)
 
@@ -224,89 +224,90 @@ def _temperatures(station: Station, status: InsStatus) -> Check:
         _SUBJECT,
         "temperatures",
         not wrong,
-        f"{len(values)} of them, {span}" + (f"; outside the interlocks: {', '.join(wrong)}" if wrong else ""),
+        f"{len(values)} signals, {span}"
+        + (f"; outside the interlock limits: {', '.join(wrong)}" if wrong else ""),
         "Check the sensors and the signal map.",
     )
 
 
-def _stream(station: Station, ins: CanIns, clock: Clock, listened: Listened) -> Iterator[Check]:
-    block = FrameBlock.from_messages(listened.messages)
-    errors = len(listened.messages) - len(block)
+def _stream(station: Station, ins: CanIns, clock: Clock, traffic: CanTraffic) -> Iterator[Check]:
+    block = FrameBlock.from_messages(traffic.messages)
+    errors = len(traffic.messages) - len(block)
     data = decode_navigation(block, station.file.ins.signals, ins.codec)
     counts = data.counts
     wrong = {
         "lost": counts.lost, "repeated": counts.repeated, "late": counts.late, "restarts": counts.restarts,
         "contradicted": counts.contradicted, "short frames": data.short_frames, "error frames": errors,
-        "missing": _missing(station, listened, len(data.ins_time_s) + counts.lost),
-        "frames too many": _surplus(station, ins, block, len(data.ins_time_s) + counts.lost),
+        "missing": _missing(station, traffic, len(data.ins_time_s) + counts.lost),
+        "surplus frames": _surplus(station, ins, block, len(data.ins_time_s) + counts.lost),
     }  # fmt: skip
-    said = ", ".join(f"{count} {name}" for name, count in wrong.items() if count)
+    found = ", ".join(f"{count} {name}" for name, count in wrong.items() if count)
     yield Check.of(
         _SUBJECT,
         "frames without gaps",
-        len(data.ins_time_s) > 1 and not said,
-        f"{len(data.ins_time_s)} epochs in {listened.duration_s:.0f} s, {said or 'none lost'}; "
-        f"{listened.frames_per_s:.0f} frames a second",
+        len(data.ins_time_s) > 1 and not found,
+        f"{len(data.ins_time_s)} epochs in {traffic.duration_s:.0f} s, {found or 'none lost'}; "
+        f"{traffic.frames_per_s:.0f} frames per second",
         "Check bit rate, termination and bus load, the signal map's epoch_messages, and for a second node.",
     )
     if len(data.ins_time_s) < 3:
         return
     yield _epoch_rate(station, data)
-    yield from _clocks(station, clock, data, listened)
+    yield from _clocks(station, clock, data, traffic)
 
 
-def _missing(station: Station, listened: Listened, epochs: int) -> int:
-    """Epochs that should have come in that time and left no gap; one at each end may be cut off."""
-    due = int(listened.duration_s / station.file.ins.signals.epoch_period_s * (1.0 - _RATE_TOLERANCE))
-    return max(0, due - _AT_THE_ENDS - epochs)
+def _missing(station: Station, traffic: CanTraffic, epochs: int) -> int:
+    """Epochs missing in that time without a visible gap; one at each end may be cut off."""
+    expected = int(traffic.duration_s / station.file.ins.signals.epoch_period_s * (1.0 - _RATE_TOLERANCE))
+    return max(0, expected - _CUT_OFF_EPOCHS - epochs)
 
 
 def _surplus(station: Station, ins: CanIns, block: FrameBlock, epochs: int) -> int:
     """Frames of an epoch's messages beyond one of each: repeated, or sent by a second node."""
     names = station.file.ins.signals.epoch_messages or []
-    most = max((len(block.with_id(ins.codec.arbitration_id(name))) for name in names), default=0)
-    return max(0, most - _AT_THE_ENDS - epochs)
+    frames = max((len(block.with_id(ins.codec.arbitration_id(name))) for name in names), default=0)
+    return max(0, frames - _CUT_OFF_EPOCHS - epochs)
 
 
 def _epoch_rate(station: Station, data: NavigationData) -> Check:
     period_s = station.file.ins.signals.epoch_period_s
-    seen_s = float(np.median(np.diff(data.timestamp_s)))
-    # The stamp of one epoch jitters by some milliseconds; many epochs together tell better.
+    median_s = float(np.median(np.diff(data.timestamp_s)))
+    # The time stamp of one epoch jitters by some milliseconds; the mean over many is more accurate.
     mean_s = float(data.timestamp_s[-1] - data.timestamp_s[0]) / (len(data.timestamp_s) - 1)
     return Check.of(
         _SUBJECT,
-        "rate of epochs",
-        abs(mean_s / period_s - 1.0) <= _RATE_TOLERANCE or abs(seen_s / period_s - 1.0) <= _RATE_TOLERANCE,
-        f"one every {mean_s * 1e3:.1f} ms, {period_s * 1e3:g} ms in the signal map",
+        "epoch rate",
+        abs(mean_s / period_s - 1.0) <= _RATE_TOLERANCE or abs(median_s / period_s - 1.0) <= _RATE_TOLERANCE,
+        f"one epoch in {mean_s * 1e3:.1f} ms, {period_s * 1e3:g} ms in the signal map",
         "Correct epoch_period_s of the signal map, or the INS's output rate.",
     )
 
 
-def _clocks(station: Station, clock: Clock, data: NavigationData, listened: Listened) -> Iterator[Check]:
-    stamps_s = np.array([message.timestamp for message in listened.messages])
-    rate = _slope(np.array(listened.arrived_s), stamps_s)
+def _clocks(station: Station, clock: Clock, data: NavigationData, traffic: CanTraffic) -> Iterator[Check]:
+    stamps_s = np.array([message.timestamp for message in traffic.messages])
+    rate = _slope(np.array(traffic.arrived_s), stamps_s)
     back = int(np.sum(np.diff(stamps_s) < 0.0))
     yield Check.of(
         _SUBJECT,
         "CAN time stamps",
         back == 0 and abs(rate - 1.0) <= _RATE_TOLERANCE,
-        f"run at {rate:.4f} of the run's clock" + (f", go back {back} times" if back else ""),
-        "Check the adapter's time stamps (its driver, its Z option) and the load of this computer.",
+        f"run at {rate:.4f} of the run's clock" + (f", jump back {back} times" if back else ""),
+        "Check the adapter's time stamps (driver, Z option) and the load of this computer.",
     )
     if station.file.ins.signals.time_s is None:
-        yield Check.skipped("INS", "its clock", "the signal map has no time of the INS")
+        yield Check.skipped(_SUBJECT, "clock", "the signal map has no time of the INS")
         return
     rate = _slope(data.timestamp_s, data.ins_time_s)
-    told_s = float(data.ins_time_s[-1])
-    is_calendar = told_s > _CALENDAR_S and clock.speed == 1.0  # two fast clocks began at different times
-    offset_s = told_s - clock.utc().timestamp() if is_calendar else 0.0
+    ins_s = float(data.ins_time_s[-1])
+    is_calendar = ins_s > _CALENDAR_S and clock.speed == 1.0  # fast clocks begin at different times
+    offset_s = ins_s - clock.utc().timestamp() if is_calendar else 0.0
     yield Check.of(
         _SUBJECT,
-        "its clock",
+        "clock",
         abs(rate - 1.0) <= _RATE_TOLERANCE and abs(offset_s) <= _OFFSET_LIMIT_S,
         f"runs at {rate:.4f} of the CAN time stamps; "
-        + (f"{offset_s:+.1f} s from this computer's" if is_calendar else "tells no calendar time"),
-        "Set this computer's clock (NTP), or let the INS get its time; check time_s of the signal map.",
+        + (f"{offset_s:+.1f} s from this computer's" if is_calendar else "no calendar time"),
+        "Synchronize this computer's clock (NTP) and the INS; check time_s of the signal map.",
     )
 
 

@@ -226,11 +226,11 @@ def _fitted(quantity: Quantity, runs: Sequence[RunBias]) -> Trend:
     between = excess_variance(values, variances, design)
     fit = weighted_fit(values, variances + between, design)
     # Runs that agree better than their uncertainties do not reduce the uncertainty.
-    scale = max(fit.chi2 / fit.freedom, 1.0) if fit.freedom else 1.0
+    scale = max(fit.chi2 / fit.dof, 1.0) if fit.dof else 1.0
     sigmas = np.sqrt(scale * np.diag(fit.covariance))
     if design.shape[1] > 1:
         slope, slope_sigma = float(fit.values[1]), float(sigmas[1])
-        p_value = float(2.0 * student.sf(abs(slope) / slope_sigma, fit.freedom))
+        p_value = float(2.0 * student.sf(abs(slope) / slope_sigma, fit.dof))
     return Trend(
         quantity, runs, float(fit.values[0]), float(sigmas[0]), math.sqrt(between), slope, slope_sigma,
         p_value, math.nan,

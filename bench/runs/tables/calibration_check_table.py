@@ -1,4 +1,4 @@
-"""The verification table ``verification.csv``: one row for each bias that a verification shows."""
+"""The table ``verification.csv``: one row for each bias that a calibration check measures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ METHODS = ("alignment", "velocity")
 
 @dataclass(frozen=True)
 class CalibrationCheckRow:
-    """Bias of one gyro as a verification shows it, beside the calibrated one.
+    """Bias of one gyro by a calibration check, beside the calibrated one.
 
     Attributes
     ----------

@@ -23,8 +23,8 @@ class JointBiasRow:
 
     Attributes
     ----------
-    stop, dwell : int
-        Number of the stop of the chamber, from 1, and of the dwell.
+    plateau, dwell : int
+        Number of the plateau, from 1 (column ``stop``), and of the dwell.
     position, gyro : str
         Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`; "x", "y" or "z".
     temperature_c : float
@@ -32,12 +32,12 @@ class JointBiasRow:
     single_dph, single_sigma_dph : float
         The dwell by itself.
     joint_dph, joint_sigma_dph : float
-        All dwells of the stop together.
+        All dwells of the plateau together.
     corrected_dph, corrected_sigma_dph : float
         The same with the rate Up taken away from the vertical gyros; NaN where that is not to be done.
     """
 
-    stop: int
+    plateau: int
     dwell: int
     position: str
     gyro: str
@@ -56,20 +56,20 @@ class JointBiasRow:
 
 
 @dataclass(frozen=True)
-class JointStopRow:
-    """What the dwells of one stop of the chamber share.
+class JointPlateauRow:
+    """What the dwells of one plateau share.
 
     Attributes
     ----------
-    stop, cycle, dwells : int
-        Number of the stop, from 1, pass of the profile, number of dwells. Stop 0 is all stops
+    plateau, cycle, dwells : int
+        Number of the plateau, from 1 (column ``stop``), cycle, number of dwells. Plateau 0 is all plateaus
         together: its row has the rate Up alone.
     chamber_set_c : float
         Set point; NaN where there is none.
     accelerometer_x_ug, ... : float
         Biases and their standard uncertainties.
     north_rate_dph, up_rate_dph, ... : float
-        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not told.
+        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not observable.
     latitude_error_arcmin, latitude_error_sigma_arcmin : float
         Latitude error that would explain both.
     up_rate_p_value : float
@@ -82,7 +82,7 @@ class JointStopRow:
         rate North.
     """
 
-    stop: int
+    plateau: int
     cycle: int
     dwells: int
     chamber_set_c: float
@@ -104,19 +104,19 @@ class JointStopRow:
     any_north_p_value: float
 
 
-Row = TypeVar("Row", JointBiasRow, JointStopRow)
+Row = TypeVar("Row", JointBiasRow, JointPlateauRow)
 
 
 def joint_bias_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointBiasRow]:
-    """Biases of all dwells, three rows each; corrected by the rate Up of all stops where it applies."""
-    return [row for stop, each in enumerate(solutions, 1) for row in _bias_rows(stop, each, up_rate)]
+    """Biases of all dwells, three rows each; corrected by the rate Up of all plateaus where it applies."""
+    return [row for plateau, each in enumerate(solutions, 1) for row in _bias_rows(plateau, each, up_rate)]
 
 
-def joint_stop_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointStopRow]:
-    """What is shared, stop by stop; last a row, numbered 0, with the rate Up of all stops together."""
-    rows = [_stop_row(stop, each) for stop, each in enumerate(solutions, 1)]
+def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointPlateauRow]:
+    """What is shared, plateau by plateau; last a row, numbered 0, with the rate Up of all together."""
+    rows = [_plateau_row(plateau, each) for plateau, each in enumerate(solutions, 1)]
     if up_rate is not None and len(solutions) > 1:
-        rows.append(_all_stops(sum(row.dwells for row in rows), up_rate))
+        rows.append(_all_plateaus(sum(row.dwells for row in rows), up_rate))
     return rows
 
 
@@ -129,7 +129,7 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
         The file can't be written.
     """
     cells = ([format_cell(value) for value in astuple(row)] for row in rows)
-    write_text(path, format_csv([field.name for field in fields(kind)], cells))
+    write_text(path, format_csv([_column(field.name) for field in fields(kind)], cells))
 
 
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
@@ -143,12 +143,12 @@ def read_joint_biases(path: Path) -> list[JointBiasRow]:
     return _read(path, JointBiasRow)
 
 
-def read_joint_stops(path: Path) -> list[JointStopRow]:
+def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:
     """Read ``joint.csv``; errors as for :func:`read_joint_biases`."""
-    return _read(path, JointStopRow)
+    return _read(path, JointPlateauRow)
 
 
-def _bias_rows(stop: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
+def _bias_rows(plateau: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
     corrected = solution.corrected(up_rate) if up_rate is not None and up_rate.applies else None
     for index, dwell in enumerate(solution.dwells):
         for axis, gyro in enumerate(AXES):
@@ -163,11 +163,11 @@ def _bias_rows(stop: int, solution: JointSolution, up_rate: UpRate | None) -> It
                 )
             ]
             yield JointBiasRow(
-                stop, dwell.number, dwell.position_name, gyro, dwell.gyro_c[axis], *map(float, values)
+                plateau, dwell.number, dwell.position_name, gyro, dwell.gyro_c[axis], *map(float, values)
             )
 
 
-def _stop_row(stop: int, solution: JointSolution) -> JointStopRow:
+def _plateau_row(plateau: int, solution: JointSolution) -> JointPlateauRow:
     first = solution.dwells[0]
     north, north_sigma = solution.north_rate
     values: dict[str, Any] = {}
@@ -176,8 +176,8 @@ def _stop_row(stop: int, solution: JointSolution) -> JointStopRow:
             f"accelerometer_{axis}{suffix}_ug": float(a / UG_TO_MPS2)
             for axis, a in zip(AXES, each, strict=True)
         }
-    return JointStopRow(
-        stop=stop,
+    return JointPlateauRow(
+        plateau=plateau,
         cycle=first.cycle,
         dwells=len(solution.dwells),
         chamber_set_c=first.chamber_set_c,
@@ -190,9 +190,9 @@ def _stop_row(stop: int, solution: JointSolution) -> JointStopRow:
     )
 
 
-def _all_stops(dwells: int, rate: UpRate) -> JointStopRow:
-    values: dict[str, Any] = {field.name: math.nan for field in fields(JointStopRow)}
-    return JointStopRow(**values | {"stop": 0, "cycle": 0, "dwells": dwells} | _up(rate))
+def _all_plateaus(dwells: int, rate: UpRate) -> JointPlateauRow:
+    values: dict[str, Any] = {field.name: math.nan for field in fields(JointPlateauRow)}
+    return JointPlateauRow(**values | {"plateau": 0, "cycle": 0, "dwells": dwells} | _up(rate))
 
 
 def _up(rate: UpRate) -> dict[str, Any]:
@@ -209,7 +209,7 @@ def _up(rate: UpRate) -> dict[str, Any]:
 
 def _read(path: Path, kind: type[Row]) -> list[Row]:
     names = [field.name for field in fields(kind)]
-    table = CsvTable(read_text(path), str(path), required=names)
+    table = CsvTable(read_text(path), str(path), required=[_column(name) for name in names])
     rows = [kind(**{name: _value(table, index, name) for name in names}) for index in range(len(table))]
     table.raise_problems()
     return rows
@@ -220,12 +220,18 @@ _CHOICES = {
     "gyro": AXES,
     "finding": tuple(finding.name.lower() for finding in Finding),
 }
-_INTEGERS = ("stop", "dwell", "cycle", "dwells")
+_INTEGERS = ("plateau", "dwell", "cycle", "dwells")
+#: Columns whose name in the files is another one.
+_COLUMNS = {"plateau": "stop"}
+
+
+def _column(name: str) -> str:
+    return _COLUMNS.get(name, name)
 
 
 def _value(table: CsvTable, index: int, name: str) -> Any:
     if name in _CHOICES:
         return table.choice(index, name, _CHOICES[name])
     if name in _INTEGERS:
-        return table.integer(index, name)
+        return table.integer(index, _column(name))
     return table.number(index, name, may_be_empty=True)

@@ -24,6 +24,8 @@ from gyrobench.bench.navigation.positions import AXES
 _UNITS = "SI (rad, m/s, s), but for the summary, whose names say the unit; below: limit with 95 % confidence"
 #: An array of plain numbers, which goes into one line.
 _OfTerms = Annotated[list[float], Field(min_length=3, max_length=3)]
+#: What the file calls :attr:`gyrobench.bench.bias.allan.RateNoise.excess`.
+_EXCESS = "misfit"
 _ARRAY = re.compile(r"\[[^][{}]*\]")
 
 
@@ -35,7 +37,7 @@ def write_noise(path: Path, noise: NoiseEstimate) -> None:
     RunFolderError
         The file can't be written.
     """
-    data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise)}
+    data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise, dict_factory=_in_file)}
     text = json.dumps(data, indent=1, default=lambda array: array.tolist())
     write_text(path, _ARRAY.sub(lambda array: " ".join(array[0].split()), text) + "\n")
 
@@ -62,6 +64,10 @@ def read_noise(path: Path) -> NoiseEstimate:
         gravity=data.gravity,
         duration_s=data.duration_s,
     )
+
+
+def _in_file(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {_EXCESS if name == "excess" else name: value for name, value in items}
 
 
 class _Part(StrictModel):
@@ -102,7 +108,7 @@ class _Fit(_Part):
     expected: list[_NotNegative]
     used: list[bool]
     edf: list[_Positive]
-    misfit: float
+    excess: float = Field(validation_alias=_EXCESS)
 
     @model_validator(mode="after")
     def _variances(self) -> Self:
@@ -150,11 +156,11 @@ def _summary(noise: NoiseEstimate) -> dict[str, dict[str, float | bool | None]]:
         ("velocity_output_mps", 1.0, noise.velocity_white),
         ("heading_output_urad", 1e-6, noise.heading_white),
     ]
-    return {name: _told(parameter, unit_si) for name, unit_si, parameter in rows}
+    return {name: _summarised(parameter, unit_si) for name, unit_si, parameter in rows}
 
 
-def _told(parameter: NoiseParameter, unit_si: float) -> dict[str, float | bool | None]:
-    """Value and sigma, or the limit of what is not told from zero or is hidden by the resolution."""
+def _summarised(parameter: NoiseParameter, unit_si: float) -> dict[str, float | bool | None]:
+    """Value and sigma, or the limit of a value that is not significant or hidden by the resolution."""
     if parameter.value is not None and parameter.sigma is not None:
         return {"value": _short(parameter.value / unit_si), "sigma": _short(parameter.sigma / unit_si)}
     below = None if parameter.limit is None else _short(parameter.limit / unit_si)

@@ -14,7 +14,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 LIMITS = AcceptanceLimits(position_difference_dph=0.006)
 SIGMA_DPH = 0.001
 POSITIONS_IN_ORDER = tuple(POSITIONS)
-STOPS_C = (60.0, 20.0, -10.0)
+PLATEAUS_C = (60.0, 20.0, -10.0)
 DRAWS = 150
 #: Errors in so many draws with a chance of 5 % each, with three standard deviations of luck.
 MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
@@ -34,13 +34,13 @@ def dwell(
 
 
 def campaign(true_dph=None, random=None, sigma_dph=SIGMA_DPH):
-    """One dwell in each position and at each stop; true biases by position for all gyros and stops."""
+    """One dwell in each position and at each plateau; true biases by position for all gyros and plateaus."""
     true_dph = true_dph or {}
-    noise = random.normal(0.0, sigma_dph, (len(STOPS_C), len(POSITIONS), 3)) if random else None
+    noise = random.normal(0.0, sigma_dph, (len(PLATEAUS_C), len(POSITIONS), 3)) if random else None
     rows = []
-    for stop, chamber_c in enumerate(STOPS_C):
+    for plateau, chamber_c in enumerate(PLATEAUS_C):
         for place, position in enumerate(POSITIONS):
-            error = noise[stop, place] if random else np.zeros(3)
+            error = noise[plateau, place] if random else np.zeros(3)
             rows.append(
                 dwell(len(rows) + 1, position, chamber_c, true_dph.get(position, 0.0) + error, sigma_dph)
             )
@@ -96,14 +96,15 @@ def test_the_bounds_by_hand():
 
 def test_a_unit_at_the_limit_is_accepted_in_no_more_than_one_of_twenty_runs():
     random = np.random.default_rng(1)
-    # One pair at one stop is at the limit, all others far within: nothing else keeps the unit from passing.
+    # One pair at one plateau is at the limit, all others far within: nothing else keeps the unit from
+    # passing.
     limits = AcceptanceLimits(position_difference_dph=0.03)
     accepted = 0
     for _ in range(DRAWS):
         rows = campaign(random=random)
         for index, bias_dph in enumerate((0.015, -0.015)):
             bias = (random.normal(bias_dph, SIGMA_DPH), 0.0, 0.0)
-            rows[index] = dwell(index + 1, POSITIONS_IN_ORDER[index], STOPS_C[0], bias)
+            rows[index] = dwell(index + 1, POSITIONS_IN_ORDER[index], PLATEAUS_C[0], bias)
         accepted += judged(rows, limits).verdict == "accepted"
     assert 0 < accepted <= MOST
 
@@ -144,7 +145,7 @@ def test_a_run_cut_short_is_rejected_for_what_it_shows():
 
 def test_a_flagged_dwell_counts_as_not_measured():
     rows = campaign()
-    rows[2] = dwell(3, "y_up", STOPS_C[0], (0.0,) * 3, flags="the INS fell silent")
+    rows[2] = dwell(3, "y_up", PLATEAUS_C[0], (0.0,) * 3, flags="the INS fell silent")
     (lacking, *_) = judged(rows).not_measured
     assert (lacking.chamber_set_c, lacking.position) == (60.0, "y_up")
 
@@ -156,12 +157,12 @@ def test_a_flagged_dwell_without_temperatures_does_not_part_its_stop():
     assert {each.position for each in judged(rows).not_measured} == {"y_up"}
 
 
-def test_a_dwell_too_far_in_temperature_from_its_stop_is_not_compared():
+def test_a_dwell_too_far_in_temperature_from_its_plateau_is_not_compared():
     rows = campaign()
-    rows[2] = dwell(3, "y_up", STOPS_C[0], (0.0,) * 3, gyro_c=STOPS_C[0] + 25.0)
+    rows[2] = dwell(3, "y_up", PLATEAUS_C[0], (0.0,) * 3, gyro_c=PLATEAUS_C[0] + 25.0)
     result = judged(rows)
     assert result.verdict == "not judged"
-    assert {each.position for each in result.not_measured if each.chamber_set_c == STOPS_C[0]} >= {"y_up"}
+    assert {each.position for each in result.not_measured if each.chamber_set_c == PLATEAUS_C[0]} >= {"y_up"}
 
 
 def test_a_dwell_that_one_cycle_lacks_is_told_although_another_has_it():

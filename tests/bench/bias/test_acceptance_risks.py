@@ -15,7 +15,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 LIMIT_DPH = 0.006
 LIMITS = AcceptanceLimits(position_difference_dph=LIMIT_DPH)
 SIGMA_DPH = 0.0011
-STOPS_C = (72.5, 32.5, 2.5, -22.5)
+PLATEAUS_C = (72.5, 32.5, 2.5, -22.5)
 DRAWS = 120
 #: Errors in so many draws with a chance of 5 % each, with three standard deviations of luck.
 MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
@@ -26,42 +26,44 @@ def steady(place):
 
 
 def drifting(place):
-    """Temperature above that of the stop, K: 4.8 K in the course of it, as the positions go on."""
+    """Temperature above that of the plateau, K: 4.8 K in the course of it, as the positions go on."""
     return -2.4 + 4.8 * place / 5
 
 
-def one_power_on(cycle, stop, place):
+def one_power_on(cycle, plateau, place):
     return 0
 
 
-def verdicts(true_dph, *, drift=steady, cycles=2, power_on=one_power_on, turn_on_dph=0.0, stops_c=STOPS_C):
+def verdicts(
+    true_dph, *, drift=steady, cycles=2, power_on=one_power_on, turn_on_dph=0.0, plateaus_c=PLATEAUS_C
+):
     """Count the verdicts on runs of a unit.
 
     Parameters
     ----------
     true_dph : callable
-        Biases of the three gyros from cycle, index of the stop, index of the position, and temperature.
+        Biases of the three gyros from cycle, index of the plateau, index of the position, and temperature.
     drift, power_on : callable
-        Temperature within the stop, and number of the power-on.
+        Temperature within the plateau, and number of the power-on.
     turn_on_dph : float
         Standard deviation of the constants of the power-ons.
     """
     random = np.random.default_rng(1)
-    places = [(c, s, p) for c in range(cycles) for s in range(len(stops_c)) for p in range(len(POSITIONS))]
+    places = [(c, s, p) for c in range(cycles) for s in range(len(plateaus_c)) for p in range(len(POSITIONS))]
     names = tuple(POSITIONS)
     found = Counter()
     for _ in range(DRAWS):
         constants = random.normal(0.0, turn_on_dph, (2, 3))
         rows = []
-        for number, (cycle, stop, place) in enumerate(places, 1):
-            gyro_c, run = stops_c[stop] + drift(place), power_on(cycle, stop, place)
-            bias = true_dph(cycle, stop, place, gyro_c) + constants[run] + random.normal(0.0, SIGMA_DPH, 3)
+        for number, (cycle, plateau, place) in enumerate(places, 1):
+            gyro_c, run = plateaus_c[plateau] + drift(place), power_on(cycle, plateau, place)
+            bias = true_dph(cycle, plateau, place, gyro_c) + constants[run] + random.normal(0.0, SIGMA_DPH, 3)
             rows.append(
                 DwellRow(
                     unit="1001", run=str(run), dwell=number, cycle=cycle + 1, position=names[place],
                     start_s=1500.0 * number, end_s=1500.0 * number + 1200.0, since_power_on_s=0.0,
                     gyro_c=(gyro_c,) * 3, gyro_rate_c_per_h=(0.0,) * 3, bias_dph=tuple(bias),
-                    sigma_dph=(SIGMA_DPH,) * 3, chamber_set_c=stops_c[stop],
+                    sigma_dph=(SIGMA_DPH,) * 3, chamber_set_c=plateaus_c[plateau],
                 )
             )  # fmt: skip
         planned = [
@@ -71,20 +73,22 @@ def verdicts(true_dph, *, drift=steady, cycles=2, power_on=one_power_on, turn_on
     return found
 
 
-def equal(cycle, stop, place, gyro_c):
+def equal(cycle, plateau, place, gyro_c):
     return np.zeros(3)
 
 
-def one_pair_at_the_limit(cycle, stop, place, gyro_c):
-    return np.array([0.5 * LIMIT_DPH * {0: 1.0, 1: -1.0}.get(place, 0.0) * (stop == 0), 0.0, 0.0])
+def one_pair_at_the_limit(cycle, plateau, place, gyro_c):
+    return np.array([0.5 * LIMIT_DPH * {0: 1.0, 1: -1.0}.get(place, 0.0) * (plateau == 0), 0.0, 0.0])
 
 
-def half_at_the_limit(cycle, stop, place, gyro_c):
+def half_at_the_limit(cycle, plateau, place, gyro_c):
     return np.full(3, LIMIT_DPH * (place % 2))
 
 
 def sloping(true_dph, slope_dph_per_c=0.0025):
-    return lambda cycle, stop, place, gyro_c: true_dph(cycle, stop, place, gyro_c) + slope_dph_per_c * gyro_c
+    return lambda cycle, plateau, place, gyro_c: (
+        true_dph(cycle, plateau, place, gyro_c) + slope_dph_per_c * gyro_c
+    )
 
 
 @pytest.mark.parametrize("unit", [equal, sloping(equal)], ids=["flat", "sloping"])
@@ -108,49 +112,54 @@ def test_a_unit_just_within_the_limit_is_rejected_in_no_more_than_one_of_twenty_
 
 def test_a_slope_over_temperature_does_not_hide_a_difference():
     found = verdicts(
-        lambda cycle, stop, place, gyro_c: np.full(3, 0.0025 * gyro_c - 0.0024 * place), drift=drifting
+        lambda cycle, plateau, place, gyro_c: np.full(3, 0.0025 * gyro_c - 0.0024 * place), drift=drifting
     )
     assert found == {"rejected": DRAWS}
 
 
 def test_a_slope_that_the_run_does_not_tell_leaves_the_verdict_open():
-    found = verdicts(sloping(equal), drift=drifting, stops_c=STOPS_C[:1])
+    found = verdicts(sloping(equal), drift=drifting, plateaus_c=PLATEAUS_C[:1])
     assert found == {"marginal": DRAWS}
 
 
 def test_opposite_differences_in_two_cycles_do_not_average_out():
-    found = verdicts(lambda cycle, stop, place, gyro_c: np.full(3, (0.02, -0.02)[cycle] * (place == 0)))
+    found = verdicts(lambda cycle, plateau, place, gyro_c: np.full(3, (0.02, -0.02)[cycle] * (place == 0)))
     assert found == {"rejected": DRAWS}
 
 
-def test_a_difference_at_the_limit_in_one_cycle_of_every_stop_does_not_pass():
+def test_a_difference_at_the_limit_in_one_cycle_of_every_plateau_does_not_pass():
     found = verdicts(
-        lambda cycle, stop, place, gyro_c: np.array([(LIMIT_DPH, 0.0)[cycle] * (place == 0), 0, 0])
+        lambda cycle, plateau, place, gyro_c: np.array([(LIMIT_DPH, 0.0)[cycle] * (place == 0), 0, 0])
     )
     assert found["accepted"] <= MOST
 
 
 def test_positions_on_two_sides_of_a_bin_edge_are_compared():
     found = verdicts(
-        lambda cycle, stop, place, gyro_c: np.full(3, 0.02 * (place % 2)),
+        lambda cycle, plateau, place, gyro_c: np.full(3, 0.02 * (place % 2)),
         drift=lambda place: 0.1 if place % 2 else -0.1,
-        stops_c=(35.0,),
+        plateaus_c=(35.0,),
     )
     assert found == {"rejected": DRAWS}
 
 
-def test_another_power_on_at_another_stop_changes_no_verdict():
-    found = verdicts(equal, power_on=lambda cycle, stop, place: int(stop > 1), turn_on_dph=0.01, cycles=1)
+def test_another_power_on_at_another_plateau_changes_no_verdict():
+    found = verdicts(
+        equal, power_on=lambda cycle, plateau, place: int(plateau > 1), turn_on_dph=0.01, cycles=1
+    )
     assert found["rejected"] <= MOST
     found = verdicts(
-        one_pair_at_the_limit, power_on=lambda cycle, stop, place: int(stop > 1), turn_on_dph=0.01
+        one_pair_at_the_limit, power_on=lambda cycle, plateau, place: int(plateau > 1), turn_on_dph=0.01
     )
     assert found["accepted"] <= MOST
 
 
-def test_another_power_on_within_a_stop_leaves_its_dwells_not_compared():
+def test_another_power_on_within_a_plateau_leaves_its_dwells_not_compared():
     found = verdicts(
-        equal, power_on=lambda cycle, stop, place: int((stop, place) > (1, 2)), turn_on_dph=0.01, cycles=1
+        equal,
+        power_on=lambda cycle, plateau, place: int((plateau, place) > (1, 2)),
+        turn_on_dph=0.01,
+        cycles=1,
     )
     assert found["rejected"] <= MOST
     assert found["accepted"] == 0

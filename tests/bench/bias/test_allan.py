@@ -89,7 +89,7 @@ def test_terms_scatter_about_the_truth_as_their_uncertainty_says(noise):
 
 
 @pytest.mark.parametrize("noise", [{"white": 1.0}, {"walk": 1.0}])
-def test_variances_scatter_as_their_degrees_of_freedom_say(noise):
+def test_variances_scatter_as_their_dof_say(noise):
     random = np.random.default_rng(5)
     variances, freedoms = [], []
     for _ in range(300):
@@ -123,8 +123,8 @@ def test_a_line_of_a_dither_is_no_noise_term_and_widens_the_uncertainty():
     angle = simulated(np.random.default_rng(8), 6000, white=0.3, walk=0.1)
     plain = fit_rate_noise(allan_variance([angle], STEP))
     shaken = fit_rate_noise(allan_variance([angle + 2.0 * np.sin(2.9 * STEP * np.arange(6000))], STEP))
-    assert plain.misfit == 0.0
-    assert shaken.misfit > 0.1
+    assert plain.excess == 0.0
+    assert shaken.excess > 0.1
     assert shaken.sigmas[RANDOM_WALK] > 5.0 * plain.sigmas[RANDOM_WALK]
 
 

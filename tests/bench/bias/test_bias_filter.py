@@ -179,7 +179,7 @@ def test_any_noise_can_be_declared(arw, white):
 def test_refuses_a_dwell_without_a_turn():
     dwell = emulate(window_s=60.0)
     one = replace(dwell, windows=dwell.windows[:1], C_nb_table=dwell.C_nb_table[:1], turns=())
-    with pytest.raises(MeasurementError, match="no navigation after a turn: the biases can't be told"):
+    with pytest.raises(MeasurementError, match="no navigation after a turn: the biases are not observable"):
         estimate(one)
 
 

@@ -26,8 +26,8 @@ def chi_square(estimates, truth_dph):
     return sum(e @ np.linalg.solve(each.covariance, e) for e, each in zip(errors, estimates, strict=True))
 
 
-def assert_chi_square(value, freedom):
-    low, high = chi2.ppf([1e-4, 1.0 - 1e-4], freedom)
+def assert_chi_square(value, dof):
+    low, high = chi2.ppf([1e-4, 1.0 - 1e-4], dof)
     assert low < value < high
 
 
@@ -82,9 +82,7 @@ def test_intervals_of_95_percent_hold_the_truth_in_95_percent(noisy_estimates):
 
 def test_the_fit_of_true_dwells_has_uniform_p_values(noisy_estimates):
     assert kstest([each.fit.p_value for each in noisy_estimates], "uniform").pvalue > 1e-3
-    assert np.mean([each.fit.chi2 / each.fit.freedom for each in noisy_estimates]) == pytest.approx(
-        1.0, abs=0.05
-    )
+    assert np.mean([each.fit.chi2 / each.fit.dof for each in noisy_estimates]) == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("position", ["y_up", "x_down"])
@@ -107,4 +105,4 @@ def test_uncertainty_is_right_with_outputs_of_the_resolution_of_the_emulated_ins
         for _ in range(12)
     ]
     assert_chi_square(chi_square(estimates, TRUTH_DPH), 3 * len(estimates))
-    assert_chi_square(sum(each.fit.chi2 for each in estimates), sum(each.fit.freedom for each in estimates))
+    assert_chi_square(sum(each.fit.chi2 for each in estimates), sum(each.fit.dof for each in estimates))

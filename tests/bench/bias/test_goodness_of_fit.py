@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from gyrobench.bench.bias.bias_filter import FitTest, estimate_state_space, fit_test
+from gyrobench.bench.bias.bias_filter import GoodnessOfFit, estimate_state_space, goodness_of_fit
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from tests.bench.bias import disturbances
@@ -100,8 +100,8 @@ def test_residuals_of_least_squares_have_the_distribution_that_it_tells():
     for _ in range(500):
         data = flat @ random.standard_normal(5) + random.standard_normal(len(flat))
         unknowns = covariance @ flat.T @ data
-        results.append(fit_test(np.arange(30.0), data.reshape(-1, 3), responses, unknowns, covariance))
-    assert {each.freedom for each in results} == {90 - 5}
+        results.append(goodness_of_fit(np.arange(30.0), data.reshape(-1, 3), responses, unknowns, covariance))
+    assert {each.dof for each in results} == {90 - 5}
     low, high = chi2.ppf([1e-4, 1.0 - 1e-4], 85 * len(results))
     assert low < sum(each.chi2 for each in results) < high
     assert np.mean([each.p_value < 0.05 for each in results]) == pytest.approx(0.05, abs=0.035)
@@ -110,10 +110,12 @@ def test_residuals_of_least_squares_have_the_distribution_that_it_tells():
 def test_probability_is_that_of_chi_square():
     _, responses, flat, covariance = random_problem()
     data = np.full(len(flat), 1.2)
-    fit = fit_test(np.arange(30.0), data.reshape(-1, 3), responses, covariance @ flat.T @ data, covariance)
-    assert fit.p_value == pytest.approx(chi2.sf(fit.chi2, fit.freedom))
-    assert fit.ratio == pytest.approx(np.sqrt(fit.chi2 / fit.freedom))
+    fit = goodness_of_fit(
+        np.arange(30.0), data.reshape(-1, 3), responses, covariance @ flat.T @ data, covariance
+    )
+    assert fit.p_value == pytest.approx(chi2.sf(fit.chi2, fit.dof))
+    assert fit.ratio == pytest.approx(np.sqrt(fit.chi2 / fit.dof))
 
 
 def test_no_freedom_has_no_ratio():
-    assert np.isnan(FitTest(np.zeros(0), np.zeros((0, 3)), 0.0, 0, 1.0).ratio)
+    assert np.isnan(GoodnessOfFit(np.zeros(0), np.zeros((0, 3)), 0.0, 0, 1.0).ratio)

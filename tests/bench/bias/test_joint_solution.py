@@ -6,8 +6,9 @@ import pytest
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
-from gyrobench.bench.bias.joint_solution import JointDwell, group_stops, pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.joint_solution import JointDwell, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.plateaus import group_plateaus
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -61,8 +62,8 @@ def rms_dph(values):
     return np.sqrt(np.mean(np.square(values))) * RADPS_TO_DPH
 
 
-def assert_explained(squares, freedom):
-    assert chi2.cdf(squares, freedom) == pytest.approx(0.5, abs=0.499)
+def assert_explained(squares, dof):
+    assert chi2.cdf(squares, dof) == pytest.approx(0.5, abs=0.499)
 
 
 def squares(biases, unit):
@@ -100,7 +101,7 @@ def test_errors_of_the_joint_biases_are_those_of_their_covariance(wrong_latitude
 
 
 def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty(wrong_latitude):
-    total, freedom = 0.0, 0
+    total, dof = 0.0, 0
     for unit, dwells in wrong_latitude:
         solution = solve_jointly(dwells, ANY_LATITUDE)
         bias, sigma = solution.accelerometer_bias
@@ -108,10 +109,10 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
         matrix, sigma = solution.accelerometer_misalignment
         beside = ~np.eye(3, dtype=bool)
         total += (((matrix - unit.accelerometer_matrix)[beside] / sigma[beside]) ** 2).sum()
-        freedom += 9
+        dof += 9
         assert np.diagonal(matrix).tolist() == [0.0, 0.0, 0.0]
     # Correlated, so the sum scatters more than that of as many independent squares.
-    assert total / freedom == pytest.approx(1.0, abs=0.4)
+    assert total / dof == pytest.approx(1.0, abs=0.4)
 
 
 @pytest.mark.parametrize(
@@ -244,7 +245,7 @@ def test_two_pairs_make_a_weaker_statement_and_one_none(wrong_latitude):
         solve_jointly([dwells[k] for k in chosen], PRIOR).up_rate
         for chosen in (range(6), range(4), (0, 1, 2, 4), (0, 2, 4))
     )
-    assert (three.freedom, two.freedom, one.freedom) == (2, 1, 0)
+    assert (three.dof, two.dof, one.dof) == (2, 1, 0)
     assert three.sigma < two.sigma < one.sigma
     assert one.finding is Finding.ONE_GYRO
     assert not one.applies
@@ -297,14 +298,14 @@ def test_order_of_the_dwells_does_not_matter(right_latitude):
     assert back.up_rate.rate == pytest.approx(there.up_rate.rate, rel=1e-6)
 
 
-def test_stops_are_dwells_in_a_row_of_one_cycle_and_set_point(right_latitude):
+def test_plateaus_are_dwells_in_a_row_of_one_cycle_and_set_point(right_latitude):
     _, (dwell, *_) = right_latitude
-    stops = [(1, 60.0), (1, 60.0), (1, -20.0), (2, -20.0), (2, 60.0), (2, math.nan), (2, math.nan)]
+    plateaus = [(1, 60.0), (1, 60.0), (1, -20.0), (2, -20.0), (2, 60.0), (2, math.nan), (2, math.nan)]
     dwells = [
         dataclasses.replace(dwell, number=number, cycle=cycle, chamber_set_c=set_c)
-        for number, (cycle, set_c) in enumerate(stops)
+        for number, (cycle, set_c) in enumerate(plateaus)
     ]
-    groups = group_stops(dwells)
+    groups = group_plateaus(dwells)
     assert [[each.number for each in group] for group in groups] == [[0, 1], [2], [3], [4], [5, 6]]
 
 
@@ -316,10 +317,10 @@ def test_no_dwell_is_an_error():
 def test_power_ons_are_not_solved_together(right_latitude):
     _, (dwell, *_) = right_latitude
     dwells = [dataclasses.replace(dwell, number=n, run=run) for n, run in enumerate("aabba")]
-    assert [[each.number for each in group] for group in group_stops(dwells)] == [[0, 1], [2, 3], [4]]
+    assert [[each.number for each in group] for group in group_plateaus(dwells)] == [[0, 1], [2, 3], [4]]
 
 
-def test_a_stop_ends_where_the_gyros_are_warmer_than_before(right_latitude):
+def test_a_plateau_ends_where_the_gyros_are_warmer_than_before(right_latitude):
     _, (dwell, *_) = right_latitude
     unknown = math.nan
     temperatures = [20.0, 24.0, 26.0, unknown, 29.0, 23.9, 33.0]  # means so far 20, 22, 23.3, 23.3; 29, 29
@@ -327,7 +328,7 @@ def test_a_stop_ends_where_the_gyros_are_warmer_than_before(right_latitude):
         dataclasses.replace(dwell, number=n, gyro_c=(mean - 1.0, mean + 1.0, unknown))
         for n, mean in enumerate(temperatures)
     ]
-    groups = [[each.number for each in group] for group in group_stops(dwells)]
+    groups = [[each.number for each in group] for group in group_plateaus(dwells)]
     assert groups == [[0, 1, 2, 3], [4], [5], [6]]
 
 

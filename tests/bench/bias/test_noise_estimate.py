@@ -223,7 +223,7 @@ def test_an_attitude_too_coarse_hides_the_angle_random_walk_below_a_limit():
     assert 0.0006 * DEG_PER_SQRT_H_TO_SI < estimate.angle_random_walk.limit < 0.01 * DEG_PER_SQRT_H_TO_SI
     assert estimate.heading_white.value is None
     assert estimate.velocity_random_walk.is_found
-    with pytest.raises(MeasurementError, match="angle random walk can't be told"):
+    with pytest.raises(MeasurementError, match="angle random walk is not observable"):
         estimate.noise_model()
 
 

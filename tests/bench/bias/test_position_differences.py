@@ -5,12 +5,12 @@ import pytest
 
 from gyrobench.bench.bias.position_differences import (
     SLOPE_SIGMA_DPH_PER_C,
-    stop_differences,
-    temperature_curve,
+    fit_bias_curve,
+    position_differences,
 )
 from tests.bench.bias.dwell_rows import dwell_row
 
-STOPS_C = (70.0, 30.0, 0.0, -25.0, 50.0)
+PLATEAUS_C = (70.0, 30.0, 0.0, -25.0, 50.0)
 
 
 def cubic_dph(gyro_c):
@@ -31,65 +31,65 @@ def difference(found, high="z_up", low="z_down"):
 
 
 def test_the_drift_of_the_temperature_is_taken_off():
-    stops = [pair(gyro_c) for gyro_c in STOPS_C]
-    curve = temperature_curve(stops, 0)
-    for stop in stops:
-        found = difference(stop_differences([stop], 0, curve))
+    plateaus = [pair(gyro_c) for gyro_c in PLATEAUS_C]
+    curve = fit_bias_curve(plateaus, 0)
+    for plateau in plateaus:
+        found = difference(position_differences([plateau], 0, curve))
         assert found.value_dph == pytest.approx(0.0, abs=5e-4)
         assert found.sigma_dph < 2.0 * math.sqrt(2.0) * 0.001
 
 
 def test_the_constant_of_a_power_on_is_not_taken_for_a_slope():
-    stops = [pair(gyro_c) for gyro_c in STOPS_C]
+    plateaus = [pair(gyro_c) for gyro_c in PLATEAUS_C]
     moved = [
-        [dwell_row(row.dwell, row.position, row.gyro_c[0], row.bias_dph[0] + 0.5, run="2") for row in stop]
-        for stop in stops[2:]
+        [dwell_row(row.dwell, row.position, row.gyro_c[0], row.bias_dph[0] + 0.5, run="2") for row in plateau]
+        for plateau in plateaus[2:]
     ]
-    curve = temperature_curve([*stops[:2], *moved], 0)
-    assert difference(stop_differences([moved[0]], 0, curve)).value_dph == pytest.approx(0.0, abs=1e-3)
+    curve = fit_bias_curve([*plateaus[:2], *moved], 0)
+    assert difference(position_differences([moved[0]], 0, curve)).value_dph == pytest.approx(0.0, abs=1e-3)
 
 
 def test_scatter_about_the_curve_makes_it_less_certain():
-    stops = [pair(gyro_c) for gyro_c in (*STOPS_C, *STOPS_C)]
+    plateaus = [pair(gyro_c) for gyro_c in (*PLATEAUS_C, *PLATEAUS_C)]
     scattered = [
-        [dwell_row(1, row.position, row.gyro_c[0], row.bias_dph[0] + 0.01 * (-1) ** n) for row in stop]
-        for n, stop in enumerate(stops)
+        [dwell_row(1, row.position, row.gyro_c[0], row.bias_dph[0] + 0.01 * (-1) ** n) for row in plateau]
+        for n, plateau in enumerate(plateaus)
     ]
-    quiet, noisy = (np.diag(temperature_curve(each, 0).covariance) for each in (stops, scattered))
+    quiet, noisy = (np.diag(fit_bias_curve(each, 0).covariance) for each in (plateaus, scattered))
     assert (noisy > 20.0 * quiet).all()
 
 
 def test_a_slope_that_the_run_does_not_tell_goes_into_the_uncertainty():
-    stop = pair(30.0)
-    found = difference(stop_differences([stop], 0, temperature_curve([stop], 0)))
+    plateau = pair(30.0)
+    found = difference(position_differences([plateau], 0, fit_bias_curve([plateau], 0)))
     assert found.sigma_dph == pytest.approx(
         math.hypot(0.001 * math.sqrt(2.0), 4.0 * SLOPE_SIGMA_DPH_PER_C), rel=0.02
     )
 
 
-def test_without_stops_the_curve_is_flat_and_uncertain():
-    curve = temperature_curve([], 0)
+def test_without_plateaus_the_curve_is_flat_and_uncertain():
+    curve = fit_bias_curve([], 0)
     assert not curve.coefficients.any()
     assert (np.diag(curve.covariance) > 0.0).all()
 
 
 def test_passes_that_agree_halve_the_variance_and_those_that_differ_are_found():
-    curve = temperature_curve([pair(gyro_c) for gyro_c in STOPS_C], 0)
+    curve = fit_bias_curve([pair(gyro_c) for gyro_c in PLATEAUS_C], 0)
     agreeing = [pair(30.0, 0.01, drift_c=0.0), pair(30.0, 0.01, drift_c=0.0, cycle=2, number=3)]
-    found = stop_differences(agreeing, 0, curve)
+    found = position_differences(agreeing, 0, curve)
     assert difference(found).value_dph == pytest.approx(0.01)
     assert difference(found).sigma_dph == pytest.approx(0.001)
     assert found.p_value == pytest.approx(1.0)
     opposite = [agreeing[0], pair(30.0, -0.01, drift_c=0.0, cycle=2, number=3)]
-    assert stop_differences(opposite, 0, curve).p_value < 1e-10
-    assert math.isnan(stop_differences(agreeing[:1], 0, curve).p_value)
+    assert position_differences(opposite, 0, curve).p_value < 1e-10
+    assert math.isnan(position_differences(agreeing[:1], 0, curve).p_value)
 
 
 def test_positions_that_met_in_no_pass_are_not_compared():
-    curve = temperature_curve([], 0)
+    curve = fit_bias_curve([], 0)
     passes = [
         [dwell_row(1, "z_up", 30.0), dwell_row(2, "z_down", 30.0)],
         [dwell_row(3, "z_down", 30.0, cycle=2), dwell_row(4, "y_up", 30.0, cycle=2)],
     ]
-    pairs = {(each.high, each.low) for each in stop_differences(passes, 0, curve).differences}
+    pairs = {(each.high, each.low) for each in position_differences(passes, 0, curve).differences}
     assert pairs == {("z_up", "z_down"), ("z_down", "z_up"), ("z_down", "y_up"), ("y_up", "z_down")}

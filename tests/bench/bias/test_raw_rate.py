@@ -3,11 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.raw_rate import RateRecording, estimate_attitudes, estimate_rate, up_down_pair
+from gyrobench.bench.bias.raw_rate import RateRecording, estimate_rate, up_down_pair
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrix
-from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC
 from gyrobench.drivers.emulators.world.strapdown import sense, true_increments
@@ -70,7 +69,7 @@ def test_rate_lies_within_its_uncertainty_as_often_as_it_should(name):
         pulls.append((estimate.rate_radps - truth) / estimate.sigma_radps)
     pulls = np.array(pulls)
     assert abs(pulls.mean()) < 4.0 * pulls.std() / np.sqrt(pulls.size)
-    # 68 and 95 % of 75, less three standard deviations; more where the random walk can't be told.
+    # 68 and 95 % of 75, less three standard deviations; more where the random walk is not observable.
     assert np.mean(np.abs(pulls) < 1.0) > 0.52
     assert np.mean(np.abs(pulls) < 2.0) > 0.88
 
@@ -136,53 +135,6 @@ def test_more_than_the_earth_turns_has_no_latitude():
     twice = [RateRecording(each.time_s, 2.0 * each.rate_radps) for each in (up, down)]
     with pytest.raises(MeasurementError, match="more than the Earth turns"):
         up_down_pair(*twice, "x").latitude_rad()
-
-
-def six_positions_at_two_azimuths(seed, shift_dph=0.0, positions=tuple(POSITIONS)):
-    """Recordings and attitudes; in the first attitude the x gyro has another bias."""
-    random = np.random.default_rng(seed)
-    attitudes = np.array([POSITIONS[name].C_nb(azimuth) for name in positions for azimuth in (0.0, np.pi)])
-    shift = [np.array([shift_dph, 0.0, 0.0]) * (number == 0) for number in range(len(attitudes))]
-    recordings = [
-        recorded(random, C_nb, duration_s=120.0, bias_dph=BIAS_DPH + each)[0]
-        for C_nb, each in zip(attitudes, shift, strict=True)
-    ]
-    return recordings, attitudes
-
-
-def test_attitudes_give_the_biases_of_all_gyros():
-    recordings, attitudes = six_positions_at_two_azimuths(seed=8)
-    estimate = estimate_attitudes(recordings, attitudes, LATITUDE)
-    error = estimate.bias_radps - BIAS_DPH * DPH_TO_RADPS
-    assert error @ np.linalg.solve(estimate.covariance, error) < 11.3  # 99 % of chi-squared with 3
-    assert np.sqrt(estimate.covariance[0, 0]) * RADPS_TO_DPH < 0.006
-    assert estimate.degrees_of_freedom == 33
-    assert estimate.p_value > 0.01
-
-
-def test_attitudes_tell_the_earth_rate_where_it_is_not_known():
-    recordings, attitudes = six_positions_at_two_azimuths(seed=9)
-    estimate = estimate_attitudes(recordings, attitudes, None)
-    expected = EARTH_RATE * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
-    np.testing.assert_allclose(estimate.earth_rate_enu_radps, expected, atol=0.015 * DPH_TO_RADPS)
-    np.testing.assert_allclose(estimate.bias_radps * RADPS_TO_DPH, BIAS_DPH, atol=0.02)
-    assert estimate.degrees_of_freedom == 31
-
-
-def test_a_bias_that_differs_in_one_attitude_fails_the_test():
-    recordings, attitudes = six_positions_at_two_azimuths(seed=10, shift_dph=0.15)
-    assert estimate_attitudes(recordings, attitudes, LATITUDE).p_value < 1e-4
-
-
-def test_attitudes_that_leave_something_open_are_refused():
-    recordings, attitudes = six_positions_at_two_azimuths(seed=11, positions=("z_up",))
-    one = [recordings[0], recordings[0]], np.array([attitudes[0], attitudes[0]])
-    with pytest.raises(MeasurementError, match="can't be told apart"):
-        estimate_attitudes(*one, None)
-    with pytest.raises(MeasurementError, match="at least two"):
-        estimate_attitudes(recordings[:1], attitudes[:1], LATITUDE)
-    with pytest.raises(MeasurementError, match="at least two"):
-        estimate_attitudes(recordings, attitudes[:1], LATITUDE)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from gyrobench.bench.bias.statistics import (
 def test_two_values_by_hand():
     mean = weighted_mean([10.0, 20.0], [1.0, 2.0])
     assert (mean.value, mean.sigma) == pytest.approx((12.0, 1 / math.sqrt(1.25)))
-    assert (mean.chi2, mean.freedom) == (pytest.approx(2.0**2 + 4.0**2), 1)
+    assert (mean.chi2, mean.dof) == (pytest.approx(2.0**2 + 4.0**2), 1)
     assert mean.chi2_reduced == mean.chi2
     assert mean.p_value == pytest.approx(math.erfc(math.sqrt(20.0 / 2.0)))
 
@@ -96,7 +96,7 @@ def test_a_weighted_fit_is_that_of_least_squares():
     fit = weighted_fit(design @ [1.0, 2.0], variances, design)
     assert fit.values == pytest.approx([1.0, 2.0])
     assert fit.chi2 == pytest.approx(0.0, abs=1e-12)
-    assert fit.freedom == 10
+    assert fit.dof == 10
     assert fit.covariance == pytest.approx(np.linalg.inv(design.T @ np.diag(1 / variances) @ design))
 
 

@@ -43,7 +43,7 @@ def test_rate_is_the_weighted_mean_of_independent_half_differences():
     assert rate.rate == pytest.approx(mean.value)
     assert rate.sigma == pytest.approx(mean.sigma)
     assert rate.p_value == pytest.approx(mean.p_value)
-    assert rate.freedom == 2
+    assert rate.dof == 2
 
 
 def test_correlated_half_differences_are_weighted_by_their_covariance():

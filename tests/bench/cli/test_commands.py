@@ -77,7 +77,7 @@ def test_close_holds_out_the_cycles_that_it_is_reported(table, tmp_path):
     ("arguments", "message"),
     [
         (("nowhere.csv",), "nowhere.csv"),
-        ((".",), "is no run folder"),
+        ((".",), "is not a run folder"),
         (("TABLE", "--hold-out-cycle", 9), "no cycle 9"),
         (("TABLE", "--hold-out-cycle", "last"), "integer"),
     ],
@@ -168,7 +168,7 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
         (("run", "ten_minute_check", "--world", "mars"), EXIT_WRONG_INPUT, "gyro_a"),
         (("run", "ten_minute_check", "--station", "mars"), EXIT_WRONG_INPUT, "emulated"),
         (("run", "ten_minute_check", "--seed", "-1"), EXIT_WRONG_INPUT, "seed"),
-        (("bins", "."), EXIT_NOT_FINISHED, "is no run folder"),
+        (("bins", "."), EXIT_NOT_FINISHED, "is not a run folder"),
     ],
 )
 def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code, message):

@@ -53,4 +53,4 @@ def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
 def test_what_is_no_run_is_refused(tmp_path):
     done = gyrobench("report", tmp_path, cwd=tmp_path)
     assert done.returncode == 1
-    assert "is no run folder" in done.stderr
+    assert "is not a run folder" in done.stderr

@@ -7,8 +7,9 @@ import numpy as np
 import yaml
 from rich.console import Console
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import find_document

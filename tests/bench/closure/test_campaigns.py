@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.dwells.closure_inputs import planned_unit
-from gyrobench.bench.engine.session import prepare_job
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS

@@ -66,7 +66,7 @@ def test_two_navigations_are_no_verification(recorded):
     _, frames, setup, both = recorded
     verified = measure_check_dwell(both, frames, setup)
     assert verified.navigation is None
-    assert "2 navigations; a verification has one" in verified.flags
+    assert "2 navigations; a calibration check has one" in verified.flags
 
 
 def test_an_ins_that_is_silent_while_it_aligns_has_the_temperatures_of_the_navigation(recorded):
@@ -94,4 +94,4 @@ def test_one_wild_velocity_is_flagged(recorded):
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11  # an epoch that falls on a whole second
     verified = measure_check_dwell(marks, replace(frames, data=data), setup)
-    assert "times the residual" in verified.flags
+    assert "times as large as the noise explains" in verified.flags

@@ -65,7 +65,7 @@ def test_a_long_run_has_a_record_of_bounded_size():
 
 
 def test_a_folder_that_is_no_run_is_told(tmp_path):
-    with pytest.raises(RunFolderError, match="is no run folder"):
+    with pytest.raises(RunFolderError, match="is not a run folder"):
         read_campaign(tmp_path)
 
 

@@ -138,7 +138,7 @@ def test_one_wild_velocity_flags_the_dwell(recorded):
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11
     row = measure_dwell(marks, replace(frames, data=data), setup).row
-    assert "times the residual" in row.flags
+    assert "times as large as the noise explains" in row.flags
 
 
 @pytest.mark.parametrize(("factor", "flagged"), [(0.2, True), (5.0, False)])

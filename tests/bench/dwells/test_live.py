@@ -62,7 +62,7 @@ def test_at_the_end_it_is_the_estimate_of_the_whole_dwell(recorded, replayed, st
     np.testing.assert_allclose(last.bias_dph, whole.bias_dph, rtol=0.0, atol=0.005 * whole.sigma_dph.min())
     np.testing.assert_allclose(last.sigma_dph, whole.sigma_dph, rtol=1e-3)
     assert last.fit.chi2 == pytest.approx(whole.fit.chi2, rel=0.01)
-    assert last.fit.freedom == whole.fit.freedom
+    assert last.fit.dof == whole.fit.dof
 
 
 def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed):

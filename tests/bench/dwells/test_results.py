@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.dwells.dwell import measurement_setup, misfit_text
+from gyrobench.bench.dwells.dwell import lack_of_fit_text, measurement_setup
 from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
@@ -16,9 +16,9 @@ from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.joint_table import (
     joint_bias_rows,
-    joint_stop_rows,
+    joint_plateau_rows,
     read_joint_biases,
-    read_joint_stops,
+    read_joint_plateaus,
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.station.station import Station
@@ -45,7 +45,7 @@ def counted(bins):
     return sum(each.count for each in bins)
 
 
-def test_each_stop_of_the_chamber_is_solved_by_itself(results):
+def test_each_plateau_of_the_chamber_is_solved_by_itself(results):
     assert [[dwell.number for dwell in each.dwells] for each in results.joint] == [
         [1, 2, 3, 4],
         [5, 6, 7, 8],
@@ -75,7 +75,7 @@ def test_dwells_with_flags_are_left_out(measured, results):
     assert [dwell.number for dwell in without.joint[0].dwells] == [2, 3, 4]
     assert without.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
     assert 1 not in without.up_rate.weights
-    # The stops that lost nothing are as they were.
+    # The plateaus that lost nothing are as they were.
     np.testing.assert_array_equal(without.joint[2].together.bias_radps, results.joint[2].together.bias_radps)
 
 
@@ -107,12 +107,12 @@ def test_tables_that_were_written_hold_the_results(results, tmp_path):
     assert read_noise(folder.noise).angle_random_walk == results.noise.angle_random_walk
     written = joint_bias_rows(results.joint, results.up_rate)
     for row, read in zip(written, read_joint_biases(folder.joint_biases), strict=True):
-        assert (read.stop, read.dwell, read.position, read.gyro) == (
-            row.stop, row.dwell, row.position, row.gyro,
+        assert (read.plateau, read.dwell, read.position, read.gyro) == (
+            row.plateau, row.dwell, row.position, row.gyro,
         )  # fmt: skip
         assert read.joint_dph == pytest.approx(row.joint_dph, rel=1e-8)
-    stops = joint_stop_rows(results.joint, results.up_rate)
-    assert [row.finding for row in read_joint_stops(folder.joint)] == [row.finding for row in stops]
+    plateaus = joint_plateau_rows(results.joint, results.up_rate)
+    assert [row.finding for row in read_joint_plateaus(folder.joint)] == [row.finding for row in plateaus]
     assert not folder.verification.exists()
 
 
@@ -121,7 +121,7 @@ def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
     write_results(folder, RunResults())
     assert read_bins(folder.bias_bins) == []
     assert read_joint_biases(folder.joint_biases) == []
-    assert read_joint_stops(folder.joint) == []
+    assert read_joint_plateaus(folder.joint) == []
     assert not folder.noise.exists()
 
 
@@ -133,13 +133,13 @@ def test_a_folder_that_can_not_be_written_is_an_error(results, tmp_path):
 def test_dwells_without_a_set_point_are_one_stop(measured):
     dwells, setup = measured
     nowhere = [replace(dwell, row=replace(dwell.row, chamber_set_c=math.nan)) for dwell in dwells[:4]]
-    (stop,) = evaluate(nowhere, setup, 5.0).joint
-    assert len(stop.dwells) == 4
+    (plateau,) = evaluate(nowhere, setup, 5.0).joint
+    assert len(plateau.dwells) == 4
 
 
 def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
     dwells, setup = measured
-    misfits = [misfit_text(dwell.estimate.fit) for dwell in dwells]
+    misfits = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
         replace(dwell, row=replace(dwell.row, flags=misfit), doubts=(misfit,))
         for dwell, misfit in zip(dwells, misfits, strict=True)

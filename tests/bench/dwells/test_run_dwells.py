@@ -12,7 +12,7 @@ from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.dwell import measure_dwell
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.run_dwells import add_dwell
-from gyrobench.bench.engine.session import measure_again
+from gyrobench.bench.engine.evaluation import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
@@ -29,7 +29,7 @@ def test_the_tables_are_the_same_to_the_last_digit(shift_runs, tmp_path, world):
     for name in derived:
         (copy.path / name).unlink()
     shutil.rmtree(copy.telemetry)
-    measure_again(copy.path)
+    recompute_run(copy.path)
     for name in derived:
         assert (copy.path / name).read_bytes() == (folder.path / name).read_bytes()
 
@@ -39,7 +39,7 @@ def test_a_log_without_the_frames_of_a_dwell_is_an_error(copied_run):
     for part in parts[1:]:
         part.unlink()
     with pytest.raises(RunFolderError, match="lacks the parts"):
-        measure_again(copied_run.path)
+        recompute_run(copied_run.path)
 
 
 def finished_entries(folder):
@@ -56,7 +56,7 @@ def test_a_part_that_holds_fewer_frames_than_its_dwell_is_an_error(copied_run):
     entry["marks"]["windows"][-1]["end_frame"] += 10**6
     add_to_journal(copied_run, entry)
     with pytest.raises(RunFolderError, match="frames, where dwell 1 needs"):
-        measure_again(copied_run.path)
+        recompute_run(copied_run.path)
 
 
 def test_of_a_dwell_finished_twice_the_last_time_counts(copied_run):
@@ -65,7 +65,7 @@ def test_of_a_dwell_finished_twice_the_last_time_counts(copied_run):
     given_up = {"time_s": 0.0, "event": "dwell_given_up", "dwell": 3, "why": "cut off"}
     again = entry | {"marks": entry["marks"] | {"disturbances": ["the second time"]}}
     add_to_journal(copied_run, skipped, given_up, again)
-    measure_again(copied_run.path)
+    recompute_run(copied_run.path)
     (row,) = read_dwells(copied_run.dwells)
     assert (row.dwell, row.flags) == (1, "the second time")
 
@@ -77,7 +77,7 @@ def test_parts_that_no_finished_dwell_needs_may_be_cut_off(copied_run):
     for path in copied_run.can.iterdir():
         if path.name != needed:
             path.write_bytes(path.read_bytes()[:300])
-    measure_again(copied_run.path)
+    recompute_run(copied_run.path)
     assert copied_run.dwells.read_bytes() == expected
 
 
@@ -120,4 +120,4 @@ def test_a_stuck_sensor_flags_the_dwells_since_it_is_stuck_once(measured):
         )
         add_dwell(dwells, replace(measured, row=row))
     assert [each.row.flags.count("its sensor is stuck") for each in dwells] == [1, 1, 1]
-    assert all(each.is_spoilt for each in dwells)
+    assert all(each.is_disturbed for each in dwells)

@@ -186,7 +186,7 @@ def test_gyros_that_follow_the_chamber_are_believed():
 def test_a_sensor_that_got_stuck_in_the_ramp_is_told_in_the_next_dwell():
     rows = [dwell(1, 20.0), with_stuck_x(dwell(2, 60.0), 50.0)]
     assert list(found(rows)) == [1]
-    assert "x gyro keeps still to the last bit at 50.00 degC" in found(rows)[1]
+    assert "x gyro is constant to the last bit at 50.00 degC" in found(rows)[1]
 
 
 def test_a_dwell_without_its_temperature_in_between_hides_no_stuck_sensor():

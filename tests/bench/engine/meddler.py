@@ -1,14 +1,15 @@
 """Somebody who watches a run and does something to the emulated bench."""
 
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
-class Meddler(Progress):
+class Meddler(RunObserver):
     """Does its deed once, in the nth step of some kind; the world is ``ideal``."""
 
     def __init__(self, kind, deed, nth=1):

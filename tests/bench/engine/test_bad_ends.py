@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -74,7 +75,7 @@ def test_a_chamber_that_does_not_get_there_ends_the_step_with_its_place_in_the_f
     folder, outcome, bench = run_with(tmp_path, "chamber", weaken, path)
     assert outcome.ended == "stopped"
     assert "hot.yaml:3:" in outcome.reason
-    assert "not over after 900 s" in outcome.reason
+    assert "did not end within 900 s" in outcome.reason
     assert_safe(folder, outcome, bench)
 
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from tests.bench.engine.test_resumption import Watcher
@@ -29,9 +29,9 @@ class PausingOperator(ConsentingOperator):
         super().__init__()
         self.ticks, self.pause_tick, self.continue_tick = 0, pause_tick, continue_tick
 
-    def order(self):
+    def command(self):
         self.ticks += 1
-        return Order.PAUSE if self.ticks == self.pause_tick else None
+        return RunCommand.PAUSE if self.ticks == self.pause_tick else None
 
     def answer(self):
         return super().answer() if self.ticks >= self.continue_tick else None

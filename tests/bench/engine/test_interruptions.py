@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -91,7 +91,7 @@ def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tmp
 def test_a_trip_that_needs_a_person_says_so(tmp_path):
     folder, _, _ = consent(tmp_path, "navigate", trip_table)
     (held,) = events(folder, "held")
-    assert held["waits_for"] == "a person"
+    assert held["waits_for"] == "the operator"
 
 
 def test_an_ins_that_falls_silent_is_switched_off_and_on_and_the_run_goes_on_by_itself(tmp_path):
@@ -173,7 +173,7 @@ def test_a_dwell_that_stays_spoilt_is_flagged_after_its_repeats_and_the_run_goes
     assert len(events(folder, "dwell_given_up")) == 4
     rows = read_dwells(folder.dwells)
     assert [row.dwell for row in rows] == [1, 2]
-    assert all("was not over after 100 s" in row.flags for row in rows)
+    assert all("did not end within 100 s" in row.flags for row in rows)
 
 
 def test_a_chamber_switched_off_at_its_panel_trips(tmp_path):
@@ -224,9 +224,9 @@ def test_a_skipped_dwell_is_left_out(tmp_path, two):
 
 def test_orders_can_be_typed(tmp_path, two):
     class Typist(ConsentingOperator):
-        typed = [None] * 100 + [Order.SKIP]
+        typed = [None] * 100 + [RunCommand.SKIP]
 
-        def order(self):
+        def command(self):
             return self.typed.pop(0) if self.typed else None
 
     job = prepare_job(str(two), "emulated", Emulation("ideal", 0))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.station.instruments import Emulation

@@ -8,16 +8,11 @@ import time
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.orders import Order
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.resumption import (
-    MOST_RESUMED_IN_VAIN,
-    describe_resumption,
-    prepare_resumption,
-    resume_run,
-)
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
+from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
@@ -51,13 +46,13 @@ class KilledError(BaseException):
     """Stands for a kill where a process of its own would cost seconds."""
 
 
-class Watcher(Progress):
+class Watcher(RunObserver):
     """Ends the run in the nth step of a kind by an exception that nothing catches."""
 
     def __init__(self, kind="", nth=1):
         self.kind, self.left, self.told_texts = kind, nth, []
 
-    def told(self, text):
+    def noted(self, text):
         self.told_texts.append(text)
 
     def step_started(self, planned, bench):
@@ -169,15 +164,15 @@ def test_times_go_on_and_power_ons_are_counted_on(procedure, tmp_path):
 
 def test_it_says_in_words_what_it_found_and_what_it_will_do(procedure, tmp_path):
     path = broken_off(procedure, tmp_path / "run", "turn", 3)
-    words = describe_resumption(prepare_resumption(path))
+    words = prepare_resumption(path).describe()
     assert "2 of 4 dwells are finished and stay" in words
-    assert "dwell 3 (25 degC, z_up), whole" in words
+    assert "dwell 3 (25 degC, z_up) from its start" in words
     assert "unit 1003" in words
 
 
 def test_the_way_back_is_told_as_it_begins(procedure, tmp_path):
     _, _, watcher = resumed(broken_off(procedure, tmp_path / "run", "turn", 3))
-    (way,) = [text for text in watcher.told_texts if text.startswith("going back to step")]
+    (way,) = [text for text in watcher.told_texts if text.startswith("returning to step")]
     assert "power on" in way
     assert "chamber to 25 degC" in way
     assert "soak 10 min" in way
@@ -190,9 +185,9 @@ def test_an_aborted_run_can_be_gone_on_with(procedure, undisturbed, tmp_path):
     class Aborter(ConsentingOperator):
         left = 500
 
-        def order(self):
+        def command(self):
             self.left -= 1
-            return Order.ABORT if self.left == 0 else None
+            return RunCommand.ABORT if self.left == 0 else None
 
     folder, outcome = run_job(job, tmp_path / "run", Watcher(), Aborter())
     assert outcome.ended == "stopped"
@@ -216,7 +211,7 @@ def test_a_run_under_way_is_not_resumed(procedure, tmp_path):
 
 def test_a_run_that_never_gets_on_has_to_be_looked_at(procedure, tmp_path):
     path = broken_off(procedure, tmp_path / "run", "soak")
-    for _ in range(MOST_RESUMED_IN_VAIN):
+    for _ in range(MAX_RESUMES_WITHOUT_PROGRESS):
         with pytest.raises(KilledError):
             resume_run(prepare_resumption(path), Watcher("soak"), ConsentingOperator())
     with pytest.raises(RunFolderError, match="--anyway"):
@@ -230,5 +225,5 @@ def test_a_run_of_another_unit_is_not_gone_on_with_by_itself(procedure, tmp_path
     journal.write_text(journal.read_text().replace('"unit": "1003"', '"unit": "77"'))
     _, outcome = resume_run(prepare_resumption(path), Watcher(), RefusingOperator())
     assert outcome.ended == "stopped"
-    assert "is unit 1003, and this run is of 77" in outcome.reason
+    assert "is unit 1003, but this run measures 77" in outcome.reason
     assert open_run_folder(path).journal.exists()

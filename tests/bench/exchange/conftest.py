@@ -1,8 +1,9 @@
 import pytest
 
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.exchange.can_export import TimedLog
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
@@ -38,7 +39,7 @@ def two_dwells(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two_dwells")
     (folder / "two_dwells.yaml").write_text(PROCEDURE)
     job = prepare_job(str(folder / "two_dwells.yaml"), "emulated", Emulation("gyro_a", 3))
-    run, outcome = run_job(job, folder / "run", Progress(), ConsentingOperator())
+    run, outcome = run_job(job, folder / "run", RunObserver(), ConsentingOperator())
     assert outcome.ended == "finished"
     return RunFolder(run.path)
 

@@ -10,7 +10,7 @@ SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "imports").g
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_the_shipped_mappings_are_right(name):
+def test_the_shipped_import_maps_are_valid(name):
     assert load_log_map(find_document("imports", name)).unit
 
 
@@ -40,3 +40,9 @@ def test_the_shipped_mappings_are_right(name):
 def test_mistakes_are_shown_with_their_place(log, changes, message):
     with pytest.raises(DocumentError, match=message):
         load_log_map(Path(log.mapping(**changes)))
+
+
+def test_the_former_key_of_the_temperature_swing_is_accepted(log, caplog):
+    log_map = load_log_map(Path(log.mapping(temperatures="{gyros: t, least_swing_c: 3}")))
+    assert log_map.temperatures.min_swing_c == 3.0
+    assert "'least_swing_c' is an old name. Write 'min_swing_c'" in caplog.text

@@ -74,7 +74,7 @@ def test_a_name_given_twice_is_reported(tmp_path):
 
 
 def test_a_column_taken_for_a_number_and_for_text_is_reported(tmp_path):
-    with pytest.raises(DocumentError, match="takes column b for a number, and for a status or position too"):
+    with pytest.raises(DocumentError, match="uses column b as a number and as a status or position"):
         read(tmp_path, "a,b\n1,2\n", texts=(2,))
 
 
@@ -85,7 +85,7 @@ def test_a_file_without_samples_is_reported(tmp_path, content):
 
 
 def test_binary_records_are_not_taken_for_text(tmp_path):
-    with pytest.raises(DocumentError, match=r"log\.txt: is no text\. For binary records give 'records'"):
+    with pytest.raises(DocumentError, match=r"log\.txt: is not text\. For binary records give 'records'"):
         read(tmp_path, np.arange(10.0).tobytes())
 
 
@@ -111,7 +111,7 @@ def test_lines_with_another_number_of_cells_are_reported(tmp_path):
         read(tmp_path, "a,b\n1,2\n3\n5,6\n")
 
 
-def test_a_last_line_that_was_cut_off_is_left_out_and_told(tmp_path):
+def test_a_last_line_that_was_cut_off_is_left_out_and_reported(tmp_path):
     log, columns = read(tmp_path, "a,b\n1,2\n3,4\n5")
     assert log.truncated
     assert columns["a"].tolist() == [1.0, 3.0]
@@ -136,7 +136,7 @@ def test_records_are_read_behind_the_header_batch_by_batch(tmp_path, monkeypatch
     assert not log.truncated
 
 
-def test_a_record_that_was_cut_off_is_left_out_and_told(tmp_path):
+def test_a_record_that_was_cut_off_is_left_out_and_reported(tmp_path):
     log = RecordLog(written(tmp_path, [[1, 10]], b"\0\0\0\0\0"), LAYOUT)
     assert log.truncated
     assert [batch["rate"].tolist() for batch in log.batches(["rate"], [])] == [[10.0]]

@@ -53,7 +53,7 @@ def test_a_rate_in_coarse_steps_is_not_known_better_than_its_steps_allow(log):
     assert sigma >= 360.0 / np.sqrt(12.0) / np.sqrt(60.0 * RATE_HZ)
 
 
-def test_axes_signs_and_units_are_those_of_the_mapping(log):
+def test_axes_signs_and_units_are_those_of_the_import_map(log):
     plain = biases(imported(log).rows)
     mapped = biases(imported(log, gyro="{unit: deg/h, x: {column: gy, sign: -1}, y: gx, z: 4}").rows)
     np.testing.assert_allclose(mapped * 3600.0, plain[:, [1, 0, 2]] * [-1.0, 1.0, 1.0], rtol=1e-9)
@@ -78,7 +78,7 @@ def test_the_begin_can_be_skipped(log):
     assert len(rows) == 38
 
 
-def test_samples_of_a_bad_status_are_left_out_and_told(log):
+def test_samples_of_a_bad_status_are_left_out_and_reported(log):
     log.columns["status"] = np.zeros(len(log.time_s))
     log.columns["status"][10:20] = 3.0
     log.columns["gx"][10:20] = 100.0
@@ -108,8 +108,8 @@ def test_what_is_no_number_is_left_out_and_a_window_with_much_of_it_too(log):
     log.columns["gy"][5:10] = np.nan
     log.columns["gz"][2000:2100] = np.inf
     result = imported(log)
-    assert result.left_out == {"too many samples without a good rate": 1}
-    assert any("105 samples left out whose rate is no number" in each for each in result.warnings)
+    assert result.left_out == {"too many samples without a valid rate": 1}
+    assert any("105 samples without a valid rate left out" in each for each in result.warnings)
     assert np.isfinite(biases(result.rows)).all()
 
 
@@ -121,8 +121,8 @@ def test_what_nothing_measures_counts_as_no_number(log, value):
     log.columns["time"][1203] = value
     result = imported(log)
     assert len(result.rows) == len(plain.rows)
-    assert any("1 samples left out whose rate is no number" in each for each in result.warnings)
-    assert any("1 samples left out that have no time" in each for each in result.warnings)
+    assert any("1 samples without a valid rate left out" in each for each in result.warnings)
+    assert any("1 samples without a time left out" in each for each in result.warnings)
     np.testing.assert_allclose(biases(result.rows), biases(plain.rows), atol=NOISE_DPH / 10.0)
     np.testing.assert_allclose(
         [row.gyro_c for row in result.rows], [row.gyro_c for row in plain.rows], atol=0.1
@@ -211,9 +211,9 @@ def test_too_few_steps_of_temperature_are_refused(log):
 
 def test_a_small_swing_is_refused_unless_it_is_allowed(log):
     log.columns["temp"] = 20.0 + 0.1 * log.columns["temp"]
-    with pytest.raises(MeasurementError, match=r"a swing of 2\.8\d K; 10 K are needed.*least_swing_c"):
+    with pytest.raises(MeasurementError, match=r"a swing of 2\.8\d K; a curve needs 10 K.*min_swing_c"):
         imported(log)
-    assert imported(log, temperatures="{gyros: temp, least_swing_c: 2}").rows
+    assert imported(log, temperatures="{gyros: temp, min_swing_c: 2}").rows
 
 
 def test_time_that_goes_back_is_shown_with_its_place(log):
@@ -222,16 +222,16 @@ def test_time_that_goes_back_is_shown_with_its_place(log):
         imported(log)
 
 
-def test_nothing_good_at_all_is_an_error_with_the_reasons(log):
+def test_no_valid_window_is_an_error_with_the_reasons(log):
     log.columns["gz"][:] = 1.0
-    with pytest.raises(MeasurementError, match=r"no window of 60 s is good\. 40: rate of gyro z stuck"):
+    with pytest.raises(MeasurementError, match=r"no window of 60 s is valid. 40: rate of gyro z stuck"):
         imported(log)
 
 
 def test_a_log_shorter_than_a_window_is_an_error(log):
     with pytest.raises(MeasurementError, match="not recorded to the end"):
         imported(log, window_s=7200)
-    with pytest.raises(MeasurementError, match="ends before window and skip are over"):
+    with pytest.raises(MeasurementError, match="is shorter than skip_s and one window"):
         imported(log, skip_s=7200)
 
 
@@ -272,7 +272,7 @@ def test_cycle_and_position_may_be_columns_and_a_window_across_a_change_is_left_
     assert result.left_out == {"position changed": 1}
 
 
-def test_a_position_that_the_mapping_does_not_know_is_reported(log):
+def test_a_position_that_the_import_map_does_not_list_is_reported(log):
     log.columns["side"] = np.where(log.time_s < 1230.0, 1.0, 2.0)
     with pytest.raises(DocumentError, match=r"column side holds '2'.*position\.values"):
         imported(log, position="{column: side, values: {'1': x_up}}")
@@ -334,4 +334,4 @@ def test_the_summary_reports_what_was_left_out(log):
     text = imported(log).summary()
     assert "38 dwells of 60 s, gyros at 10.7 to 39.3 degC" in text
     assert "Left out: rate of gyro x stuck: 2 of 40 windows" in text
-    assert "Warning: all rows are of one cycle" in text
+    assert "Warning: all rows belong to one cycle" in text

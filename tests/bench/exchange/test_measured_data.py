@@ -28,7 +28,7 @@ def imu():
     )
 
 
-def test_every_window_of_the_imu_log_is_good(imu):
+def test_every_window_of_the_imu_log_is_valid(imu):
     _, temperature_c, _, rows = imu
     assert len(rows) == 423
     assert temperature_c.min() == pytest.approx(-17.6, abs=0.1)

@@ -109,7 +109,7 @@ def test_a_run_that_was_cut_off_gives_what_it_holds(two_dwells, tmp_path):
 
 
 def test_what_is_not_there_is_reported_where_nothing_else_was_wanted(two_dwells, tmp_path):
-    with pytest.raises(RunFolderError, match="verification: the run verified nothing"):
+    with pytest.raises(RunFolderError, match="verification: the run made no calibration check"):
         export_run(two_dwells, ExportSelection([DataKind.VERIFICATION]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -117,7 +117,7 @@ def test_what_is_not_there_is_reported_where_nothing_else_was_wanted(two_dwells,
 def test_files_that_are_there_stay_unless_they_are_to_be_replaced(two_dwells, tmp_path):
     wanted = ExportSelection([DataKind.DWELLS, DataKind.BINS], [Format.CSV])
     (tmp_path / "bias_bins.csv").write_text("mine")
-    with pytest.raises(RunFolderError, match=r"holds bias_bins.csv already. Give --force"):
+    with pytest.raises(RunFolderError, match=r"already contains bias_bins.csv. Use --force"):
         export_run(two_dwells, wanted, tmp_path)
     assert not (tmp_path / "dwells.csv").exists()
     assert (tmp_path / "bias_bins.csv").read_text() == "mine"

@@ -101,5 +101,5 @@ def test_a_rate_that_never_changes_is_an_error():
 
 
 def test_too_few_windows_are_an_error():
-    with pytest.raises(MeasurementError, match="1 good windows of 10 samples are too few"):
+    with pytest.raises(MeasurementError, match="1 valid windows of 10 samples are too few"):
         noise_of_means([windows(white(count=10))])

@@ -25,7 +25,7 @@ from pathlib import Path
 import serial
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.link import guard_for
+from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.station import Station
@@ -123,7 +123,7 @@ class SmallEngine:
         self.process.kill()
         self.process.communicate()
         with contextlib.suppress(FileNotFoundError):
-            wait_for(lambda: "in its safe state" in self.log() or "leaves" in self.log())
+            wait_for(lambda: "in its safe state" in self.log() or "without acting" in self.log())
 
     def log(self):
         return (self.folder / "guard.log").read_text()

@@ -42,6 +42,7 @@ def test_a_killed_engine_is_told_as_soon_as_the_network_is_there_and_the_bench_d
     assert (told["event"], told["station"], told["run"]) == ("guard_acted", "emulated", "run")
     assert told["urgent"]
     assert (
-        "The engine ended without a word, so the guard acted. The bench is in its safe state." in told["why"]
+        "The engine died without releasing the guard, so the guard acted. The bench is in its safe state."
+        in told["why"]
     )
     assert "message sent" in engine.log()

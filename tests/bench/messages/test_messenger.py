@@ -119,7 +119,7 @@ def test_a_refusal_is_not_tried_again_and_the_next_message_is_sent(serve, receiv
 
 def test_the_same_is_not_told_more_often_than_allowed(serve, receiver):
     server, record = serve(), Record()
-    hook = receiver(kind="webhook", address=server.url, most_per_hour=2)
+    hook = receiver(kind="webhook", address=server.url, max_per_hour=2)
     with Messenger([hook], record, 20.0) as messenger:
         for _ in range(4):
             messenger.send(NEEDS_PERSON, "chamber")

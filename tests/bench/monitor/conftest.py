@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.monitor.recorder import SnapshotRecorder
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.terminal import RunConsole
@@ -17,7 +17,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 
 
-class Album(Progress):
+class Album(RunObserver):
     """Keeps a snapshot of every tenth tick, and the last one."""
 
     def __init__(self, recorder):
@@ -46,7 +46,7 @@ def recorded_run(out, procedure="ten_minute_check", operator=None, faults=""):
     recorder = SnapshotRecorder(job.plan)
     album = Album(recorder)
     with LinesView(RunConsole(file=io.StringIO(), width=80), job.plan) as lines:
-        folder, _ = run_job(job, out, Audience(recorder, lines, album), operator or ConsentingOperator())
+        folder, _ = run_job(job, out, ObserverGroup(recorder, lines, album), operator or ConsentingOperator())
     return Recorded(folder, album.snapshots)
 
 

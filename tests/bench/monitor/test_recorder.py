@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.audience import Audience
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.people import Progress
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.recorder import SnapshotRecorder, Thinned
 from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, read_snapshot
@@ -179,7 +179,7 @@ class SlowOperator(ConsentingOperator):
         return self._word if self._ticks <= 0 else None
 
 
-class Witness(Progress):
+class Witness(RunObserver):
     """Does something in the first step of a kind; keeps a snapshot of each state, and one after it."""
 
     def __init__(self, recorder, kind, deed):
@@ -212,7 +212,7 @@ def witnessed(tmp_path):
         recorder = SnapshotRecorder(job.plan)
         witness = Witness(recorder, kind, deed)
         operator = SlowOperator(refuses)
-        folder, _ = run_job(job, tmp_path / "run", Audience(recorder, witness), operator)
+        folder, _ = run_job(job, tmp_path / "run", ObserverGroup(recorder, witness), operator)
         return witness.seen, read_snapshot(folder.live)
 
     return run
@@ -251,7 +251,7 @@ def test_a_hold_that_was_ordered_keeps_the_dwell_that_was_under_way(witnessed):
     seen, _ = witnessed("navigate", order(signal.SIGUSR1))
     holding = seen[RunState.HOLDING]
     assert [len(each.dwells) for each in holding[:1]] == [1]
-    assert "ordered" in holding[0].reason
+    assert "commanded" in holding[0].reason
 
 
 def test_time_and_readings_continue_in_a_hold(witnessed):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.engine.progress import WITHOUT_A_WORD
+from gyrobench.bench.engine.resume import NO_END_RECORDED
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.monitor.run_list import (
@@ -91,7 +91,7 @@ def running(folder):
 def test_a_run_that_was_killed_is_not_said_to_continue(folder):
     folder.live.write_bytes(running(folder).to_json())
     snapshot = snapshot_of(folder.path)
-    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, NO_END_RECORDED)
     assert snapshot.question is None
 
 
@@ -108,7 +108,7 @@ def test_a_run_that_was_killed_before_it_left_a_snapshot_has_what_was_on_the_dis
     folder.dwells.unlink()
     cut_off(folder, "powered_on")
     snapshot = snapshot_of(folder.path)
-    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, NO_END_RECORDED)
     assert snapshot.dwells == ()
     assert snapshot.left_s == pytest.approx(snapshot.planned_s)
 
@@ -117,7 +117,7 @@ def test_a_run_that_ended_and_was_resumed_and_killed_does_not_report_its_old_end
     folder.live.unlink()
     add(folder, event="run_resumed", procedure="short")
     snapshot = snapshot_of(folder.path)
-    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, WITHOUT_A_WORD)
+    assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, NO_END_RECORDED)
 
 
 def test_a_run_whose_procedure_is_damaged_has_its_dwells_still(folder):
@@ -165,14 +165,14 @@ def test_a_run_that_did_not_report_of_its_end_was_cut_off(tmp_path):
     write_journal(tmp_path / "old", JOURNAL[:-1])
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
-    assert "without a word" in summary.reason
+    assert "without recording its end" in summary.reason
 
 
 def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_report_its_old_end(tmp_path):
     write_journal(tmp_path / "old", [*JOURNAL, {"event": "run_resumed", "procedure": "shift"}])
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
-    assert "without a word" in summary.reason
+    assert "without recording its end" in summary.reason
     assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
 
 

@@ -149,8 +149,8 @@ def test_a_killed_run_is_shown_at_once(tmp_path):
     site = Site(run, now)
     with run_under_way(run):
         assert "running" in text_of(site, "/fragment")
-    assert "stopped without a word" in text_of(site, "/fragment")
-    assert "stopped without a word" in text_of(Site(tmp_path, now), "/fragment")
+    assert "stopped without recording its end" in text_of(site, "/fragment")
+    assert "stopped without recording its end" in text_of(Site(tmp_path, now), "/fragment")
 
 
 def test_a_run_that_has_fallen_silent_is_reported(tmp_path):

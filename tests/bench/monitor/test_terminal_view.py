@@ -14,8 +14,9 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.monitor.snapshot import RunState, read_snapshot
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView, observe_in_terminal
@@ -149,7 +150,8 @@ PROGRAM = """
 import sys
 from pathlib import Path
 
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import observe_in_terminal
 from gyrobench.bench.station.instruments import Emulation

@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.foundations.documents import parse_document
-from gyrobench.bench.procedure.approach import Standing, approach, end_of_dwell, restart_of
+from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.procedure.steps import Align, Chamber, GoTo, PowerOn, Soak, Wait
@@ -28,7 +28,7 @@ steps:
   - chamber: {temperature_c: -20, ramp_c_per_min: 1, within_c: 50}
   - repeat: {over: {position: [z_up, y_up]}, steps: *dwell}
 """
-COLD_START = Standing(is_unit_on=False, is_tempered=False, chamber_c=23.0)
+COLD_START = RetainedState(is_ins_on=False, is_at_temperature=False, chamber_c=23.0)
 
 
 @pytest.fixture(scope="module")
@@ -64,32 +64,32 @@ def test_after_a_power_cut_unit_chamber_soak_and_position_come_first(plan):
 
 def test_a_dwell_that_begins_turned_is_approached_turned(plan):
     turned = next(i for i in range(len(plan.steps)) if plan.steps[i].window == 1)
-    (go_to,) = approach(plan, turned, Standing(True, True, 60.0))
+    (go_to,) = approach(plan, turned, RetainedState(True, True, 60.0))
     assert go_to.step.azimuth_deg == 270
 
 
 def test_what_still_stands_is_not_done_again(plan):
-    steps = approach(plan, index_of(plan, 1, Align), Standing(True, True, 60.0))
+    steps = approach(plan, index_of(plan, 1, Align), RetainedState(True, True, 60.0))
     assert kinds(steps) == [GoTo]
 
 
 def test_a_temperature_is_reached_from_the_side_from_which_the_plan_comes(plan):
     index = index_of(plan, 3, Align)
-    from_above = approach(plan, index, Standing(True, False, 40.0))
+    from_above = approach(plan, index, RetainedState(True, False, 40.0))
     assert [each.step.temperature_c for each in from_above if isinstance(each.step, Chamber)] == [20]
-    from_below = approach(plan, index, Standing(True, False, 5.0))
+    from_below = approach(plan, index, RetainedState(True, False, 5.0))
     assert kinds(from_below) == [Chamber, Soak, Chamber, Soak, GoTo]
     assert [each.step.temperature_c for each in from_below if isinstance(each.step, Chamber)] == [60, 20]
 
 
 def test_air_that_is_where_it_was_has_not_come_from_the_wrong_side(plan):
-    steps = approach(plan, index_of(plan, 3, Align), Standing(True, False, 19.5))
+    steps = approach(plan, index_of(plan, 3, Align), RetainedState(True, False, 19.5))
     assert kinds(steps) == [Chamber, Soak, GoTo]
 
 
 def test_a_dwell_on_a_ramp_has_its_ramp_repeated_up_to_its_moment(plan):
     index = index_of(plan, 6, Align)
-    steps = approach(plan, index, Standing(True, False, 0.0))
+    steps = approach(plan, index, RetainedState(True, False, 0.0))
     assert kinds(steps) == [Chamber, Soak, Chamber, Soak, Chamber, Wait, GoTo]
     assert [each.step.temperature_c for each in steps if isinstance(each.step, Chamber)] == [60, 20, -20]
     ramp = next(each for each in plan.steps if each.step.name == "chamber" and each.step.temperature_c == -20)
@@ -103,16 +103,16 @@ def test_a_ramp_that_is_followed_by_dwells_begins_at_the_temperature_before(plan
         for i, each in enumerate(plan.steps)
         if each.step.name == "chamber" and each.step.temperature_c == -20
     )
-    assert kinds(approach(plan, index, Standing(True, False, 10.0))) == [Chamber, Soak, Chamber, Soak]
+    assert kinds(approach(plan, index, RetainedState(True, False, 10.0))) == [Chamber, Soak, Chamber, Soak]
 
 
 def test_a_ramp_that_is_followed_by_a_soak_goes_on_from_where_it_is(plan):
     index = next(i for i, each in enumerate(plan.steps) if isinstance(each.step, Chamber) and i > 3)
-    assert approach(plan, index, Standing(True, False, 35.0)) == []
-    assert kinds(approach(plan, index, Standing(True, False, 5.0))) == [Chamber, Soak]
+    assert approach(plan, index, RetainedState(True, False, 35.0)) == []
+    assert kinds(approach(plan, index, RetainedState(True, False, 5.0))) == [Chamber, Soak]
 
 
 def test_the_way_has_time_limits_of_its_own(plan):
-    chamber = approach(plan, index_of(plan, 1, Align), Standing(False, False, -20.0))[1]
+    chamber = approach(plan, index_of(plan, 1, Align), RetainedState(False, False, -20.0))[1]
     planned = next(each for each in plan.steps if isinstance(each.step, Chamber))
     assert chamber.timeout_s > 2 * 80 / 2 * 60 > planned.timeout_s

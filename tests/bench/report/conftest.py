@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointStopRow, write_joint
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, write_joint
 from gyrobench.bench.runs.tables.noise_file import write_noise
 from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry
 from tests.bench.report.made_up_noise import made_up_noise
@@ -91,7 +91,7 @@ def flagged(row: DwellRow, reason: str) -> DwellRow:
     return replace(without_paper(row), **nothing, flags=reason)
 
 
-def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointStopRow]]:
+def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointPlateauRow]]:
     """Biases a tenth better known together, and what each stop and all of them share."""
     stops = sorted({(row.cycle, row.chamber_set_c) for row in rows}, key=lambda key: (key[0], -key[1]))
     biases = [
@@ -105,7 +105,7 @@ def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointS
     ]  # fmt: skip
     up = (0.0021, 0.0003, -0.6, 0.09, 1e-7, "different")
     shared = [
-        JointStopRow(
+        JointPlateauRow(
             1 + number,
             cycle,
             6,
@@ -124,7 +124,7 @@ def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointS
         )
         for number, (cycle, set_c) in enumerate(stops)
     ]
-    last = JointStopRow(0, 0, len(rows), *[math.nan] * 9, *up, math.nan, math.nan)
+    last = JointPlateauRow(0, 0, len(rows), *[math.nan] * 9, *up, math.nan, math.nan)
     return biases, [*shared, last]
 
 
@@ -182,7 +182,7 @@ def write_run(folder: RunFolder, rows: list[DwellRow]) -> RunFolder:
     write_bins(folder.bias_bins, bin_biases(good))
     biases, stops = made_up_joint(good)
     write_joint(folder.joint_biases, biases, JointBiasRow)
-    write_joint(folder.joint, stops, JointStopRow)
+    write_joint(folder.joint, stops, JointPlateauRow)
     write_noise(folder.noise, made_up_noise())
     telemetry = Telemetry(folder.telemetry)
     columns = made_up_telemetry(max((row.end_s for row in rows), default=3600.0))

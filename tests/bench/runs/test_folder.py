@@ -25,7 +25,7 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path):
 
 
 def test_a_folder_without_a_journal_is_no_run_folder(tmp_path):
-    with pytest.raises(RunFolderError, match="no run folder"):
+    with pytest.raises(RunFolderError, match="not a run folder"):
         open_run_folder(tmp_path)
 
 
@@ -36,7 +36,7 @@ def test_a_run_folder_that_leads_elsewhere_by_a_link_is_refused(tmp_path, name):
     (run / name).parent.mkdir(parents=True, exist_ok=True)
     (run / "journal.jsonl").write_text("")
     (run / name).symlink_to(elsewhere)
-    with pytest.raises(RunFolderError, match=f"run/{name}: leads out of the run folder"):
+    with pytest.raises(RunFolderError, match=f"run/{name}: is a link out of the run folder"):
         open_run_folder(run)
 
 

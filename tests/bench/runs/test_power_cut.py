@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.run_dwells import replay
-from gyrobench.bench.engine.session import measure_again
+from gyrobench.bench.engine.evaluation import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
@@ -155,6 +155,6 @@ def test_a_run_that_was_killed_is_measured_again_as_far_as_it_is_finished(cut_ru
         state for state in states if state.get("run/journal.jsonl", b"").count(b'"dwell_finished"') == 1
     )
     lay_out(state, tmp_path)
-    folder = measure_again(tmp_path / "run")
+    folder = recompute_run(tmp_path / "run")
     assert folder == RunFolder(tmp_path / "run")
     assert folder.dwells.read_text().count("\n") == 2

@@ -130,6 +130,6 @@ def test_a_bench_is_of_the_dialects_that_were_asked_for_first():
     clock = VirtualClock()
     open_chamber(Station(find_document("stations", "emulated_f4t")), clock, Emulation("ideal"))
     with pytest.raises(
-        ConnectionFailedError, match="the chamber of this bench speaks watlow_f4t, not watlow_f4"
+        ConnectionFailedError, match="the chamber of this bench is a watlow_f4t, not a watlow_f4"
     ):
         open_chamber(Station(find_document("stations", "emulated")), clock, Emulation("ideal"))

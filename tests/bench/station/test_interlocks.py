@@ -25,19 +25,19 @@ def test_the_defaults_follow_from_the_limits_that_the_file_has(tmp_path, name):
 
 def test_what_may_pass_goes_on_by_itself_and_the_rest_needs_a_person(tmp_path):
     rules = loaded(tmp_path).interlocks.rules()
-    assert {name for name, rule in rules.items() if rule.needs == "nobody"} == {
+    assert {name for name, rule in rules.items() if rule.resume == "automatic"} == {
         "chamber_air_rate", "case_rate", "gyro_rate", "table_silence", "chamber_silence", "ins_silence",
         "chamber_deviation",
     }  # fmt: skip
     assert len(rules) == 18
-    assert loaded(tmp_path).interlocks.longest_hold_s == 24 * 3600.0
+    assert loaded(tmp_path).interlocks.max_hold_s == 24 * 3600.0
 
 
 INSIDE = {
-    "chamber_air: {high_c: 70}": "interlocks.chamber_air trips outside -55 to 70 degC, inside the limits",
+    "chamber_air: {high_c: 70}": "interlocks.chamber_air trips outside -55 to 70 degC, within the limits",
     "outer_angle: {low_deg: -10}": "interlocks.outer_angle trips outside -10 to 201 deg",
     "chamber_air_rate: {limit_c_per_min: 3}": "interlocks.chamber_air_rate trips above 3 degC/min",
-    "table_rate: {limit_dps: 20}": "interlocks.table_rate trips above 20 deg/s, inside the limit of 30 deg/s",
+    "table_rate: {limit_dps: 20}": "interlocks.table_rate trips above 20 deg/s, within the limit of 30 deg/s",
 }
 
 
@@ -49,14 +49,14 @@ def test_an_interlock_inside_the_limits_is_a_mistake(tmp_path, line, message):
 
 WRONG = {
     "case_temperature: {low_c: 50, high_c: 40}": r"low_c \(50\) must be below high_c \(40\)",
-    "chamber_air: {needs: a person}": "person",
+    "chamber_air: {resume: a person}": "person",
     "chamber_door: {}": "unknown key 'chamber_door'",
     "ins_silence: {limit_s: 0}": "greater than 0",
-    "gyro_rate: {most_resumes: -1}": "greater than or equal to 0",
+    "gyro_rate: {max_resumes: -1}": "greater than or equal to 0",
 }
 
 
 @pytest.mark.parametrize(("line", "message"), WRONG.items())
-def test_mistakes_are_told_with_their_place(tmp_path, line, message):
+def test_mistakes_are_reported_with_their_place(tmp_path, line, message):
     with pytest.raises(DocumentError, match=rf"station.yaml:\d+:\d+: .*{message}"):
         loaded(tmp_path, f"\ninterlocks:\n  {line}\n")

@@ -16,11 +16,11 @@ def load(*receivers, tmp="s.yaml"):
 def test_all_kinds_are_read_with_what_they_leave_out():
     webhook, ntfy, mail = load(
         '{kind: webhook, address: "https://hooks.example.org/{secret}", secret_file: /etc/bench/hook}',
-        "{kind: ntfy, address: https://ntfy.example.org/bench-2, on: [ends, needs_person], most_per_hour: 2}",
+        "{kind: ntfy, address: https://ntfy.example.org/bench-2, on: [ends, needs_person], max_per_hour: 2}",
         "{kind: email, address: a@example.org, sender: b@example.org, server: mail.example.org}",
     )
-    assert webhook.on == ["ends", "holds", "goes_on", "needs_person"]
-    assert webhook.most_per_hour == 6
+    assert webhook.on == ["ends", "holds", "resumes", "needs_person"]
+    assert webhook.max_per_hour == 6
     assert ntfy.on == ["ends", "needs_person"]
     assert (mail.port, mail.security, mail.user) == (587, "starttls", None)
 
@@ -34,7 +34,7 @@ def test_all_kinds_are_read_with_what_they_leave_out():
         ("kind: webhook, address: 'https://host/{secret}'", "needs secret_file or secret_env"),
         ("kind: webhook, address: 'https://host/', token: abc", "unknown key 'token'"),
         ("kind: webhook, address: 'ftp://host/'", "https:// or http://"),
-        ("kind: webhook, address: 'http://host:port/'", "is no address"),
+        ("kind: webhook, address: 'http://host:port/'", "not an address"),
         ("kind: webhook, address: 'http://host/', secret_env: A", "over https:// only"),
         ("kind: webhook, address: 'https://host/', secret_env: A, secret_file: /b", "one of"),
         ("kind: webhook, address: 'https://host/', secret_file: b", "absolute path"),

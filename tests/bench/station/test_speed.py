@@ -53,8 +53,8 @@ def test_an_emulated_bench_may_be_fast(station, addresses):
     [
         ({"table": "/dev/ttyUSB0"}, "/dev/ttyUSB0 is a real port"),
         ({"chamber": "/dev/serial/by-id/usb-adapter"}, "is a real port"),
-        ({"table": "socket://192.168.53.1:9878"}, "is no address of this computer"),
-        ({"chamber": "rfc2217://chamber.lab:4000"}, "is no address of this computer"),
+        ({"table": "socket://192.168.53.1:9878"}, "not an address of this computer"),
+        ({"chamber": "rfc2217://chamber.lab:4000"}, "not an address of this computer"),
         ({"ins": "interface: socketcan\n  channel: can0"}, "ins.interface: socketcan reaches a real bus"),
         ({"ins": "interface: slcan\n  channel: /dev/ttyACM0"}, "/dev/ttyACM0 is a real port"),
         (

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.verification.calibration import REACH_K, Calibration, TemperatureCurve, read_calibration
+from gyrobench.bench.verification.calibration import REACH_K, Calibration, InterpolatedCurve, read_calibration
 from tests.bench.verification.test_calibration_check import calibrated
 
 UG = 9.80665e-6
@@ -138,7 +138,7 @@ temperatures = st.floats(-60.0, 90.0)
 
 
 def curve(points):
-    return TemperatureCurve(points, SLOPE_SIGMA)
+    return InterpolatedCurve(points, SLOPE_SIGMA)
 
 
 def test_at_a_temperature_it_gives_what_was_measured_there():

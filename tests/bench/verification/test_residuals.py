@@ -9,8 +9,9 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.session import prepare_job, run_job
+from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.navigation.error_model import Site

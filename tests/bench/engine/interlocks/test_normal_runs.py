@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrobench.bench.engine.interlocks import Expected
+from gyrobench.bench.engine.bench_state import ExpectedState
 from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
@@ -33,7 +33,7 @@ def trips_of(folder, bench):
             case_c=row["case_c"],
         )
         told = None if set_c is None else True
-        bench.expected = replace(Expected(set_c, told, ins_on=is_on), table_prepared=True)
+        bench.expected = replace(ExpectedState(set_c, told, ins_on=is_on), table_prepared=True)
         tripped |= bench.poll(time_s - bench.clock.now()).keys()
     return tripped, len(telemetry["time_s"])
 

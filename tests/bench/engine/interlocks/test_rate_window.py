@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from gyrobench.bench.engine.interlocks.rate_window import RateWindow
+from gyrobench.bench.engine.interlocks.checks import RateWindow
 
 
 def test_nothing_is_told_before_half_the_window_is_filled():

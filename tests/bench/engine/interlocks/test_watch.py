@@ -4,7 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.engine.interlocks import Expected, text_of
+from gyrobench.bench.engine.bench_state import ExpectedState
+from gyrobench.bench.engine.interlocks.watch import text_of_trips
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
@@ -42,13 +43,13 @@ def _ins(**values):
 WRONG = {
     "air too warm": (_chamber(80.2, 20.0, True), "chamber_air", ["80.2", "80 degC"]),
     "air too cold": (_chamber(-55.3, 20.0, True), "chamber_air", ["-55.3", "-55 degC"]),
-    "air not a number": (_chamber(math.nan, 20.0, True), "chamber_air", ["not known", "-55 to 80"]),
+    "air not a number": (_chamber(math.nan, 20.0, True), "chamber_air", ["unknown", "-55 and 80"]),
     "case too warm": (_ins(case_c=95.5), "case_temperature", ["95.5", "95 degC"]),
     "gyro too cold": (_ins(optics_c=optics(1, -61.0)), "gyro_temperature", ["gyro y", "-61.0", "-60"]),
     "board too warm": (_ins(electronics_c=optics(2, 120.0)), "gyro_temperature", ["gyro z", "120.0", "95"]),
     "outer angle": (_table((201.5, 0.0), (0.0, 0.0)), "outer_angle", ["201.5", "201 deg"]),
     "inner angle": (_table((0.0, -390.0), (0.0, 0.0)), "inner_angle", ["-390.0", "-381 deg"]),
-    "angle not a number": (_table((math.nan, 0.0), (0.0, 0.0)), "outer_angle", ["not known", "201"]),
+    "angle not a number": (_table((math.nan, 0.0), (0.0, 0.0)), "outer_angle", ["unknown", "201"]),
     "rate": (_table((0.0, 0.0), (0.0, -34.0)), "table_rate", ["-34.0", "-33.5"]),
     "fault": (_bench(table_faults=("axis 1: rate trip",)), "table_fault", ["axis 1: rate trip"]),
     "servos open": (_table((0.0, 0.0), (0.0, 0.0), False), "table_fault", ["servo control"]),
@@ -56,8 +57,8 @@ WRONG = {
     "switched off": (_chamber(20.0, 20.0, False), "chamber_command", ["is off", "switched it on"]),
     "other set point": (_chamber(20.0, 25.0, True), "chamber_command", ["25 degC", "20 degC", "0.6 K"]),
     "fault of the INS": (_ins(mode=InsMode.FAULT), "ins_fault", ["reports a fault"]),
-    "silent INS": (_ins(age_s=5.5), "ins_silence", ["6 s (limit 5 s)"]),
-    "INS that never spoke": (_ins(age_s=math.inf), "ins_silence", ["10 s (limit 5 s)"]),
+    "silent INS": (_ins(age_s=5.5), "ins_silence", ["6 s; the limit is 5 s"]),
+    "INS that never spoke": (_ins(age_s=math.inf), "ins_silence", ["10 s; the limit is 5 s"]),
 }
 
 
@@ -106,7 +107,7 @@ def test_an_ins_that_was_off_may_have_been_silent_until_now(watched):
 
 def test_what_was_not_commanded_yet_trips_nothing(watched):
     bench = watched()
-    bench.expected = Expected()
+    bench.expected = ExpectedState()
     bench.chamber, bench.table = ChamberReading(20.0, -40.0, False), TableReading((0, 0), (0, 0), False)
     bench.table_faults, bench.ins.age_s = ("axis 1: interlock 1",), math.inf
     assert bench.poll() == {}
@@ -132,7 +133,7 @@ def test_values_that_are_too_old_to_tell_trip(watched, silent):
     assert bench.poll(40.0, others) == {}
     trips = bench.poll(1.0, others)
     assert list(trips) == [f"{silent}_silence"]
-    assert "41 s (limit 40 s), too old to tell" in trips[f"{silent}_silence"].text
+    assert "silent for 41 s; the limit is 40 s" in trips[f"{silent}_silence"].text
     assert bench.poll(1.0) == {}
 
 
@@ -156,8 +157,8 @@ def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(w
     assert bench.poll(1.0) == {}
     trips = bench.poll(10.0)
     assert list(trips) == ["case_temperature"]
-    assert "not known" in trips["case_temperature"].text
-    assert "-60 to 95 degC" in trips["case_temperature"].text
+    assert "unknown" in trips["case_temperature"].text
+    assert "-60 and 95 degC" in trips["case_temperature"].text
 
 
 def test_temperatures_that_come_after_the_first_look_at_an_ins_trip_nothing_before_the_next_look(watched):
@@ -183,7 +184,7 @@ def test_an_opened_door_trips_and_is_good_again_a_window_after_the_air_is_steady
     trips = bench.poll()
     assert list(trips) == ["chamber_air_rate"]
     assert "15.0 degC/min; the limit is 8 degC/min" in trips["chamber_air_rate"].text
-    assert trips["chamber_air_rate"].rule.needs == "nobody"
+    assert trips["chamber_air_rate"].rule.resume == "automatic"
     assert bench.poll_for(70.0) == {}
 
 
@@ -246,15 +247,15 @@ def test_it_tells_since_when_an_interlock_is_good(watched):
 
 def test_the_station_file_says_what_becomes_of_the_run(watched):
     bench = watched(
-        "\ninterlocks:\n  chamber_alarm: {needs: nobody, resume_after_s: 900, most_resumes: 2}\n"
+        "\ninterlocks:\n  chamber_alarm: {resume: automatic, resume_after_s: 900, max_resumes: 2}\n"
         "  chamber_air: {high_c: 76}\n"
     )
     bench.chamber, bench.chamber_alarms = ChamberReading(76.5, 20.0, True), ("alarm 1",)
     trips = bench.poll()
     rule = trips["chamber_alarm"].rule
-    assert (rule.needs, rule.resume_after_s, rule.most_resumes) == ("nobody", 900.0, 2)
+    assert (rule.resume, rule.resume_after_s, rule.max_resumes) == ("automatic", 900.0, 2)
     assert "above the limit of 76 degC" in trips["chamber_air"].text
-    assert trips["chamber_air"].rule.needs == "person"
+    assert trips["chamber_air"].rule.resume == "person"
 
 
 def test_air_that_leaves_a_set_point_that_it_had_reached_trips(watched):
@@ -271,7 +272,7 @@ def test_what_is_wrong_in_many_places_is_advised_once(station_of):
     bench = WatchedBench(station_of())
     bench.ins.optics_c = bench.ins.electronics_c = np.full(3, 200.0)
     bench.ins.case_c = 200.0
-    text = text_of(bench.poll().values())
-    assert text.count("Check the sensor and the signal map; let the unit come back") == 1
+    text = text_of_trips(bench.poll().values())
+    assert text.count("Check the sensor and the signal map; let the unit return") == 1
     assert text.count("above the limit") == 7
     assert ".;" not in text

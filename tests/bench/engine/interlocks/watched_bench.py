@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gyrobench.bench.engine.interlocks import Expected, InterlockWatch
-from gyrobench.bench.engine.readings import Readings
+from gyrobench.bench.engine.bench_state import ExpectedState, Readings
+from gyrobench.bench.engine.interlocks.watch import InterlockWatch
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
@@ -23,7 +23,7 @@ class Said:
     case_c: float = 28.0
 
 
-ALL_WELL = Expected(chamber_set_c=20.0, chamber_on=True, ins_on=True, table_prepared=True)
+ALL_WELL = ExpectedState(chamber_set_c=20.0, chamber_on=True, ins_on=True, table_prepared=True)
 
 
 class WatchedBench:

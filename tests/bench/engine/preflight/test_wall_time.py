@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.engine.preflight.session import check_bench
+from gyrobench.bench.engine.preflight.bench_check import check_bench
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError
 from gyrobench.bench.station.check import Verdict

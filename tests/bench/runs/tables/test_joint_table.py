@@ -12,11 +12,11 @@ from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
-    JointStopRow,
+    JointPlateauRow,
     joint_bias_rows,
-    joint_stop_rows,
+    joint_plateau_rows,
     read_joint_biases,
-    read_joint_stops,
+    read_joint_plateaus,
     write_joint,
 )
 from tests.bench.bias.emulated_groups import any_unit, follow_gravity, is_vertical, measure
@@ -30,8 +30,8 @@ SET_POINTS_C = (20.0, 50.0)
 def solved(unit, random):
     """Joint solutions of two temperatures, and the rate Up of both."""
     solutions = [
-        solve_jointly(measure(unit, random, first=1 + 6 * stop, chamber_set_c=set_c), PRIOR)
-        for stop, set_c in enumerate(SET_POINTS_C)
+        solve_jointly(measure(unit, random, first=1 + 6 * plateau, chamber_set_c=set_c), PRIOR)
+        for plateau, set_c in enumerate(SET_POINTS_C)
     ]
     return solutions, pooled_up_rate(solutions)
 
@@ -56,8 +56,8 @@ def biases(wrong_latitude):
 
 
 @pytest.fixture(scope="module")
-def stops(wrong_latitude):
-    return joint_stop_rows(*wrong_latitude[1:])
+def plateaus(wrong_latitude):
+    return joint_plateau_rows(*wrong_latitude[1:])
 
 
 def columns(rows, *names):
@@ -65,7 +65,7 @@ def columns(rows, *names):
 
 
 def test_every_gyro_of_every_dwell_has_a_row(biases):
-    assert [(row.stop, row.dwell, row.gyro) for row in biases] == [
+    assert [(row.plateau, row.dwell, row.gyro) for row in biases] == [
         (1 + (dwell - 1) // 6, dwell, gyro) for dwell in range(1, 13) for gyro in "xyz"
     ]
     assert {row.temperature_c for row in biases} == {25.0}
@@ -106,40 +106,40 @@ def test_nothing_is_corrected_where_biases_part_up_and_down(parting):
     solutions, rate = parting
     rows = joint_bias_rows(solutions, rate)
     assert np.isnan(columns(rows, "corrected_dph", "corrected_sigma_dph")).all()
-    assert {row.finding for row in joint_stop_rows(solutions, rate)} == {"different"}
+    assert {row.finding for row in joint_plateau_rows(solutions, rate)} == {"different"}
 
 
-def test_stops_tell_what_their_dwells_share(wrong_latitude, stops):
+def test_plateaus_tell_what_their_dwells_share(wrong_latitude, plateaus):
     unit, _, _ = wrong_latitude
-    assert [(row.stop, row.cycle, row.dwells) for row in stops] == [(1, 1, 6), (2, 1, 6), (0, 0, 12)]
-    assert [row.chamber_set_c for row in stops[:2]] == list(SET_POINTS_C)
-    for row in stops[:2]:
+    assert [(row.plateau, row.cycle, row.dwells) for row in plateaus] == [(1, 1, 6), (2, 1, 6), (0, 0, 12)]
+    assert [row.chamber_set_c for row in plateaus[:2]] == list(SET_POINTS_C)
+    for row in plateaus[:2]:
         for axis, true_ug in zip("xyz", unit.accelerometer_ug, strict=True):
             found, sigma = (getattr(row, f"accelerometer_{axis}_{what}ug") for what in ("", "sigma_"))
             assert found == pytest.approx(true_ug, abs=4.0 * sigma)
-    for row in stops:
+    for row in plateaus:
         assert row.finding == "latitude"
         assert row.latitude_error_arcmin == pytest.approx(
             LATITUDE_ERROR_ARCMIN, abs=4.0 * row.latitude_error_sigma_arcmin
         )
 
 
-def test_last_row_holds_the_rate_of_all_stops_and_no_more(stops):
-    last = stops[-1]
-    assert last.up_rate_sigma_dph < 0.8 * stops[0].up_rate_sigma_dph
+def test_last_row_holds_the_rate_of_all_plateaus_and_no_more(plateaus):
+    last = plateaus[-1]
+    assert last.up_rate_sigma_dph < 0.8 * plateaus[0].up_rate_sigma_dph
     assert np.isnan(
         [last.north_rate_dph, last.accelerometer_x_ug, last.chamber_set_c, last.fit_p_value]
     ).all()
 
 
-def test_one_stop_needs_no_row_of_all(wrong_latitude):
+def test_one_plateau_needs_no_row_of_all(wrong_latitude):
     _, (first, _), _ = wrong_latitude
-    assert [row.stop for row in joint_stop_rows([first], first.up_rate)] == [1]
+    assert [row.plateau for row in joint_plateau_rows([first], first.up_rate)] == [1]
 
 
 def test_no_solutions_make_no_rows():
     assert joint_bias_rows([], None) == []
-    assert joint_stop_rows([], None) == []
+    assert joint_plateau_rows([], None) == []
 
 
 def test_gain_is_the_ratio_of_the_uncertainties(wrong_latitude, biases):
@@ -157,16 +157,16 @@ def assert_same(read, written):
                 assert value == expected, name
 
 
-def test_tables_survive_writing_and_reading(biases, stops, parting, tmp_path):
+def test_tables_survive_writing_and_reading(biases, plateaus, parting, tmp_path):
     for rows in (biases, joint_bias_rows(*parting)):
         write_joint(tmp_path / "joint_biases.csv", rows, JointBiasRow)
         assert_same(read_joint_biases(tmp_path / "joint_biases.csv"), rows)
-    write_joint(tmp_path / "joint.csv", stops, JointStopRow)
-    assert_same(read_joint_stops(tmp_path / "joint.csv"), stops)
+    write_joint(tmp_path / "joint.csv", plateaus, JointPlateauRow)
+    assert_same(read_joint_plateaus(tmp_path / "joint.csv"), plateaus)
 
 
-def test_what_is_not_known_is_an_empty_cell(stops, tmp_path):
-    write_joint(tmp_path / "joint.csv", stops, JointStopRow)
+def test_what_is_not_known_is_an_empty_cell(plateaus, tmp_path):
+    write_joint(tmp_path / "joint.csv", plateaus, JointPlateauRow)
     header, *lines = (tmp_path / "joint.csv").read_text().splitlines()
     cells = dict(zip(header.split(","), lines[-1].split(","), strict=True))
     assert cells["accelerometer_x_ug"] == cells["fit_p_value"] == ""
@@ -174,9 +174,9 @@ def test_what_is_not_known_is_an_empty_cell(stops, tmp_path):
 
 
 def test_tables_without_rows_have_their_header(tmp_path):
-    write_joint(tmp_path / "joint.csv", [], JointStopRow)
+    write_joint(tmp_path / "joint.csv", [], JointPlateauRow)
     assert (tmp_path / "joint.csv").read_text().startswith("stop,cycle,dwells,chamber_set_c,")
-    assert read_joint_stops(tmp_path / "joint.csv") == []
+    assert read_joint_plateaus(tmp_path / "joint.csv") == []
 
 
 def test_every_mistake_is_told_with_line_and_column(biases, tmp_path):
@@ -196,34 +196,34 @@ def test_every_mistake_is_told_with_line_and_column(biases, tmp_path):
     assert "joint_biases.csv:4: column joint_dph: expected a number; found 'much'" in message
 
 
-def test_a_finding_that_is_none_is_told(stops, tmp_path):
+def test_a_finding_that_is_none_is_told(plateaus, tmp_path):
     path = tmp_path / "joint.csv"
-    write_joint(path, stops, JointStopRow)
+    write_joint(path, plateaus, JointPlateauRow)
     path.write_text(path.read_text().replace(",latitude,", ",longitude,"))
     with pytest.raises(DocumentError, match=r"joint\.csv:2: column finding: expected one of no_pair, "):
-        read_joint_stops(path)
+        read_joint_plateaus(path)
 
 
 def test_missing_columns_are_told(tmp_path):
     path = tmp_path / "joint.csv"
     path.write_text("stop,cycle\n1,1\n")
     with pytest.raises(DocumentError, match="lacks the columns dwells, chamber_set_c"):
-        read_joint_stops(path)
+        read_joint_plateaus(path)
 
 
 def test_files_that_can_not_be_read_or_written_are_named(tmp_path):
     with pytest.raises(DocumentError, match=r"absent\.csv: can't be read"):
-        read_joint_stops(tmp_path / "absent.csv")
+        read_joint_plateaus(tmp_path / "absent.csv")
     with pytest.raises(RunFolderError, match="can't be written"):
-        write_joint(tmp_path / "absent" / "joint.csv", [], JointStopRow)
+        write_joint(tmp_path / "absent" / "joint.csv", [], JointPlateauRow)
 
 
 def test_a_chamber_without_set_point_has_an_empty_cell(tmp_path):
     unit = any_unit(np.random.default_rng(5))
     dwells = measure(unit, None, ("z_up", "z_down"), chamber_set_c=math.nan)
     solution = solve_jointly(dwells, PRIOR)
-    write_joint(tmp_path / "joint.csv", joint_stop_rows([solution], solution.up_rate), JointStopRow)
-    (row,) = read_joint_stops(tmp_path / "joint.csv")
+    write_joint(tmp_path / "joint.csv", joint_plateau_rows([solution], solution.up_rate), JointPlateauRow)
+    (row,) = read_joint_plateaus(tmp_path / "joint.csv")
     assert math.isnan(row.chamber_set_c)
     assert row.finding == "one_gyro"
     assert math.isnan(row.up_rate_p_value)

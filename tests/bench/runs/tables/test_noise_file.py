@@ -43,7 +43,7 @@ def everything(noise):
             for each in (*noise.gyros, noise.all_gyros, noise.acceleration)
         ],
         [
-            each.fit and (each.fit.expected.tolist(), each.fit.used.tolist(), each.fit.misfit)
+            each.fit and (each.fit.expected.tolist(), each.fit.used.tolist(), each.fit.excess)
             for each in noise.gyros
         ],
     )

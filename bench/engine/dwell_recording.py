@@ -1,0 +1,225 @@
+"""The dwells of a run: recorded while they last, measured at their end, repeated where data are invalid."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.dwells.check_dwell import measure_check_dwell
+from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
+from gyrobench.bench.dwells.live import LiveEstimate
+from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
+from gyrobench.bench.dwells.run_dwells import add_dwell
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.drivers.ins.can_bus import FrameBlock
+
+#: A single reading of the table may differ by this much from the one at the window's begin, deg.
+_STILL_DEG = 0.001
+#: A creep of this size from the first third of a window's readings to the last biases the result by sigmas.
+_CREEP_DEG = 1e-4
+#: A creep also has to exceed the scatter of the readings by so many standard deviations.
+_CREEP_SIGMAS = 5.0
+
+
+class DwellRecorder:
+    """Marks of the dwell in progress.
+
+    Parameters
+    ----------
+    bench : LiveBench
+        Where frames and angles come from; its state gives position and numbers.
+    setup : MeasurementSetup
+        How frames become biases.
+    """
+
+    def __init__(self, bench: LiveBench, setup: MeasurementSetup) -> None:
+        self._bench = bench
+        self._setup = setup
+        self._align_begin_s = 0.0
+        self._start_s = 0.0
+        self._start_azimuth_deg = 0.0
+        self._first_frame = 0
+        self._angles: Angles = (0.0, 0.0)
+        self._turn: tuple[int | None, int | None] = (None, None)
+        self._windows: list[WindowMark] = []
+        self._disturbances: list[str] = []
+        self._live: LiveEstimate | None = None
+
+    def begin(self) -> None:
+        """Begin a dwell with its alignment."""
+        self._bench.begin_capture()
+        self._align_begin_s = self._bench.clock.now()
+        self._windows.clear()
+        self._disturbances.clear()
+        self._turn = (None, None)
+        self._start_azimuth_deg = self._bench.state.at.azimuth_deg
+        self._live = LiveEstimate(self._setup, self._frames)
+
+    def begin_window(self) -> None:
+        """Begin a window: the INS navigates at rest."""
+        self._first_frame = self._bench.captured_frames()
+        if not self._windows:
+            self._start_s = self._bench.clock.now()
+        self._angles = self._bench.table_angles()
+        self._bench.begin_window(is_first=not self._windows)
+
+    def end_window(self) -> None:
+        """End the window; a table that moved disturbs the dwell."""
+        read_deg = [
+            *(self._bench.capture.table_deg if self._bench.capture else ()),
+            self._bench.table_angles(),
+        ]
+        moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
+        if moved_deg > _STILL_DEG:
+            self.disturb(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
+        elif (creep_deg := _creep_deg(np.array(read_deg))) > _CREEP_DEG:
+            self.disturb(f"the table crept by {creep_deg:.5f} deg while the INS navigated")
+        self._windows.append(self._window())
+        self._turn = (None, None)
+
+    def begin_turn(self) -> None:
+        """Begin a turn."""
+        if self._turn[0] is None:
+            self._turn = (self._bench.captured_frames(), None)
+
+    def end_turn(self) -> None:
+        """End a turn: the table is at rest."""
+        self._turn = (self._turn[0], self._bench.captured_frames())
+
+    @property
+    def has_window(self) -> bool:
+        """Whether the INS has navigated in this dwell."""
+        return bool(self._windows)
+
+    def estimate_so_far(self) -> StateSpaceEstimate | None:
+        """Estimate the biases during a window; None as long as they are not observable."""
+        return self._live.update([*self._windows, self._window()]) if self._live else None
+
+    def _window(self) -> WindowMark:
+        return WindowMark(self._first_frame, self._bench.captured_frames(), *self._angles, *self._turn)
+
+    def _frames(self, first: int) -> FrameBlock:
+        capture = self._bench.capture
+        return capture.frames(first) if capture else FrameBlock.from_messages([])
+
+    def disturb(self, text: str) -> None:
+        """Note a disturbance of the dwell in progress, which keeps it out of the bins."""
+        if text not in self._disturbances:
+            self._disturbances.append(text)
+
+    def marks(self) -> DwellMarks:
+        """Return the marks of the dwell that is over."""
+        at = self._bench.state.at
+        capture = self._bench.capture
+        chamber_c = capture.chamber_c if capture else []
+        return DwellMarks(
+            unit=at.unit,
+            run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{at.power_ons}",
+            dwell=at.dwell,
+            cycle=at.cycle,
+            position=at.position,
+            azimuth_deg=self._start_azimuth_deg,
+            log_part=capture.log_part if capture else 0,
+            windows=tuple(self._windows),
+            start_s=round(self._start_s, 6),
+            end_s=round(self._bench.clock.now(), 6),
+            since_power_on_s=round(self._start_s - at.powered_s, 6),
+            chamber_set_c=self._bench.state.commanded_c,
+            chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
+            is_verification=at.is_verification,
+            align_s=round(self._start_s - self._align_begin_s, 6),
+            disturbances=tuple(self._disturbances),
+        )
+
+
+def _creep_deg(read_deg: FloatArray) -> float:
+    """Creep of readings in time order, shape (n, 2), beyond their scatter, deg; else zero."""
+    count = len(read_deg) // 3
+    if count == 0:
+        return 0.0
+    first, last = read_deg[:count], read_deg[-count:]
+    creep_deg = np.abs(last.mean(axis=0) - first.mean(axis=0))
+    scatter_deg = np.sqrt((first.var(axis=0) + last.var(axis=0)) / count)
+    return float(np.where(creep_deg > _CREEP_SIGMAS * scatter_deg, creep_deg, 0.0).max())
+
+
+class DwellLedger:
+    """Decides what happens to each dwell, and keeps journal and dwell table.
+
+    Parameters
+    ----------
+    run : RunContext
+        The run.
+    recorder : DwellRecorder
+        Its dwell in progress.
+    """
+
+    def __init__(self, run: RunContext, recorder: DwellRecorder) -> None:
+        self._run = run
+        self._bench = run.bench
+        self._recorder = recorder
+
+    def finish(self) -> bool:
+        """Measure the dwell that is over; returns False where it has to be repeated."""
+        run = self._run
+        marks = self._recorder.marks()
+        frames = self._bench.end_capture()
+        measure = measure_check_dwell if marks.is_verification else measure_dwell
+        measured = measure(marks, frames, run.setup)
+        if measured.is_disturbed and self.may_repeat(marks.dwell):
+            self._repeat(marks.dwell, measured.flags, counts=True)
+            return False
+        run.journal.record(
+            "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
+        )
+        run.state.finished.add(marks.dwell)
+        if isinstance(measured, MeasuredDwell):
+            dwells = run.outcome.dwells
+            add_dwell(dwells, measured)
+            write_dwells(run.folder.dwells, [each.row for each in dwells])
+            run.observers.dwell_measured(dwells[-1].row)
+        else:
+            run.outcome.verifications.append(measured)
+            text = measured.flags or "measured for the calibration check"
+            run.observers.noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
+        return True
+
+    def may_repeat(self, dwell: int) -> bool:
+        """Whether the procedure allows that a dwell with invalid data is repeated."""
+        procedure, repeats = self._run.plan.procedure, self._run.state.repeats
+        return (
+            procedure.disturbed_dwell == "repeat"
+            and repeats[dwell] < procedure.max_repeats
+            and repeats.total() < procedure.max_repeats_total
+        )
+
+    def discard(self, dwell: int | None, why: str, counts: bool) -> None:
+        """Discard the dwell in progress, if there is one; it is repeated.
+
+        Parameters
+        ----------
+        counts : bool
+            Whether the repeat counts against the procedure's limit.
+        """
+        if dwell and self._bench.capture:
+            self._bench.end_capture()
+            self._repeat(dwell, why, counts)
+
+    def skip(self, dwell: int) -> None:
+        """Leave a dwell out."""
+        if self._bench.capture:
+            self._bench.end_capture()
+        self._run.journal.record("dwell_skipped", dwell=dwell)
+        self._run.state.skipped.add(dwell)
+        self._run.observers.noted(f"dwell {dwell} is skipped")
+
+    def _repeat(self, dwell: int, why: str, counts: bool) -> None:
+        self._run.state.repeats[dwell] += counts
+        self._run.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
+        self._run.observers.noted(f"dwell {dwell} is repeated: {why}")

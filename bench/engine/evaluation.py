@@ -1,0 +1,69 @@
+"""The results of a run: computed at its end, or recomputed from its raw CAN log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
+from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measurement_setup
+from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
+from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.station.station import Station
+from gyrobench.bench.verification.calibration_check import calibration_check_rows
+
+
+def evaluate_run(
+    folder: RunFolder,
+    plan: Plan,
+    setup: MeasurementSetup,
+    dwells: Sequence[MeasuredDwell],
+    check_dwells: Sequence[CheckDwell],
+    calibration: Sequence[DwellRow],
+) -> RunResults:
+    """Compute the results of all dwells of a run, and write them into its folder.
+
+    Parameters
+    ----------
+    check_dwells : sequence of CheckDwell
+        Dwells that check a calibration.
+    calibration : sequence of DwellRow
+        What they are compared with; the run's own dwells where empty.
+
+    Raises
+    ------
+    RunFolderError
+        The tables can't be written.
+    """
+    check = calibration_check_rows(check_dwells, calibration or [dwell.row for dwell in dwells], setup)
+    procedure = plan.procedure
+    results = evaluate(
+        dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
+    )
+    write_results(folder, results)
+    return results
+
+
+def recompute_run(path: Path) -> RunFolder:
+    """Measure a run again from its raw log, and write its tables.
+
+    Raises
+    ------
+    RunFolderError
+        The folder is no run folder, or its log can't be read.
+    DocumentError
+        The procedure, station or DBC file in it is wrong.
+    """
+    folder = open_run_folder(path)
+    document, procedure = load_procedure(folder.procedure)
+    station = Station(folder.station)
+    setup = measurement_setup(station)
+    dwells, check_dwells = replay(folder, setup)
+    write_dwells(folder.dwells, [dwell.row for dwell in dwells])
+    calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
+    evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
+    return folder

@@ -1,0 +1,380 @@
+"""What the interlocks check on rate table, chamber and INS, and what they report."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from gyrobench.bench.engine.bench_state import ExpectedState, Readings
+from gyrobench.bench.station.interlocks import TemperatureInterlock, TemperatureRateInterlock
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.ins.readout import InsMode
+
+_CHECK_LINE = "Check its power, cable and port."
+_CHECK_SERVO = "Check the controller's limits and its servo."
+_CHECK_PANEL = "Check whether it was changed at its panel or its controller was restarted."
+_CHECK_SENSOR = "Check the sensor and the signal map"
+_COOL_DOWN = f"{_CHECK_SENSOR}; let the unit return to room temperature."
+#: The acceleration is not computed from readings closer than this: their times are too uncertain.
+_MIN_SPAN_S = 0.4
+#: A rate needs two periods between readings, and a margin for late ones.
+_MIN_PERIODS = 2.5
+
+
+class Finding(NamedTuple):
+    """A violation; ``interlock`` is its key in the station file.
+
+    ``problem`` is a sentence without full stop, ``advice`` is whole sentences or empty.
+    """
+
+    interlock: str
+    problem: str
+    advice: str
+
+
+def text_of_findings(findings: Iterable[Finding]) -> str:
+    """Return all findings as text, each advice once."""
+    problems: dict[str, list[str]] = {}
+    for finding in findings:
+        problems.setdefault(finding.advice, []).append(finding.problem)
+    return " ".join(
+        "; ".join(texts) + (f". {advice}" if advice else "") for advice, texts in problems.items()
+    )
+
+
+def _out_of_range(what: str, value: float, low: float, high: float, unit: str) -> str:
+    """Describe how a value is outside its range; empty where it is inside."""
+    if low <= value <= high:
+        return ""
+    if math.isnan(value):
+        return f"{what} is unknown; the limits are {low:g} and {high:g} {unit}"
+    side, limit = ("below", low) if value < low else ("above", high)
+    return f"{what} is {value:.1f} {unit}, {side} the limit of {limit:g} {unit}"
+
+
+def _too_fast(what: str, rate_per_s: float | None, limit_per_min: float) -> str:
+    """Describe that a temperature changes too fast; empty where it does not, or the rate is unknown."""
+    if rate_per_s is None or abs(rate_per_s) * 60.0 <= limit_per_min:
+        return ""
+    return f"{what} changes by {rate_per_s * 60.0:.1f} degC/min; the limit is {limit_per_min:g} degC/min"
+
+
+def _silent(instrument: str, age_s: float, limit_s: float) -> str:
+    """Describe that an instrument's last answer is too old; empty where it is not."""
+    if age_s <= limit_s:
+        return ""
+    if math.isinf(age_s):
+        return f"the {instrument} has not sent anything yet; the limit is {limit_s:g} s"
+    return f"the {instrument} has been silent for {age_s:.0f} s; the limit is {limit_s:g} s"
+
+
+class RateWindow:
+    """The newest values of a quantity, for its rate of change.
+
+    Parameters
+    ----------
+    window_s : float
+        Time over which the change is taken.
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self._window_s = window_s
+        self._values: deque[tuple[float, float]] = deque()
+
+    @classmethod
+    def for_readings(cls, window_s: float, period_s: float) -> RateWindow:
+        """Make a window that holds at least three readings at intervals of ``period_s``."""
+        return cls(max(window_s, _MIN_PERIODS * period_s))
+
+    def add(self, time_s: float, value: float) -> None:
+        """Add a value; one that is not finite, or not newer than the last, is ignored.
+
+        A gap longer than the window discards the values before it.
+        """
+        values = self._values
+        if not math.isfinite(value) or (values and time_s <= values[-1][0]):
+            return
+        if values and time_s - values[-1][0] > self._window_s:
+            values.clear()
+        values.append((time_s, value))
+        while time_s - values[0][0] > self._window_s:
+            values.popleft()
+
+    def per_s(self) -> float | None:
+        """Return the change from oldest to newest value, per s; None until half the window is filled."""
+        if not self._values:
+            return None
+        (first_s, first), (last_s, last) = self._values[0], self._values[-1]
+        duration_s = last_s - first_s
+        return (last - first) / duration_s if duration_s > 0.0 and duration_s >= self._window_s / 2 else None
+
+
+class TableChecks:
+    """Angles, rates, accelerations, faults and silence of the rate table.
+
+    Parameters
+    ----------
+    station : Station
+        Its limits: those of the interlocks, or else those of the table with a margin.
+    """
+
+    def __init__(self, station: Station) -> None:
+        rules, section = station.file.interlocks, station.file.rate_table
+        limits = section.limits
+        self._station = station
+        self._rate_dps = rules.table_rate.limit_or_default_dps(limits.rate_dps)
+        self._acceleration_dps2 = rules.table_acceleration.limit_or_default_dps2(limits.acceleration_dps2)
+        self._angles_deg = {
+            "outer": rules.outer_angle.range_deg(section.outer_limits_deg),
+            "inner": rules.inner_angle.range_deg(section.inner_limits_deg),
+        }
+        self._silence_s = rules.table_silence.limit_or_default_s(station.instruments_period_s)
+        self._rates: tuple[float, tuple[float, float]] = (-math.inf, (0.0, 0.0))
+        self._accelerations_dps2 = (0.0, 0.0)
+        self._prepared = False
+        self._prepared_s = -math.inf
+
+    def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - as the others
+        """Take a reading; an old one changes nothing."""
+        before_s, before_dps = self._rates
+        span_s = readings.table_s - before_s
+        if span_s < _MIN_SPAN_S:
+            return
+        rates_dps = self._station.table_axes_of(readings.table.rate_dps)
+        self._accelerations_dps2 = (
+            (rates_dps[0] - before_dps[0]) / span_s,
+            (rates_dps[1] - before_dps[1]) / span_s,
+        )
+        self._rates = (readings.table_s, rates_dps)
+
+    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
+        """Yield what is wrong now."""
+        if expected.table_prepared and not self._prepared:
+            self._prepared_s = now_s
+        self._prepared = expected.table_prepared
+        if problem := _silent("rate table", now_s - readings.table_s, self._silence_s):
+            yield Finding("table_silence", problem, _CHECK_LINE)
+        yield from self._motion(readings)
+        if self._prepared and readings.table_s > self._prepared_s:
+            yield from self._faults(readings)
+
+    def _motion(self, readings: Readings) -> Iterator[Finding]:
+        angles_deg = self._station.table_axes_of(readings.table.position_deg)
+        rates_dps = self._station.table_axes_of(readings.table.rate_dps)
+        for (axis, range_deg), angle_deg, rate_dps, acceleration_dps2 in zip(
+            self._angles_deg.items(), angles_deg, rates_dps, self._accelerations_dps2, strict=True
+        ):
+            if problem := _out_of_range(f"the angle of the {axis} axis", angle_deg, *range_deg, "deg"):
+                yield Finding(
+                    f"{axis}_angle",
+                    problem,
+                    "Check cables and mechanical stops before the table moves again.",
+                )
+            for interlock, what, value, limit, unit in (
+                ("table_rate", "rate", rate_dps, self._rate_dps, "deg/s"),
+                ("table_acceleration", "acceleration", acceleration_dps2, self._acceleration_dps2, "deg/s2"),
+            ):
+                if problem := _out_of_range(f"the {what} of the {axis} axis", value, -limit, limit, unit):
+                    yield Finding(interlock, problem, _CHECK_SERVO)
+
+    def _faults(self, readings: Readings) -> Iterator[Finding]:
+        for fault in readings.table_faults:
+            yield Finding(
+                "table_fault",
+                f"the rate table reports {fault}",
+                "Find the cause before the table moves again.",
+            )
+        if not readings.table.is_servoed and not readings.table_faults:
+            yield Finding(
+                "table_fault",
+                "an axis of the rate table is not under servo control although the bench closed its servos",
+                "Check whether the controller was restarted or the servos were opened at its panel.",
+            )
+
+
+class ChamberChecks:
+    """Air, alarms and silence of the chamber, and whether it does what was commanded.
+
+    Parameters
+    ----------
+    station : Station
+        Its limits: those of the interlocks, or else those of the chamber with a margin.
+    """
+
+    def __init__(self, station: Station) -> None:
+        rules, limits = station.file.interlocks, station.file.chamber.limits
+        self._range_c = rules.chamber_air.range_c((limits.low_c, limits.high_c))
+        self._rate_c_per_min = rules.chamber_air_rate.limit_or_default_c_per_min(limits.ramp_c_per_min)
+        self._rate = RateWindow.for_readings(rules.chamber_air_rate.window_s, station.instruments_period_s)
+        self._tolerance_c = rules.chamber_command.tolerance_c
+        self._deviation_c = rules.chamber_deviation.tolerance_c
+        self._silence_s = rules.chamber_silence.limit_or_default_s(station.instruments_period_s)
+        self._commanded: tuple[float | None, bool | None] = (None, None)
+        self._commanded_s = -math.inf
+
+    def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - as the others
+        """Take a reading; an old one changes nothing."""
+        self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
+
+    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
+        """Yield what is wrong now."""
+        commanded = (expected.chamber_set_c, expected.chamber_on)
+        if commanded != self._commanded:
+            self._commanded, self._commanded_s = commanded, now_s
+        if problem := _silent("chamber", now_s - readings.chamber_s, self._silence_s):
+            yield Finding("chamber_silence", problem, _CHECK_LINE)
+        air_c = readings.chamber.temperature_c
+        if problem := _out_of_range("the chamber's air", air_c, *self._range_c, "degC"):
+            yield Finding("chamber_air", problem, "Check controller, sensor and door.")
+        if problem := _too_fast("the chamber's air", self._rate.per_s(), self._rate_c_per_min):
+            yield Finding("chamber_air_rate", problem, "Check whether its door is open.")
+        for alarm in readings.chamber_alarms:
+            yield Finding(
+                "chamber_alarm",
+                f"the chamber reports {alarm}",
+                "Find the cause and clear the alarm at its panel.",
+            )
+        if readings.chamber_s > self._commanded_s:
+            yield from self._deviations_from_command(readings)
+        if expected.chamber_reached and expected.chamber_set_c is not None:
+            off_c = air_c - expected.chamber_set_c
+            if not abs(off_c) <= self._deviation_c:
+                yield Finding(
+                    "chamber_deviation",
+                    f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point that it "
+                    f"had reached; the limit is {self._deviation_c:g} K",
+                    "Check the chamber's machinery and door.",
+                )
+
+    def _deviations_from_command(self, readings: Readings) -> Iterator[Finding]:
+        chamber, (set_c, on) = readings.chamber, self._commanded
+        if on is not None and chamber.is_on is not None and chamber.is_on != on:
+            yield Finding(
+                "chamber_command",
+                f"the chamber is {_on_off(chamber.is_on)} although the bench switched it {_on_off(on)}",
+                _CHECK_PANEL,
+            )
+        if set_c is not None and chamber.set_point_c is not None:
+            off_c = abs(chamber.set_point_c - set_c)
+            if not off_c <= self._tolerance_c:
+                yield Finding(
+                    "chamber_command",
+                    f"the chamber's set point is {chamber.set_point_c:g} degC, {off_c:.1f} K from the "
+                    f"commanded {set_c:g} degC; the limit is {self._tolerance_c:g} K",
+                    _CHECK_PANEL,
+                )
+
+
+def _on_off(on: bool) -> str:
+    return "on" if on else "off"
+
+
+@dataclass
+class _Temperature:
+    """One temperature that the INS sends."""
+
+    what: str
+    read: Callable[[InsStatus], float]
+    kind: str
+    level: TemperatureInterlock
+    rate_c_per_min: float
+    rate: RateWindow
+    value_c: float = math.nan
+    known_s: float = -math.inf
+
+
+class InsChecks:
+    """Temperatures, fault and silence of the INS; nothing trips while it is off.
+
+    Temperatures that the signal map lacks are not checked.
+
+    Parameters
+    ----------
+    station : Station
+        Its limits.
+    """
+
+    def __init__(self, station: Station) -> None:
+        self._silence_s = station.file.interlocks.ins_silence.limit_s
+        self._period_s = station.instruments_period_s + 2.0 * station.tick_s
+        self._temperatures = list(_temperatures(station))
+        self._observed_s = -math.inf
+        self._on = False
+        self._on_s = -math.inf
+
+    def observe(self, readings: Readings, now_s: float) -> None:
+        """Take the status of the INS."""
+        self._observed_s = now_s
+        for temperature in self._temperatures:
+            temperature.value_c = temperature.read(readings.ins)
+            temperature.rate.add(now_s, temperature.value_c)
+            if math.isfinite(temperature.value_c):
+                temperature.known_s = now_s
+
+    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
+        """Yield what is wrong now."""
+        if expected.ins_on and not self._on:
+            self._on_s = now_s
+        self._on = expected.ins_on
+        if not self._on:
+            return
+        if problem := _silent("INS", self._age_s(readings, now_s), self._silence_s):
+            yield Finding("ins_silence", problem, _CHECK_LINE)
+            return
+        if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
+            yield Finding("ins_fault", "the INS reports a fault", "Read its built-in test results.")
+        for temperature in self._temperatures:
+            # By the observations: the first may come before the first temperatures.
+            unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
+            level = temperature.level
+            if (math.isfinite(temperature.value_c) or unknown_s > self._silence_s) and (
+                problem := _out_of_range(
+                    temperature.what, temperature.value_c, level.low_c, level.high_c, "degC"
+                )
+            ):
+                yield Finding(f"{temperature.kind}_temperature", problem, _COOL_DOWN)
+            if problem := _too_fast(temperature.what, temperature.rate.per_s(), temperature.rate_c_per_min):
+                yield Finding(f"{temperature.kind}_rate", problem, f"{_CHECK_SENSOR}.")
+
+    def _age_s(self, readings: Readings, now_s: float) -> float:
+        """Silence of the INS since it was switched on, as far as it was observed in time."""
+        silent_s = min(readings.ins.age_s, max(0.0, self._observed_s - self._on_s))
+        overdue_s = now_s - max(self._observed_s, self._on_s)
+        return silent_s + (overdue_s if overdue_s > self._period_s else 0.0)
+
+
+def _temperatures(station: Station) -> Iterator[_Temperature]:
+    signals, rules = station.file.ins.signals, station.file.interlocks
+
+    def temperature(
+        what: str,
+        read: Callable[[InsStatus], float],
+        kind: str,
+        level: TemperatureInterlock,
+        rate: TemperatureRateInterlock,
+    ) -> _Temperature:
+        limit_c_per_min = rate.limit_or_default_c_per_min(station.file.chamber.limits.ramp_c_per_min)
+        window = RateWindow.for_readings(rate.window_s, station.instruments_period_s)
+        return _Temperature(f"the temperature of {what}", read, kind, level, limit_c_per_min, window)
+
+    if signals.case_temperature is not None:
+        yield temperature("the case", lambda ins: ins.case_c, "case", rules.case_temperature, rules.case_rate)
+    for part, mapped in (
+        ("optics", signals.gyro_optics_temperature),
+        ("electronics", signals.gyro_electronics_temperature),
+    ):
+        if mapped is None:
+            continue
+        for index, axis in enumerate("xyz"):
+            read = _gyro_temperature(f"{part}_c", index)
+            yield temperature(
+                f"the {part} of gyro {axis}", read, "gyro", rules.gyro_temperature, rules.gyro_rate
+            )
+
+
+def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:
+    return lambda ins: float(getattr(ins, attribute)[index])

@@ -1,0 +1,121 @@
+"""What is to be run, checked before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
+from gyrobench.bench.verification.calibration import read_calibration
+from gyrobench.drivers.ins.command_map import Compensation
+
+
+@dataclass(frozen=True)
+class Job:
+    """A checked procedure on a station, with what it is compared with and what the INS is given."""
+
+    document: Document
+    plan: Plan
+    station: Station
+    emulation: Emulation
+    calibration: tuple[DwellRow, ...] = ()
+    compensation: Compensation | None = None
+
+    def emulated_world(self) -> dict[str, str | int]:
+        """Options of the emulated instruments; empty where none is emulated."""
+        if not self.station.file.is_emulated():
+            return {}
+        faults = {"faults": self.emulation.faults} if self.emulation.faults else {}
+        return {"world": self.emulation.world, "seed": self.emulation.seed, **faults}
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether it runs on virtual time, where no operator can answer."""
+        return self.station.is_virtual
+
+    @property
+    def options(self) -> dict[str, str | int]:
+        """How it is run, as provenance and journal keep it; :func:`emulation_of` reads it."""
+        return {"clock": self.station.file.clock, **self.emulated_world()}
+
+
+def emulation_of(folder: RunFolder) -> Emulation:
+    """World, seed and faults behind the emulated instruments of a run; the default without any."""
+    options = read_provenance(folder).get("options", {})
+    return Emulation(
+        str(options.get("world", Emulation.world)),
+        int(options.get("seed", Emulation.seed)),
+        str(options.get("faults", "")),
+    )
+
+
+def prepare_job(
+    procedure: str,
+    station: str,
+    emulation: Emulation | None = None,
+    calibration: Path | None = None,
+    compensation: Compensation | None = None,
+) -> Job:
+    """Read procedure and station and check the one against the other.
+
+    Parameters
+    ----------
+    calibration : Path, optional
+        Run folder or dwell table that calibration checks are compared with.
+    compensation : Compensation, optional
+        Loaded into the INS after each power-on.
+
+    Raises
+    ------
+    DocumentError
+        Lists everything wrong with them, with places; or the INS does not accept the compensation.
+    """
+    bench = Station(find_document("stations", station))
+    bench.check_dbc()
+    document, model = load_procedure(find_document("procedures", procedure))
+    plan = bench.plan(document, model)
+    if calibration and not any(planned.is_verification for planned in plan.steps):
+        raise DocumentError(
+            f"{document.path}: checks no calibration, so {calibration} is not used. Leave --calibration out, "
+            "or choose a procedure with `purpose: verification`"
+        )
+    rows = tuple(read_calibration(calibration)) if calibration else ()
+    if compensation is not None:
+        _check_compensation(bench, compensation)
+    return Job(document, plan, bench, emulation or Emulation(), rows, compensation)
+
+
+def job_in(folder: RunFolder) -> Job:
+    """The job of a run as its folder holds it."""
+    compensation = read_compensation(folder.compensation) if folder.compensation.exists() else None
+    calibration = folder.calibration if folder.calibration.exists() else None
+    return prepare_job(
+        str(folder.procedure), str(folder.station), emulation_of(folder), calibration, compensation
+    )
+
+
+def _check_compensation(station: Station, compensation: Compensation) -> None:
+    """Refuse what the INS does not accept, before anything moves."""
+    commands = station.file.ins.commands
+    load = commands.load_compensation
+    if load is None or commands.apply_compensation is None:
+        raise DocumentError(
+            f"{station.path}: ins.commands lacks load_compensation or apply_compensation, so no compensation "
+            "can be loaded into the INS. Map both commands, or run without --compensation"
+        )
+    refused = load.refuses(compensation)
+    if refused:
+        raise DocumentError(
+            f"{station.path}: ins.commands.load_compensation does not accept {', '.join(refused)}. "
+            "Map the indices of these terms, or remove the terms from the compensation"
+        )

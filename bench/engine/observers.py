@@ -1,0 +1,206 @@
+"""Observers of a run: what they are notified of, and how the run ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.dwell import MeasuredDwell
+from gyrobench.bench.dwells.results import RunResults
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.operator import Operator, RunCommand
+from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.safe_state import SafeAction
+
+
+@dataclass
+class RunOutcome:
+    """How a run ended.
+
+    Attributes
+    ----------
+    ended : str
+        "finished", "stopped" (by the operator, or a hold lasted too long) or "failed".
+    reason : str
+        Why it did not finish; empty where it did.
+    dwells : list of MeasuredDwell
+        Measured dwells.
+    verifications : list of CheckDwell
+        Dwells that check a calibration.
+    results : RunResults
+        Results of all dwells together.
+    duration_s : float
+        On the run's clock.
+    took_s : dict of str to list of tuple
+        Planned and actual duration of every finished step, by kind.
+    safe_state : list of SafeAction
+        The actions at the end that brought the bench to its safe state.
+    """
+
+    ended: str = "finished"
+    reason: str = ""
+    dwells: list[MeasuredDwell] = field(default_factory=list)
+    verifications: list[CheckDwell] = field(default_factory=list)
+    results: RunResults = field(default_factory=RunResults)
+    duration_s: float = 0.0
+    took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    safe_state: list[SafeAction] = field(default_factory=list)
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether every action at the end succeeded."""
+        return not any(action.problem for action in self.safe_state)
+
+    def fail(self, reason: str) -> None:
+        """Note a failure, unless there is one already."""
+        if self.ended == "finished":
+            self.ended, self.reason = "failed", reason
+
+
+class RunObserver:
+    """Watches a run; a subclass overrides the methods that it needs.
+
+    No method may raise or take long: the run waits for it.
+    """
+
+    def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
+        """The instruments are open and the run folder exists.
+
+        ``outcome`` holds what was measured before the run was resumed; the run adds to it.
+        """
+
+    def noted(self, text: str) -> None:
+        """Something that the operator should know."""
+
+    def identified(self, unit: str) -> None:
+        """The serial number of the INS is known."""
+
+    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
+        """A step begins."""
+
+    def beat(self, bench: LiveBench) -> None:
+        """A tick has passed, in a step or in a hold."""
+
+    def ticked(self, bench: LiveBench, left_s: float) -> None:
+        """A tick has passed in a step; ``left_s`` remain by the plan."""
+
+    def estimated(self, estimate: StateSpaceEstimate) -> None:
+        """A new estimate of the biases of the dwell in progress."""
+
+    def dwell_measured(self, row: DwellRow) -> None:
+        """A dwell is over and its biases are known."""
+
+    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:
+        """The run holds: by a command, or (None) because of an interlock."""
+
+    def continued(self) -> None:
+        """A hold is over."""
+
+    def asked(self, question: str, answers: Sequence[str]) -> None:
+        """The operator is asked."""
+
+    def answered(self) -> None:
+        """No question is open."""
+
+    def ended(self, outcome: RunOutcome) -> None:
+        """The bench is safe and the run is over."""
+
+
+class ObserverGroup(RunObserver):
+    """Notifies each of its members, in their order."""
+
+    def __init__(self, *members: RunObserver) -> None:
+        self._members = members
+
+    def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:  # noqa: D102
+        for member in self._members:
+            member.begun(folder, bench, outcome)
+
+    def noted(self, text: str) -> None:  # noqa: D102
+        for member in self._members:
+            member.noted(text)
+
+    def identified(self, unit: str) -> None:  # noqa: D102
+        for member in self._members:
+            member.identified(unit)
+
+    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:  # noqa: D102
+        for member in self._members:
+            member.step_started(planned, bench)
+
+    def beat(self, bench: LiveBench) -> None:  # noqa: D102
+        for member in self._members:
+            member.beat(bench)
+
+    def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: D102
+        for member in self._members:
+            member.ticked(bench, left_s)
+
+    def estimated(self, estimate: StateSpaceEstimate) -> None:  # noqa: D102
+        for member in self._members:
+            member.estimated(estimate)
+
+    def dwell_measured(self, row: DwellRow) -> None:  # noqa: D102
+        for member in self._members:
+            member.dwell_measured(row)
+
+    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: D102
+        for member in self._members:
+            member.held(why, needs_person, command)
+
+    def continued(self) -> None:  # noqa: D102
+        for member in self._members:
+            member.continued()
+
+    def asked(self, question: str, answers: Sequence[str]) -> None:  # noqa: D102
+        for member in self._members:
+            member.asked(question, answers)
+
+    def answered(self) -> None:  # noqa: D102
+        for member in self._members:
+            member.answered()
+
+    def ended(self, outcome: RunOutcome) -> None:  # noqa: D102
+        for member in self._members:
+            member.ended(outcome)
+
+
+class ObservedOperator:
+    """An operator whose open question the observers see.
+
+    Parameters
+    ----------
+    operator : Operator
+        Answers.
+    observer : RunObserver
+        Is notified.
+    """
+
+    def __init__(self, operator: Operator, observer: RunObserver) -> None:
+        self._operator = operator
+        self._observer = observer
+
+    def ask(self, question: str, answers: Sequence[str]) -> None:
+        """Ask a question."""
+        self._observer.asked(question, answers)
+        self._operator.ask(question, answers)
+
+    def answer(self) -> str | None:
+        """Return the answer, or None while there is none."""
+        answer = self._operator.answer()
+        if answer is not None:
+            self._observer.answered()
+        return answer
+
+    def withdraw(self) -> None:
+        """Withdraw the open question."""
+        self._observer.answered()
+        self._operator.withdraw()
+
+    def command(self) -> RunCommand | None:
+        """Return a typed command, or None."""
+        return self._operator.command()

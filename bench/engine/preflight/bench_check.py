@@ -1,0 +1,174 @@
+"""The preflight check of a bench: opens it, checks each part, and closes it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
+from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.text import listed, plain_name
+from gyrobench.bench.messages.delivery import read_secret
+from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.runs.telemetry import COLUMNS
+from gyrobench.bench.station.check import Check, Verdict
+from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
+from gyrobench.bench.station.locks import BenchLock
+from gyrobench.bench.station.receivers import Receiver
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_ins import CanIns
+
+#: Of the raw log, compressed, and of the telemetry.
+_BYTES_PER_FRAME, _BYTES_PER_VALUE = 12.0, 8.0
+#: Reports, figures, copies of the inputs, journal.
+_FIXED_BYTES = 50e6
+#: For repeated dwells, holds, and other data on the disk.
+_MARGIN = 2.0
+_GB = 1e9
+
+
+def check_bench(
+    station: str, procedure: str | None, emulation: Emulation, folder: Path, clock: Clock | None = None
+) -> list[Check]:
+    """Check whether a bench is ready for a procedure, or for any where none is given.
+
+    Parameters
+    ----------
+    station, procedure : str
+        Files, or names of shipped ones.
+    folder : Path
+        Parent of the run folder.
+    clock : Clock, optional
+        Default: the clock of the station.
+
+    Raises
+    ------
+    DocumentError
+        The station file is wrong.
+    BenchInUseError
+        A run holds the bench.
+    """
+    bench = Station(find_document("stations", station))
+    bench.check_dbc()
+    clock = clock or bench.new_clock()
+    plan, procedure_check = _plan(bench, procedure)
+    with (
+        BenchLock(bench, folder, clock),
+        contextlib.ExitStack() as opened,
+        Outputs(bench, clock, emulation) as outputs,
+    ):
+
+        def ins() -> CanIns:
+            driver = open_ins(bench, clock, emulation)
+            opened.callback(driver.close)
+            return driver
+
+        checks = preflight(bench, outputs, ins, clock, folder, plan)
+        return [procedure_check, *checks, *map(_message_check, bench.file.messages)]
+
+
+def preflight(
+    station: Station,
+    outputs: Outputs,
+    ins: Callable[[], CanIns],
+    clock: Clock,
+    folder: Path,
+    plan: Plan | None = None,
+) -> list[Check]:
+    """Check instruments and disk without moving anything.
+
+    An INS that is off and that the bench can switch on is on during the check.
+
+    Parameters
+    ----------
+    outputs : Outputs
+        Rate table and chamber.
+    ins : callable
+        Returns the driver of the INS, or raises where it can't be opened.
+    folder : Path
+        Parent of the run folder.
+    plan : Plan, optional
+        What is to be run.
+
+    Returns
+    -------
+    list of Check
+        In the order of the checks; a bench that is not ready raises nothing.
+    """
+    traffic = CanTraffic()
+    return [
+        *table_checks(station, lambda: outputs.table),
+        *chamber_checks(station, lambda: outputs.chamber),
+        *ins_checks(station, outputs, ins, clock, traffic),
+        disk_check(station, folder, plan, traffic.frames_per_s),
+    ]
+
+
+def no_instrument_answers(checks: Iterable[Check]) -> bool:
+    """Whether none of the instruments answered."""
+    return all(check.verdict is not Verdict.PASS for check in checks if check.what == ANSWERS)
+
+
+def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
+    subject, what = "procedure", "within limits"
+    if procedure is None:
+        return None, Check.skipped(subject, what, "no procedure given", "Add --procedure to check one.")
+    try:
+        document, model = load_procedure(find_document("procedures", procedure))
+        plan = station.plan(document, model)
+    except DocumentError as error:
+        return None, Check.of(subject, what, False, str(error), "Correct the procedure.")
+    dwells = f"{plan.dwell_count} dwell{'s' if plan.dwell_count != 1 else ''}"
+    return plan, Check.of(subject, what, True, f"{dwells} in {hours_minutes(plan.duration_s)} h", "")
+
+
+def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: float) -> Check:
+    """Check whether a whole run fits on the disk, with a margin of two.
+
+    Parameters
+    ----------
+    folder : Path
+        Parent of the run folder; it need not exist yet.
+    plan : Plan or None
+        What is to be run.
+    frames_per_s : float
+        Frames on the bus; NaN where unknown.
+    """
+    subject, what = "disk", "free space"
+    if math.isnan(frames_per_s):
+        return Check.skipped(subject, what, "the data rate is unknown: nothing was received from the CAN bus")
+    telemetry_per_s = len(COLUMNS) * _BYTES_PER_VALUE / station.instruments_period_s
+    per_h = 3600.0 * (frames_per_s * _BYTES_PER_FRAME + telemetry_per_s)
+    existing = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    free = shutil.disk_usage(existing).free
+    found = f"{free / _GB:.1f} GB free at {existing}, a run writes {per_h / 1e6:.1f} MB/h"
+    if plan is None:
+        return Check.skipped(subject, what, found, "Add --procedure to check its whole duration.")
+    needed = _FIXED_BYTES + _MARGIN * per_h * plan.duration_s / 3600.0
+    return Check.of(
+        subject,
+        what,
+        free >= needed,
+        f"{found}, {hours_minutes(plan.duration_s)} h need {needed / _GB:.2f} GB with margin",
+        "Free some space, or choose a run folder on another disk.",
+    )
+
+
+def _message_check(receiver: Receiver) -> Check:
+    """Check that the secret of a receiver can be read; nothing is sent."""
+    try:
+        read_secret(receiver)
+    except DocumentError as error:
+        return Check.of(
+            "messages", receiver.kind, False, str(error), "Add the secret, or remove the receiver."
+        )
+    events = listed([plain_name(event) for event in receiver.on])
+    return Check.of("messages", receiver.kind, True, f"{receiver.address} receives: {events}", "")

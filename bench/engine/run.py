@@ -1,0 +1,228 @@
+"""A run from its job to a run folder with results: new, or resumed."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.dwells.dwell import MeasurementSetup, measurement_setup
+from gyrobench.bench.dwells.live import warm_up
+from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.engine.engine import Engine
+from gyrobench.bench.engine.evaluation import evaluate_run
+from gyrobench.bench.engine.job import Job
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.notifications import RunNotifier
+from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
+from gyrobench.bench.engine.operator import CommandQueue, Operator
+from gyrobench.bench.engine.resume import ResumeState, Resumption
+from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
+from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
+from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.guard.process import guard_for
+from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
+from gyrobench.bench.runs.can_log import CanLog
+from gyrobench.bench.runs.compensation_file import write_compensation
+from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.provenance import started_utc, write_provenance
+from gyrobench.bench.runs.telemetry import Telemetry, last_reading_s
+from gyrobench.bench.station.instruments import Instruments
+from gyrobench.bench.station.locks import BenchLock, RunLock
+
+#: A guard that has just made the bench safe releases its lock within this time.
+_GUARD_TIME_S = 60.0
+
+
+def run_job(
+    job: Job, out: Path | None, observer: RunObserver, operator: Operator
+) -> tuple[RunFolder, RunOutcome]:
+    """Run a job.
+
+    Parameters
+    ----------
+    out : Path or None
+        Run folder; None for a new one under ``runs/``.
+    observer, operator
+        Who is notified, and who answers questions.
+
+    Raises
+    ------
+    BenchInUseError
+        Another run holds the bench.
+    InstrumentError
+        An instrument can't be reached; nothing has moved and there is no run folder.
+    RunFolderError
+        The run folder can't be written.
+    """
+    return _execute(_NewRun(job, out), observer, operator)
+
+
+def resume_run(
+    resumption: Resumption, observer: RunObserver, operator: Operator
+) -> tuple[RunFolder, RunOutcome]:
+    """Resume an interrupted run; raises what :func:`run_job` does."""
+    return _execute(_ResumedRun(resumption), observer, operator)
+
+
+class _Start(Protocol):
+    """How a run starts."""
+
+    job: Job
+    clock: Clock
+    state: ResumeState
+    outcome: RunOutcome
+
+    def open_folder(self) -> RunFolder:
+        """Give the run folder; called once the bench is locked and all instruments answer."""
+        ...
+
+    def fill_folder(self, folder: RunFolder, instruments: Instruments) -> None:
+        """Write what has to be in the folder, before anything moves."""
+        ...
+
+
+class _NewRun:
+    def __init__(self, job: Job, out: Path | None) -> None:
+        self.job = job
+        self.clock: Clock = job.station.new_clock()
+        self.state = ResumeState()
+        self.outcome = RunOutcome()
+        self._out = out
+
+    def open_folder(self) -> RunFolder:
+        return create_run_folder(self._out, self.job.plan.procedure.procedure)
+
+    def fill_folder(self, folder: RunFolder, instruments: Instruments) -> None:
+        job = self.job
+        write_whole(folder.procedure, job.document.path.read_bytes())
+        write_whole(folder.station, job.station.path.read_bytes())
+        if job.calibration:
+            write_dwells(folder.calibration, job.calibration)
+        if job.compensation is not None:
+            write_compensation(folder.compensation, job.compensation)
+        write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())
+        identities = {
+            "rate table": instruments.table.identify(),
+            "chamber": instruments.chamber.identify(),
+        }
+        write_provenance(folder, self.clock.epoch, identities, job.options)
+
+
+class _ResumedRun:
+    def __init__(self, resumption: Resumption) -> None:
+        self.job, self.state = resumption.job, resumption.state
+        self._resumption, folder = resumption, resumption.folder
+        last_s = max(self.state.last_s, last_reading_s(folder.telemetry))
+        self.clock: Clock = (
+            VirtualClock(last_s + RESUME_STEP_S)
+            if self.job.is_virtual
+            else WallClock.resumed(started_utc(folder), last_s, self.job.station.file.speed)
+        )
+        dwells, verifications = replay(folder, measurement_setup(self.job.station))
+        self.outcome = RunOutcome(dwells=dwells, verifications=verifications)
+
+    def open_folder(self) -> RunFolder:
+        return self._resumption.folder
+
+    def fill_folder(self, folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG002
+        self._resumption.check_unchanged()
+        # The journal may have more dwells than the table.
+        write_dwells(folder.dwells, [dwell.row for dwell in self.outcome.dwells])
+
+
+def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
+    """Run what is left of a job, and evaluate all of it."""
+    job, clock, outcome = start.job, start.clock, start.outcome
+    setup = measurement_setup(job.station)
+    if not job.is_virtual:
+        warm_up(setup)  # on wall time no tick may wait for a compiler
+    with ExitStack() as opened:
+        commands = opened.enter_context(CommandQueue())
+        patience_s = _GUARD_TIME_S if start.state.last_s else 0.0
+        bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
+        instruments = opened.enter_context(Instruments(job.station, clock, job.emulation))
+        folder = start.open_folder()
+        bench_lock.sign(folder.path)
+        run_lock = opened.enter_context(RunLock(folder.path, clock))
+        start.fill_folder(folder, instruments)
+        journal = opened.enter_context(Journal(folder.journal, clock))
+        _record_start(journal, start, setup, observer)
+        for text in (*bench_lock.taken_over, *run_lock.taken_over):
+            journal.record("note", text=text)
+            observer.noted(text)
+        messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
+        observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, start.state))
+        guard = opened.enter_context(guard_for(job.station, folder.path, clock))
+        can_log, telemetry = CanLog(folder.can), Telemetry(folder.telemetry)
+        opened.callback(_flush, can_log, telemetry, outcome)
+        bench = LiveBench(
+            job.station, instruments, clock, can_log, telemetry, partial(_record_failure, journal)
+        )
+        observers.begun(folder, bench, outcome)
+        run = RunContext(
+            job=job,
+            setup=setup,
+            bench=bench,
+            folder=folder,
+            journal=journal,
+            observers=observers,
+            operator=ObservedOperator(operator, observers),
+            commands=commands,
+            guard=guard,
+            state=start.state,
+            outcome=outcome,
+        )
+        Engine(run).run()
+        if outcome.is_safe:
+            guard.release()
+            messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
+    _evaluate(run)
+    return folder, outcome
+
+
+def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, observer: RunObserver) -> None:
+    job, state = start.job, start.state
+    journal.record(
+        "run_resumed" if state.last_s else "run_started",
+        procedure=job.plan.procedure.procedure,
+        station=job.station.file.station,
+        next_step=job.plan.steps[state.next_index].number if not state.is_over(job.plan) else None,
+        options=job.options,
+    )
+    journal.record("resolution", lines=[limit.text for limit in setup.resolution])
+    for limit in setup.resolution:
+        if not limit.sufficient:
+            observer.noted(f"Warning: {limit.text}")
+
+
+def _record_failure(journal: Journal, instrument: str, error: InstrumentError | None) -> None:
+    if error is None:
+        journal.record("answers_again", instrument=instrument)
+    else:
+        journal.record("retry", instrument=instrument, error=str(error))
+
+
+def _flush(can_log: CanLog, telemetry: Telemetry, outcome: RunOutcome) -> None:
+    """Write log and telemetry to the disk."""
+    for flush in (can_log.cut, telemetry.flush):
+        try:
+            flush()
+        except RunFolderError as error:
+            outcome.fail(str(error))
+
+
+def _evaluate(run: RunContext) -> None:
+    """Compute and write the results of all dwells."""
+    outcome = run.outcome
+    try:
+        outcome.results = evaluate_run(
+            run.folder, run.plan, run.setup, outcome.dwells, outcome.verifications, run.job.calibration
+        )
+    except GyrobenchError as error:
+        outcome.fail(str(error))
+        run.observers.ended(outcome)

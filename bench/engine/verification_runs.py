@@ -1,0 +1,278 @@
+"""The runs of a verification: without compensation, with the declared model, with the effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
+from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.operator import Operator
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.runs.compensation_file import read_compensation
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import facts_of, read_journal
+from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
+from gyrobench.drivers.ins.command_map import Compensation
+
+_AZIMUTH_TOLERANCE_DEG = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Dwells of the run with one compensation."""
+
+    dwells: Sequence[DwellRow]
+    verifications: Sequence[CheckDwell]
+
+
+class VerificationRuns:
+    """Measures with each compensation of a closed campaign, and compares the remaining errors.
+
+    Each compensation has a separate run, in a folder with its name. A run that is finished is not
+    repeated.
+
+    Parameters
+    ----------
+    run : RunFolder
+        The campaign.
+    closure : Closure
+        Outcome of the search in it.
+    procedure, station : str
+        What to run, and on which station.
+    emulation : Emulation
+        World and seed behind emulated instruments, the same for each compensation.
+    folder : Path
+        Holds the runs.
+    only : sequence of str, optional
+        Compensations to measure with; all if none is given.
+
+    Attributes
+    ----------
+    models : mapping of str to LoadableModel
+        Models that can be loaded; "effect" is missing where the search found no effect to load.
+    jobs : mapping of str to Job
+        One for each compensation that is selected or has a run already, in order.
+    selected : list of str
+        Compensations to measure with.
+
+    Raises
+    ------
+    DocumentError
+        Procedure or station are wrong; the INS does not accept a compensation; a selected one does not
+        exist; the campaign was measured with a compensation, or with the same seed.
+    """
+
+    def __init__(
+        self,
+        run: RunFolder,
+        closure: Closure,
+        procedure: str,
+        station: str,
+        emulation: Emulation,
+        folder: Path,
+        only: Sequence[str] = (),
+    ) -> None:
+        _check_uncompensated(run)
+        self.folder = folder
+        self._run = run
+        self._closure = closure
+        self._measured: dict[str, _Measured] = {}
+        self.models = MappingProxyType(_models(closure))
+        compensations: dict[str, Compensation | None] = {NONE: None}
+        compensations |= {name: model.compensation for name, model in self.models.items()}
+        if set(only) - compensations.keys():
+            raise DocumentError(
+                f"{run.path}: the search found no effect that an INS can compensate. "
+                f"Leave --only {EFFECT} out"
+            )
+        self.selected = [name for name in compensations if name in only or not only]
+        self.jobs: Mapping[str, Job] = MappingProxyType(
+            {
+                name: prepare_job(procedure, station, emulation, compensation=compensation)
+                for name, compensation in compensations.items()
+                if name in self.selected or (folder / name).exists()
+            }
+        )
+        self._job = self.jobs[self.selected[0]]
+        _check_new(run, self._job)
+
+    def is_there(self, name: str) -> bool:
+        """Whether the run with a compensation is finished, with the same job.
+
+        Raises
+        ------
+        RunFolderError
+            Its folder holds another run, or an unfinished one.
+        """
+        folder = RunFolder(self.folder / name)
+        if name in self._measured:
+            return True
+        if not folder.path.exists():
+            return False
+        if not folder.journal.is_file() or not _is_run_of(folder, self.jobs[name]):
+            raise RunFolderError(
+                f"{folder.path}: holds a run of another model, procedure or world. Remove it, or choose "
+                "another --out"
+            )
+        if not _is_finished(folder):
+            raise RunFolderError(
+                f"{folder.path}: holds an unfinished run. Finish it with: gyrobench resume {folder.path}"
+            )
+        return True
+
+    def measure(self, name: str, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
+        """Run the procedure with one compensation.
+
+        Raises
+        ------
+        InstrumentError, RunFolderError
+            As :func:`gyrobench.bench.engine.run.run_job`.
+        """
+        folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
+        if outcome.ended == "finished":
+            rows = [dwell.row for dwell in outcome.dwells]
+            self._measured[name] = _Measured(rows, outcome.verifications)
+        return folder, outcome
+
+    def comparison(self) -> Comparison:
+        """Compare all finished runs.
+
+        Raises
+        ------
+        RunFolderError
+            An earlier run can't be read.
+        """
+        names = [name for name in self.jobs if self.is_there(name)]
+        measured = {name: self._measured.get(name) or self._read(name) for name in names}
+        fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
+        first = measured[names[0]].dwells
+        site = self._job.station.site
+        return Comparison(
+            source=str(self._run.path),
+            closure=self._closure,
+            models=self.models,
+            leftovers=tuple(
+                leftover(name, each.dwells, each.verifications, site, fitted_c)
+                for name, each in measured.items()
+            ),
+            new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
+            dwells=len(first),
+            is_same_seed=bool(self._job.emulated_world()),
+            notes=tuple(self._notes(measured)),
+        )
+
+    def _read(self, name: str) -> _Measured:
+        dwells, verifications = replay(
+            RunFolder(self.folder / name), measurement_setup(self.jobs[name].station)
+        )
+        return _Measured([dwell.row for dwell in dwells], verifications)
+
+    def _notes(self, measured: Mapping[str, _Measured]) -> Iterator[str]:
+        units = {row.unit for row in read_dwells(self._run.dwells)}
+        for name, each in measured.items():
+            others = {row.unit for row in each.dwells} - units
+            if others:
+                yield (
+                    f"The run {name} measured the unit {', '.join(sorted(others))}, but the model belongs to "
+                    f"{', '.join(sorted(units))}."
+                )
+            flagged = sum(bool(row.flags) for row in each.dwells)
+            if flagged:
+                yield f"In the run {name} {flagged} of {len(each.dwells)} dwells have flags and are not used."
+        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in measured else []
+        if kept:
+            yield f"In the run {NONE} the INS applied a stored compensation ({', '.join(kept)})."
+
+
+def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
+    """World of a run with the next seed: the same unit with new noise and power-ons, without faults.
+
+    Parameters
+    ----------
+    world, seed : str or None, int or None
+        Replacements.
+    """
+    known = emulation_of(run)
+    return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
+
+
+def _models(closure: Closure) -> dict[str, LoadableModel]:
+    whole = model_with_effects(closure)
+    return {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
+
+
+def _check_uncompensated(run: RunFolder) -> None:
+    in_use = _compensations_in_use(run)
+    if in_use:
+        raise DocumentError(
+            f"{run.path}: was measured while the INS applied a stored compensation ({', '.join(in_use)}), so "
+            "its model describes only the remaining biases. Clear it and measure the campaign again"
+        )
+
+
+def _compensations_in_use(run: RunFolder) -> list[str]:
+    """Checksums of the compensations that the INS applied in a run."""
+    found = [
+        str(entry["in_use"].get("checksum") or "checksum unknown")
+        for entry in read_journal(run.journal)
+        if entry.get("event") == "compensation" and entry.get("in_use", {}).get("active")
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _check_new(run: RunFolder, job: Job) -> None:
+    options = read_provenance(run).get("options", {})
+    emulated = job.emulated_world()
+    if emulated and all(options.get(key) == value for key, value in emulated.items()):
+        raise DocumentError(
+            f"--seed {job.emulation.seed} is the seed of {run.path}, so the noise would be the same. Choose "
+            "another seed, or leave --seed out"
+        )
+
+
+def _is_finished(folder: RunFolder) -> bool:
+    return folder.journal.is_file() and facts_of(read_journal(folder.journal)).ended == "finished"
+
+
+def _is_run_of(folder: RunFolder, job: Job) -> bool:
+    """Whether a run has the same procedure, world and compensation as a job."""
+    options = read_provenance(folder).get("options", {})
+    same_world = all(options.get(key) == value for key, value in job.emulated_world().items())
+    same_files = (folder.procedure.read_bytes(), folder.station.read_bytes()) == (
+        job.document.path.read_bytes(),
+        job.station.path.read_bytes(),
+    )
+    if job.compensation is None or not folder.compensation.exists():
+        return same_world and same_files and (job.compensation is None) == (not folder.compensation.exists())
+    loaded, required = read_compensation(folder.compensation), job.compensation
+    same_numbers = all(
+        np.array_equal(getattr(loaded, each.name), getattr(required, each.name)) for each in fields(required)
+    )
+    return same_world and same_files and same_numbers
+
+
+def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:
+    """How many dwells began in an attitude in which no other began."""
+
+    def is_known(row: DwellRow) -> bool:
+        return any(
+            other.position == row.position
+            and abs((other.azimuth_deg - row.azimuth_deg + 180.0) % 360.0 - 180.0) < _AZIMUTH_TOLERANCE_DEG
+            for other in fitted
+        )
+
+    return sum(not is_known(row) for row in measured)

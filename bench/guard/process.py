@@ -1,0 +1,225 @@
+"""The engine's side of the guard: start it, send beats, release it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from gyrobench.bench.foundations.clock import Clock, Deadline
+from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.guard.protocol import BEAT, LOG_NAME, READY, RELEASE, GuardConfig
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.station.station import Station
+
+#: A guard is ready in a fraction of a second; a machine may be busy.
+_READY_TIME_S = 30.0
+#: A guard that dies repeatedly is restarted at this interval.
+_RESTART_PAUSE_S = 60.0
+#: A pipe this small fills soon with unread beats, which shows a guard that hangs.
+_PIPE_BYTES = 4096
+_EMULATED = "emulator://"
+
+
+class Guard(Protocol):
+    """A guard as the engine uses it."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def beat(self) -> str | None:
+        """Send that the engine is alive, at every tick; returns a text to be noted, if any."""
+        ...
+
+    def release(self) -> None:
+        """Send that the bench is safe, and end the guard."""
+        ...
+
+
+class NoGuard:
+    """No guard, for emulated instruments inside the engine's process."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Do nothing."""
+
+    def beat(self) -> str | None:
+        """Do nothing."""
+        return None
+
+    def release(self) -> None:
+        """Do nothing."""
+
+
+class GuardProcess:
+    """A guard process for one run; a context manager.
+
+    Without :meth:`release`, the guard makes the bench safe on exit: it waits until the bench's lock is free,
+    and tries for minutes. So release it once the bench is safe, and enter it with the bench locked.
+
+    Parameters
+    ----------
+    station : Station
+        The bench.
+    folder : Path
+        Run folder; the guard writes its log and journal entries there.
+    clock : Clock
+        The run's clock.
+
+    Raises
+    ------
+    GyrobenchError
+        The guard does not start (when entered).
+    """
+
+    def __init__(self, station: Station, folder: Path, clock: Clock) -> None:
+        self._station = station
+        self._folder = folder
+        self._clock = clock
+        self._process: subprocess.Popen[bytes] | None = None
+        self._pipe: int | None = None
+        self._started_s = clock.now()
+
+    @property
+    def pid(self) -> int | None:
+        """Process number of the guard; None without one."""
+        return None if self._process is None else self._process.pid
+
+    def __enter__(self) -> Self:
+        self._start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close_pipe()
+
+    def beat(self) -> str | None:
+        """Send that the engine is alive; a guard that died or hangs is replaced, which the text says."""
+        if self._pipe is None:
+            return self._replace("there was no guard process")
+        try:
+            os.write(self._pipe, BEAT)
+        except BrokenPipeError:
+            return self._replace("the guard process died")
+        except BlockingIOError:
+            return self._replace("the guard process hung")
+        return None
+
+    def release(self) -> None:
+        """Send that the bench is safe, and wait until the guard has ended."""
+        if self._pipe is not None and self._process is not None:
+            with contextlib.suppress(BrokenPipeError, BlockingIOError, subprocess.TimeoutExpired):
+                os.write(self._pipe, RELEASE)
+                self._process.wait(_READY_TIME_S)
+        self._end()
+
+    def _replace(self, found: str) -> str | None:
+        first = self._pipe is not None
+        self._end()
+        if not first and self._clock.now() - self._started_s < _RESTART_PAUSE_S:
+            return None
+        try:
+            self._start()
+        except GyrobenchError as error:
+            return f"{found}, and a new one could not be started: {error}"
+        return f"{found}; a new one was started"
+
+    def _end(self) -> None:
+        """End the guard process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+        self._close_pipe()
+
+    def _close_pipe(self) -> None:
+        if self._pipe is not None:
+            os.close(self._pipe)
+            self._pipe = None
+
+    def _start(self) -> None:
+        """Start a guard that alone has the other end of the pipe."""
+        import fcntl  # POSIX only
+
+        self._started_s = self._clock.now()
+        theirs, ours = os.pipe()  # closed in every child but for what is passed on
+        try:
+            fcntl.fcntl(ours, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+            os.set_blocking(ours, False)
+            os.write(ours, self._config().line())  # before it runs, in case the engine is killed now
+            self._process = self._started(theirs)
+        except (OSError, ValueError) as error:
+            os.close(ours)
+            raise GyrobenchError(f"the guard process can't be started: {error}") from error
+        finally:
+            os.close(theirs)
+        self._pipe = ours
+        try:
+            self._await_ready(self._process)
+        except GyrobenchError:
+            self._end()
+            raise
+
+    def _started(self, pipe: int) -> subprocess.Popen[bytes]:
+        with contextlib.ExitStack() as opened:
+            try:
+                errors = opened.enter_context((self._folder / LOG_NAME).open("ab")).fileno()
+            except OSError:
+                errors = subprocess.DEVNULL
+            return subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",  # imports nothing from the working directory
+                    "-m",
+                    "gyrobench.bench.guard",
+                ],
+                stdin=pipe,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+            )
+
+    def _config(self) -> GuardConfig:
+        as_run = RunFolder(self._folder).station  # unaffected by edits of the original
+        return GuardConfig(
+            station=str((as_run if as_run.is_file() else self._station.path).absolute()),
+            folder=str(self._folder.absolute()),
+            silence_s=self._station.file.guard.silence_s,
+            engine_pid=os.getpid(),
+            epoch=self._clock.epoch.isoformat(),
+            now_s=self._clock.now(),
+        )
+
+    def _await_ready(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None  # noqa: S101 - for the type checker
+        deadline = Deadline(self._clock, _READY_TIME_S)
+        with process.stdout as answers:
+            ready, _, _ = select.select([answers], [], [], deadline.remaining_s())
+            answer = os.read(answers.fileno(), len(READY)) if ready else b""
+        if answer != READY:
+            raise GyrobenchError(
+                "the guard process did not start, and nothing may run without it. "
+                f"Find the cause in {self._folder / LOG_NAME}, and start again"
+            )
+
+
+def guard_for(station: Station, folder: Path, clock: Clock) -> Guard:
+    """Return a guard process, or none where table and chamber are emulated inside this process."""
+    section = station.file
+    ports = (section.rate_table.port, section.chamber.port)
+    if clock.is_virtual or all(port.startswith(_EMULATED) for port in ports):
+        return NoGuard()
+    return GuardProcess(station, folder, clock)

@@ -1,0 +1,66 @@
+"""What the engine sends to the guard, and the bytes between them."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from datetime import datetime
+
+#: After the configuration, the pipe carries these.
+BEAT, RELEASE = b".", b"R"
+#: The guard's answer when it watches.
+READY = b"ready\n"
+#: In the run folder.
+LOG_NAME = "guard.log"
+
+#: A write of up to this many bytes to a pipe is atomic.
+_MAX_BYTES = 4096
+
+
+@dataclass(frozen=True)
+class GuardConfig:
+    """Settings of a guard: one line of JSON, the first through the pipe.
+
+    Attributes
+    ----------
+    station, folder : str
+        Absolute paths of station file and run folder.
+    silence_s : float
+        Silence after which the engine is taken to hang.
+    engine_pid : int
+        The engine's process.
+    epoch : str
+        Calendar time at zero of the run's clock, ISO 8601.
+    now_s : float
+        The run's clock when the guard starts.
+    """
+
+    station: str
+    folder: str
+    silence_s: float
+    engine_pid: int
+    epoch: str
+    now_s: float
+
+    @property
+    def clock_epoch(self) -> datetime:
+        """The clock's epoch."""
+        return datetime.fromisoformat(self.epoch)
+
+    def line(self) -> bytes:
+        """Return the bytes to send; raises ValueError where they are too long for the pipe."""
+        data = json.dumps(asdict(self)).encode() + b"\n"
+        if len(data) > _MAX_BYTES:
+            raise ValueError(f"{self.folder}: the path is too long for the guard")
+        return data
+
+    @classmethod
+    def read(cls, descriptor: int) -> GuardConfig | None:
+        """Read the line from the pipe; None where the engine died before it sent one."""
+        data = bytearray()
+        while not data.endswith(b"\n"):
+            if not (byte := os.read(descriptor, 1)):
+                return None
+            data += byte
+        return cls(**json.loads(data))

@@ -1,0 +1,40 @@
+"""Bias and Earth rate from two logs of raw rates."""
+
+import re
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.navigation.positions import POSITIONS
+from tests.bench.bias.test_raw_rate import BIAS_DPH, recorded
+from tests.bench.command_line import gyrobench
+
+
+@pytest.fixture
+def logs(tmp_path):
+    """Logs in the layout of the shipped map ``ln100``, x axis up and down."""
+    random = np.random.default_rng(3)
+    paths = []
+    for name in ("x_up", "x_down"):
+        recording, _ = recorded(random, POSITIONS[name].C_nb())
+        columns = [recording.time_s, np.degrees(recording.rate_radps), recording.specific_force_mps2]
+        paths.append(tmp_path / f"{name}.ins")
+        np.column_stack(columns).astype("<f8").tofile(paths[-1])
+    return paths
+
+
+def test_two_logs_give_the_bias_of_the_vertical_gyro_and_the_earth_rate(logs, tmp_path):
+    text = gyrobench("raw-rate", *logs, "--map", "ln100", "--axis", "x", cwd=tmp_path).stdout
+    pattern = r"Bias of the x gyro +([-\d.]+) ± ([\d.]+) deg/h\s+Earth rate, vertical +([\d.]+) ±"
+    found = re.search(pattern, text)
+    assert found is not None, text
+    bias_dph, sigma_dph, earth_dph = map(float, found.groups())
+    assert abs(bias_dph - BIAS_DPH[0]) < 4.0 * sigma_dph
+    assert abs(earth_dph - 11.702) < 4.0 * sigma_dph
+    assert "11.7020 deg/h at latitude 51.0784 deg" in " ".join(text.split())
+
+
+def test_logs_in_the_wrong_order_are_refused(logs, tmp_path):
+    result = gyrobench("raw-rate", *reversed(logs), "--map", "ln100", cwd=tmp_path)
+    assert result.returncode != 0
+    assert "Check the order of the recordings" in " ".join(result.stderr.split())

@@ -1,0 +1,209 @@
+"""Preflights of the emulated bench in virtual time: what passes, and each way in which it does not."""
+
+from pathlib import Path
+
+import pytest
+
+from gyrobench.bench.engine.preflight.bench_check import check_bench, disk_check, no_instrument_answers
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.station.check import Verdict
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers import ins
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+
+
+@pytest.fixture
+def look(tmp_path):
+    """Check the emulated bench with a station file changed at some places; returns failures by what."""
+
+    def check(*changes, procedure=None, world="ideal", faults=""):
+        text = find_document("stations", "emulated").read_text()
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "station.yaml").write_text(text)
+        emulation = Emulation(world, 0, _faults_file(tmp_path, faults))
+        checks = check_bench(str(tmp_path / "station.yaml"), procedure, emulation, tmp_path)
+        return {f"{each.subject}: {each.what}": each for each in checks if each.verdict is Verdict.FAIL}
+
+    return check
+
+
+def _faults_file(folder, faults):
+    if not faults:
+        return ""
+    (folder / "faults.yaml").write_text(f"faults:\n  - {{{faults}}}\n")
+    return str(folder / "faults.yaml")
+
+
+def test_a_bench_in_order_passes_everything_and_is_left_as_it_was(tmp_path):
+    clock = VirtualClock()
+    world = str(find_document("worlds", "gyro_a"))
+    bench = emulated_bench(BenchAddress(clock.name, world, 3))
+    checks = check_bench("emulated", "six_position_fig7", Emulation("gyro_a", 3), tmp_path, clock)
+    assert [each for each in checks if each.verdict is not Verdict.PASS] == []
+    assert {each.subject for each in checks} == {"procedure", "rate table", "chamber", "INS", "disk"}
+    assert not any(axis.closed for axis in bench.table.axes.values())
+    assert [axis.state.position_deg for axis in bench.table.axes.values()] == [0.0, 0.0]
+    assert (bench.world.air.running, bench.world.air.set_point_c) == (False, 23.0)
+    assert not bench.world.unit.powered
+    assert 10.0 < clock.now() < 120.0
+
+
+def test_a_unit_that_is_on_stays_on(tmp_path):
+    clock = VirtualClock()
+    bench = emulated_bench(BenchAddress(clock.name, str(find_document("worlds", "ideal")), 0))
+    bench.chamber.feed(bytes.fromhex("01 06 07 DA 00 01 68 85"), 0.0)
+    assert bench.world.unit.powered
+    clock.sleep(60.0)
+    check_bench("emulated", None, Emulation("ideal"), tmp_path, clock)
+    assert bench.world.unit.powered
+
+
+def test_without_a_procedure_what_depends_on_it_is_skipped(tmp_path):
+    checks = check_bench("emulated", None, Emulation("ideal"), tmp_path)
+    skipped = [each for each in checks if each.verdict is Verdict.SKIPPED]
+    assert [each.subject for each in skipped] == ["procedure", "disk"]
+    assert all("--procedure" in each.advice for each in skipped)
+    assert "MB/h" in skipped[1].found
+
+
+DIALECTS = {"rate table": "acutrol3000", "chamber": "watlow_f4"}
+
+
+@pytest.mark.parametrize("subject", DIALECTS)
+def test_an_instrument_that_is_not_the_one_named_fails(look, subject):
+    line = f"dialect: {DIALECTS[subject]}"
+    (failure,) = look((line, f"{line}\n  identity: 'no. 4711'")).values()
+    assert (failure.subject, failure.what) == (subject, "answers")
+    assert "lacks 'no. 4711'" in failure.found
+    assert "Connect the right instrument" in failure.advice
+
+
+def test_another_unit_than_the_one_named_fails(look):
+    other = ("  interface: emulator", "  identity: serial number 77\n  interface: emulator")
+    (failure,) = look(other).values()
+    assert failure.found == (
+        "identifies as serial number 1000, firmware 103, hardware 1, which lacks 'serial number 77'"
+    )
+
+
+FAULTS = {
+    "fault: table_trips, at_s: 0": ("rate table: no faults", "rate trip"),
+    "fault: interlock_opens, at_s: 0, for_s: 900": ("rate table: no faults", "interlock"),
+    "fault: chamber_alarm, at_s: 0": ("chamber: no alarms", "alarm 1"),
+    "fault: chamber_sensor_error, at_s: 0, for_s: 900": ("chamber: no alarms", "input 1"),
+    "fault: frames_lost, at_s: 0, for_s: 900, share: 0.1": ("INS: frames without gaps", "lost"),
+    "fault: second_node, at_s: 0, for_s: 900": ("INS: frames without gaps", "epochs"),
+    "fault: frames_lost, at_s: 18, for_s: 900": ("INS: frames without gaps", "missing"),
+    "fault: frames_repeated, at_s: 18, for_s: 900": ("INS: frames without gaps", "surplus frames"),
+    "fault: bus_off, at_s: 18, for_s: 900": ("INS: frames", "bus"),
+    "fault: wrong_crc, at_s: 18, for_s: 900": ("INS: switched off", "CRC"),
+    "fault: counter_jump, at_s: 18, by: 500": ("INS: frames without gaps", "1 restarts"),
+    "fault: time_stamp_jump, at_s: 18, for_s: 900, by_s: -30": ("INS: CAN time stamps", "jump back 1 times"),
+    "fault: temperature_sensor_broken, at_s: 0, for_s: 900, sensor: case": (
+        "INS: temperatures",
+        "outside the interlock limits",
+    ),
+    "fault: unplugged, at_s: 0, for_s: 900, instrument: table": ("rate table: answers", ""),
+}
+
+
+@pytest.mark.parametrize(("fault", "found"), FAULTS.items())
+def test_faults_that_are_there_now_fail(look, fault, found):
+    what, words = found
+    failures = look(faults=fault)
+    assert what in failures
+    assert words in failures[what].found
+    assert failures[what].advice
+
+
+CHANGES = {
+    "rate of the table": (("rate_dps: 30", "rate_dps: 5000"), "rate table: limits", "5000"),
+    "angle of the table": (("[-380, 380]", "[-380, 36000]"), "rate table: limits", "-380 to 36000"),
+    "jerk of the table": (("jerk_dps3: 120", "jerk_dps3: 1.0e+9"), "rate table: limits", "jerk 1e+09"),
+    "set points": (("high_c: 75", "high_c: 130"), "chamber: limits", "-50 to 130"),
+    "epochs": (("epoch_period_s: 0.1", "epoch_period_s: 0.2"), "INS: epoch rate", "200 ms"),
+    "cold air": (("unit: keep", "unit: keep\ninterlocks:\n  chamber_air: {low_c: -60}"), None, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "what", "words"), CHANGES.values(), ids=CHANGES)
+def test_a_station_file_that_does_not_agree_with_the_instruments_fails(look, change, what, words):
+    failures = look(change)
+    if what is None:
+        assert failures == {}
+    else:
+        assert what in failures
+        assert words in failures[what].found
+
+
+def test_output_that_is_too_coarse_fails(look, tmp_path):
+    dbc = (Path(ins.__file__).parent / "gyrobench_ins.dbc").read_text()
+    fine, coarse = "(0.0001,0) [-214748.3648|214748.3647]", "(0.01,0) [-1|1]"
+    assert fine in dbc
+    (tmp_path / "coarse.dbc").write_text(dbc.replace(fine, coarse))
+    failures = look(("dbc: gyrobench_ins.dbc", "dbc: coarse.dbc"))
+    assert "0.01 m/s" in failures["INS: resolution"].found
+    assert "Map a finer output" in failures["INS: resolution"].advice
+
+
+def test_a_procedure_beyond_the_limits_fails_and_the_instruments_are_looked_at_all_the_same(look, tmp_path):
+    path = tmp_path / "hot.yaml"
+    hot = "  - chamber: {temperature_c: 90, ramp_c_per_min: 1}\n"
+    path.write_text(find_document("procedures", "ten_minute_check").read_text() + hot)
+    failures = look(procedure=str(path))
+    assert list(failures) == ["procedure: within limits"]
+    assert "hot.yaml" in failures["procedure: within limits"].found
+
+
+def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
+    text = find_document("stations", "emulated").read_text()
+    (tmp_path / "station.yaml").write_text(text.replace("power: chamber_event", "power: operator"))
+    checks = check_bench(str(tmp_path / "station.yaml"), None, Emulation("ideal"), tmp_path)
+    (of_unit,) = [each for each in checks if each.subject == "INS"]
+    assert of_unit.verdict is Verdict.SKIPPED
+    assert "Switch it on" in of_unit.advice
+
+
+def test_a_silent_unit_that_is_always_on_fails(look):
+    failures = look(("power: chamber_event", "power: always_on"))
+    assert list(failures) == ["INS: answers"]
+    assert "sends nothing" in failures["INS: answers"].found
+
+
+def test_a_bench_of_which_nothing_can_be_opened_is_told_instrument_by_instrument(tmp_path):
+    text = find_document("stations", "emulated").read_text()
+    for old, new in {
+        "emulator://table": "/dev/no_table", "emulator://chamber": "/dev/no_chamber",
+        "interface: emulator": "interface: socketcan", "channel: ins": "channel: no_can",
+        "clock: virtual": "clock: wall",
+    }.items():  # fmt: skip
+        text = text.replace(old, new)
+    (tmp_path / "station.yaml").write_text(text)
+    checks = check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)
+    failed = [each for each in checks if each.verdict is Verdict.FAIL]
+    assert [each.subject for each in failed] == ["rate table", "chamber", "INS"]
+    assert "/dev/no_table" in failed[0].found
+    assert no_instrument_answers(checks)
+
+
+def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):
+    station = Station(find_document("stations", "emulated"))
+    document, model = load_procedure(find_document("procedures", "six_position_fig7"))
+    plan = station.plan(document, model)
+    assert disk_check(station, tmp_path / "not" / "there", plan, 40.0).verdict is Verdict.PASS
+    check = disk_check(station, tmp_path / "not" / "there", plan, 1e9)
+    assert check.verdict is Verdict.FAIL
+    assert f"free at {tmp_path}" in check.found
+    assert "44:59 h need" in check.found
+
+
+def test_a_station_file_that_is_wrong_is_told_before_anything_is_opened(tmp_path):
+    (tmp_path / "station.yaml").write_text("station: x\n")
+    with pytest.raises(DocumentError):
+        check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)

@@ -1,0 +1,125 @@
+"""Whole runs that tell a server on loopback how they go."""
+
+import json
+
+import pytest
+
+from gyrobench.bench.engine import notifications
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
+from tests.bench.messages.servers import Server
+
+PROCEDURE = """
+procedure: question
+bin_width_c: 5
+steps:
+  - ask_operator: {{question: "Is the cable plugged in?", answers: ["yes", "no"]}}
+  - chamber: {{temperature_c: {set_c}, ramp_c_per_min: 4}}
+"""
+
+
+class Slow(ConsentingOperator):
+    """Thinks for some answers' time before the answer."""
+
+    def __init__(self, patience, after):
+        super().__init__(patience)
+        self._left = self._after = after
+
+    def answer(self):
+        self._left -= 1
+        if self._left > 0:
+            return None
+        self._left = self._after
+        return super().answer()
+
+
+@pytest.fixture
+def server():
+    started = Server()
+    yield started
+    started.close()
+
+
+@pytest.fixture
+def run_told(tmp_path, server):
+    """Run the procedure; returns its journal and what the server was told."""
+
+    def run(operator, faults="", on="ends, holds, resumes, needs_person", set_c=40):
+        station, procedure = tmp_path / "station.yaml", tmp_path / "question.yaml"
+        text = find_document("stations", "emulated").read_text()
+        station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: {server.url}, on: [{on}]}}\n")
+        procedure.write_text(PROCEDURE.format(set_c=set_c))
+        if faults:
+            (tmp_path / "faults.yaml").write_text(faults)
+            faults = str(tmp_path / "faults.yaml")
+        job = prepare_job(str(procedure), str(station), Emulation("ideal", 0, faults))
+        folder, outcome = run_job(job, tmp_path / "run", RunObserver(), operator)
+        told = [json.loads(body) for _, _, body in server.received]
+        return list(read_journal(folder.journal)), told, outcome
+
+    return run
+
+
+def test_the_end_of_a_run_is_told_and_journaled(run_told):
+    journal, (end,), _ = run_told(ConsentingOperator())
+    assert (end["event"], end["ended"]) == ("ends", "finished")
+    assert end["procedure"] == "question"
+    assert end["left"]["hours"] == 0.0
+    sent = [entry for entry in journal if entry["event"] == "message_sent"]
+    assert [(entry["about"], entry["answer"]) for entry in sent] == [("ends", "200 OK")]
+
+
+def test_a_question_that_nobody_answers_is_told(run_told):
+    _, (question, end), _ = run_told(Slow(30, after=int(notifications.UNANSWERED_S) + 5))
+    assert question["event"] == "needs_person"
+    assert question["question"] == "Is the cable plugged in?"
+    assert question["answers"] == ["yes", "no"]
+    assert question["left"]["hours"] > 0.0
+    assert end["event"] == "ends"
+
+
+def test_a_question_that_is_answered_at_once_is_not_told(run_told):
+    _, told, _ = run_told(Slow(30, after=5))
+    assert [each["event"] for each in told] == ["ends"]
+
+
+def test_an_answer_that_ends_the_run_is_told_with_the_reason(run_told):
+    _, (end,), outcome = run_told(ConsentingOperator(patience=0))
+    assert end["ended"] == outcome.ended == "stopped"
+    assert outcome.reason in end["why"]
+
+
+def test_only_what_a_receiver_wants_is_told(run_told):
+    _, told, _ = run_told(Slow(30, after=50), on="holds")
+    assert told == []
+
+
+def test_a_hold_that_ends_by_itself_is_told_twice(run_told):
+    fault = "faults:\n  - {fault: port_gone, target: chamber, at_s: 60, for_s: 120}\n"
+    _, told, outcome = run_told(ConsentingOperator(), fault)
+    assert outcome.ended == "finished"
+    assert [each["event"] for each in told] == ["holds", "resumes", "ends"]
+    why = told[0]["why"].removeprefix("It continues without an operator once nothing is tripped: ")
+    assert told[1]["why"].startswith(f"The hold is over: {why}")
+    assert told[1]["left"]["hours"] > 0.0
+
+
+def test_a_hold_that_somebody_ends_at_once_is_not_told(run_told):
+    fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
+    journal, told, _ = run_told(ConsentingOperator(), fault)
+    assert any(entry["event"] == "held" for entry in journal)
+    assert [each["event"] for each in told] == ["ends"]
+
+
+def test_a_hold_that_waits_for_a_person_is_told_with_its_reason(run_told):
+    fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
+    _, told, _ = run_told(Slow(30, after=int(notifications.UNANSWERED_S) + 5), fault)
+    hold = told[1]
+    assert [each["event"] for each in told] == ["needs_person", "needs_person", "resumes", "ends"]
+    assert hold["question"] == f"The run holds: {hold['why']}"
+    assert hold["answers"] == ["continue", "abort"]

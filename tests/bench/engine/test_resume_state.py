@@ -1,0 +1,83 @@
+"""What a journal tells of how far a run has come, and journals that can't be of the run."""
+
+import math
+
+import pytest
+
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.resume import resume_state_of
+from gyrobench.bench.foundations.errors import RunFolderError
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return prepare_job("quick_campaign", "quick").plan
+
+
+@pytest.fixture(scope="module")
+def entries(plan):
+    """Entries of a run that came to the end of its second dwell."""
+    last = max(index for index, planned in enumerate(plan.steps) if planned.dwell == 2)
+    told = [{"event": "powered_on", "run": 1}, {"event": "ins_identified", "unit": "1003"}]
+    for number, planned in enumerate(plan.steps[: last + 1], start=1):
+        told.append({"event": "step_started", "step": number, "label": planned.label, "what": "something"})
+        told.append({"event": "step_finished", "step": number})
+        if planned.dwell and planned.dwell != plan.steps[number].dwell:
+            told.append({"event": "dwell_finished", "marks": {"dwell": planned.dwell}})
+    return [{"time_s": 10.0 * index, **entry} for index, entry in enumerate(told)]
+
+
+def test_a_sound_journal_tells_what_is_done(plan, entries):
+    progress = resume_state_of(entries, plan)
+    assert progress.finished == {1, 2}
+    assert plan.steps[progress.next_index - 1].dwell == 2
+    assert plan.steps[progress.next_index].dwell != 2
+    assert (progress.unit, progress.power_ons, progress.in_progress) == ("1003", 1, "")
+    assert progress.last_s == entries[-1]["time_s"]
+    assert not progress.is_over(plan)
+
+
+def test_a_dwell_is_done_with_its_entry_and_not_before(plan, entries):
+    before = resume_state_of(entries[:-1], plan)
+    assert before.finished == {1}
+    assert plan.steps[before.next_index - 1].dwell != 2
+    skipped = resume_state_of([*entries[:-1], {"time_s": 1e4, "event": "dwell_skipped", "dwell": 2}], plan)
+    assert (skipped.finished, skipped.skipped) == ({1}, {2})
+
+
+def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
+    without = [entry for entry in entries if entry.get("marks") != {"dwell": 1}]
+    with pytest.raises(
+        RunFolderError, match=r"the end of dwell 1 is missing, .* `gyrobench bins` recomputes"
+    ):
+        resume_state_of(without, plan)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({}, "'time_s'"),
+        ({"time_s": None}, "entry None at None s does not belong"),
+        ({"time_s": -1.0}, "-1.0 s is no time of a run"),
+        ({"time_s": 1e10}, "10000000000.0 s is no time of a run"),
+        ({"time_s": math.nan}, "nan s is no time of a run"),
+        ({"time_s": 10**400}, "too large"),
+        ({"time_s": 1.0, "event": "step_started"}, "'label'"),
+        ({"time_s": 1.0, "event": "step_finished"}, "'step'"),
+        ({"time_s": 1.0, "event": "step_finished", "step": 0}, "0 is no integer from 1 to"),
+        ({"time_s": 1.0, "event": "step_finished", "step": 10**6}, "1000000 is no integer"),
+        ({"time_s": 1.0, "event": "step_finished", "step": 1.5}, "1.5 is no integer"),
+        ({"time_s": 1.0, "event": "dwell_finished"}, "'marks'"),
+        ({"time_s": 1.0, "event": "dwell_finished", "marks": []}, "indices"),
+        ({"time_s": 1.0, "event": "dwell_finished", "marks": {"dwell": 10**6}}, "no integer"),
+        ({"time_s": 1.0, "event": "dwell_skipped", "dwell": "1"}, "'1' is no integer"),
+        ({"time_s": 1.0, "event": "dwell_given_up", "counts": True, "dwell": -1}, "-1 is no integer"),
+        ({"time_s": 1.0, "event": "continued", "by": "itself", "after": 5}, "not iterable"),
+        ({"time_s": 1.0, "event": "powered_on", "run": 10**9}, "from 1 to 1000000"),
+        ({"time_s": 1.0, "event": "run_ended", "ended": "finished"}, "'reason'"),
+    ],
+)
+def test_an_entry_that_no_run_writes_is_refused(plan, entries, entry, message):
+    with pytest.raises(RunFolderError, match="does not belong to this procedure") as error:
+        resume_state_of([*entries, entry], plan)
+    assert message in str(error.value)
