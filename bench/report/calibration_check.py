@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
 
 from rich import box
 from rich.console import Group, JustifyMethod, RenderableType
@@ -36,21 +35,8 @@ _UNKNOWN_ACCELEROMETERS = (
     "include {:.0f} µg."
 )
 _LARGE_ACCELEROMETER_UG = 100.0
+_HEADER = ("position", "gyro", "method", "gyro / °C", "bias", "by slope", "calibrated", "difference / σ")
 _NOTHING = "No bias could be compared with a calibrated one."
-
-
-@dataclass(frozen=True)
-class VerificationLine:
-    """A row as text: where, how, temperature, biases, and the difference in standard uncertainties."""
-
-    position: str
-    gyro: str
-    method: str
-    temperature_c: str
-    bias: str
-    slope: str
-    calibrated: str
-    difference: str
 
 
 def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
@@ -99,21 +85,21 @@ def verification_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     )
 
 
-def verification_lines(rows: Sequence[CalibrationCheckRow]) -> list[VerificationLine]:
-    """Rows as text; a star marks a significant difference."""
+def verification_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
+    """Cells of :data:`_HEADER`; a star marks a significant difference."""
     scale = verification_scale(rows)
     differing = _differing(rows)
     return [
-        VerificationLine(
-            position=place_label(row),
-            gyro=row.gyro.upper(),
-            method=row.method,
-            temperature_c="" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
-            bias=_with_sigma(scale, row.bias_dph, row.sigma_dph),
-            slope=_with_sigma(scale, row.paper_bias_dph, row.paper_sigma_dph),
-            calibrated=_with_sigma(scale, row.calibrated_dph, row.calibrated_sigma_dph),
-            difference=_difference(row, row in differing),
-        )
+        [
+            place_label(row),
+            row.gyro.upper(),
+            row.method,
+            "" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
+            _with_sigma(scale, row.bias_dph, row.sigma_dph),
+            _with_sigma(scale, row.paper_bias_dph, row.paper_sigma_dph),
+            _with_sigma(scale, row.calibrated_dph, row.calibrated_sigma_dph),
+            _difference(row, row in differing),
+        ]
         for row in rows
     ]
 
@@ -188,17 +174,8 @@ def _bias_table(rows: Sequence[CalibrationCheckRow]) -> SectionTable:
     return SectionTable(
         f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured minus "
         "calibrated in combined standard uncertainties; * significant",
-        [
-            "position",
-            "gyro",
-            "method",
-            "gyro / °C",
-            "bias",
-            "by slope",
-            "calibrated",
-            "difference / σ",
-        ],
-        [astuple(line) for line in verification_lines(rows)],
+        _HEADER,
+        verification_rows(rows),
         words=3,
     )
 
@@ -228,8 +205,8 @@ def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
         is_word = number < _WORDS
         justify: JustifyMethod = "left" if is_word else "right"
         table.add_column(header, justify=justify, no_wrap=is_word, min_width=len(header))
-    for line in verification_lines(rows):
-        table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in astuple(line)))
+    for cells in verification_rows(rows):
+        table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in cells))
     flags = [f"{where}: {what}" for where, what in flag_lines(rows)]
     sentences = [verification_sentence(rows), accelerometer_sentence(rows), *flags, _LEGEND]
     return Group(heading, table, *(Text(one) for one in sentences if one))

@@ -103,54 +103,39 @@ def read_run(folder: RunFolder) -> RunContent:
     """Read a run folder; missing or damaged files become problems, not errors."""
     problems: list[str] = []
     journal: list[Entry] = []
-    nothing: Entry = {}
-    no_dwells: list[DwellRow] = []
-    no_bins: list[BiasBin] = []
-    no_readings: Mapping[str, FloatArray] = {}
 
-    def read(path: Path, reader: Callable[[], T], missing: T) -> T:
+    def read(path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
         if not path.exists():
-            problems.append(f"{path.name} is missing.")
+            problems.extend([] if is_optional else [f"{path.name} is missing."])
             return missing
         try:
-            return reader()
+            return reader(path)
         except (GyrobenchError, json.JSONDecodeError) as error:
             problems.append(f"{path.name} can't be used: {error}")
             return missing
 
-    def read_if_there(path: Path, reader: Callable[[], T], missing: T) -> T:
-        return read(path, reader, missing) if path.exists() else missing
-
-    no_joint_biases: list[JointBiasRow] = []
-    no_joint_plateaus: list[JointPlateauRow] = []
-    no_verification: list[CalibrationCheckRow] = []
-    read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
-    procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
-    verification = read_if_there(
-        folder.verification, lambda: read_calibration_check(folder.verification), no_verification
+    read(folder.journal, lambda path: journal.extend(read_journal(path)), None)
+    procedure: Entry = read(folder.procedure, _mapping, {})
+    verification: list[CalibrationCheckRow] = read(
+        folder.verification, read_calibration_check, [], is_optional=True
     )
     # A run with calibration checks only has no table of dwells.
-    read_dwell_table = read_if_there if verification else read
-    dwells = read_dwell_table(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
-    bins = read(folder.bias_bins, lambda: read_bins(folder.bias_bins), no_bins)
+    dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=bool(verification))
+    bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
         journal=journal,
-        provenance=read(folder.provenance, lambda: read_provenance(folder), nothing),
+        provenance=read(folder.provenance, lambda _: read_provenance(folder), {}),
         procedure=procedure,
-        station=read(folder.station, lambda: _mapping(folder.station), nothing),
+        station=read(folder.station, _mapping, {}),
         dwells=dwells,
         bins=bins or _bins(dwells, procedure, problems),
-        telemetry=read(folder.telemetry, lambda: read_telemetry(folder.telemetry), no_readings),
-        joint_biases=read_if_there(
-            folder.joint_biases, lambda: read_joint_biases(folder.joint_biases), no_joint_biases
-        ),
-        joint_plateaus=read_if_there(
-            folder.joint, lambda: read_joint_plateaus(folder.joint), no_joint_plateaus
-        ),
-        noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
+        telemetry=read(folder.telemetry, read_telemetry, {}),
+        joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
+        joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
+        noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
-        acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),
+        acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),
         problems=problems,
     )

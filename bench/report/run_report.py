@@ -103,9 +103,11 @@ def write_report(
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
-    figures = save_figures(
-        into, content.telemetry, content.dwells, content.bins, content.acceptance, marked_c
-    )
+    drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
+    figures = []
+    for name, figure in drawn:
+        figures.append(into.figures / f"{name}.png")
+        save_figure(figure, figures[-1])
     compared = [before_after_section(read_run(before), content, marked_c)] if before else []
     sections = with_figure_files(into.figures, [*compared, *_analysis_sections(content, marked_c)])
     write_whole(into.report, render(content, figures, sections, hashes, by).encode())
@@ -371,43 +373,17 @@ def write_pdf(page: Path, pdf: Path) -> Path:
     return pdf
 
 
-def save_figures(
-    folder: RunFolder,
+def run_figures(
     telemetry: Readings,
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None = None,
     marked_c: Sequence[float] = (),
-) -> list[Path]:
-    """Draw everything that a run gives into its folder of figures.
-
-    Returns
-    -------
-    list of Path
-        Of temperature.png, bias_x.png, bias_y.png, bias_z.png and position_differences.png those
-        that there are data for.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
-    """
-    make_folder(folder.figures)
-    paths = []
-    for name, figure in run_figures(telemetry, dwells, bins, acceptance, marked_c):
-        paths.append(folder.figures / f"{name}.png")
-        save_figure(figure, paths[-1])
-    return paths
-
-
-def run_figures(
-    telemetry: Readings,
-    dwells: Sequence[DwellRow],
-    bins: Sequence[BiasBin],
-    acceptance: Acceptance | None,
-    marked_c: Sequence[float],
 ) -> Iterator[tuple[str, Figure]]:
-    """Draw what a run gives: name and figure, one after the other."""
+    """Draw the figures that there are data for, one after the other.
+
+    Yields names and figures: temperature, bias_x, bias_y, bias_z and position_differences.
+    """
     if len(telemetry.get("time_s", ())) or dwells:
         yield "temperature", temperature_figure(telemetry, dwells, marked_c)
     if bins or any(not row.flags for row in dwells):

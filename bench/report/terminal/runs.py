@@ -20,12 +20,13 @@ _CELL_CHARACTERS = 40
 
 def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
     """List of runs; one that did not finish shows its end in place of the verdict."""
-    table = plain_table(("run", "start", "unit", "batch", "bench", "verdict", "acceptance"), words=7)
+    rows = []
     for run in runs[:most]:
         verdict = run["verdict"] if run["ended"] == _FINISHED else run["ended"]
         day = run["started_utc"].date().isoformat()
         cells = (run["path"], day, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
-        table.add_row(*(Text(str(cell or "")) for cell in cells))
+        rows.append([str(cell or "") for cell in cells])
+    table = plain_table(("run", "start", "unit", "batch", "bench", "verdict", "acceptance"), 7, rows)
     units = {run["unit"] for run in runs}
     lines = [f"{counted(len(runs), 'run')} of {counted(len(units), 'unit')}."]
     if len(runs) > most:
@@ -110,9 +111,8 @@ def problems_text(problems: Mapping[str, str]) -> RenderableType:
 
 def answer_table(answer: QueryResult) -> RenderableType:
     """Result of a query."""
-    table = plain_table(answer.columns, words=len(answer.columns))
-    for row in answer.rows:
-        table.add_row(*(Text("" if value is None else _short(value)) for value in row))
+    rows = [["" if value is None else _short(value) for value in row] for row in answer.rows]
+    table = plain_table(answer.columns, len(answer.columns), rows)
     return Group(table, Text(counted(len(answer.rows), "row")))
 
 

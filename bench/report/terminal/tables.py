@@ -35,11 +35,15 @@ from gyrobench.bench.report.statements import (
 from gyrobench.bench.station.check import Check, Verdict
 
 
-def plain_table(headers: Sequence[str], words: int, *, fold: bool = True) -> Table:
-    """Empty table with columns of words at the left and of numbers after them."""
+def plain_table(
+    headers: Sequence[str], words: int, rows: Iterable[Sequence[str]] = (), *, fold: bool = True
+) -> Table:
+    """Table with columns of words at the left and of numbers after them."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for number, header in enumerate(headers):
         table.add_column(header, justify="left" if number < words else "right", no_wrap=not fold)
+    for row in rows:
+        table.add_row(*map(Text, row))
     return table
 
 
