@@ -190,7 +190,7 @@ def test_difference_figure_without_comparisons_says_so() -> None:
     assert texts(position_difference_figure([])) == ["no bin holds dwells of two positions"]
 
 
-def test_equal_data_give_equal_files_regardless_of_the_user_has_set(
+def test_equal_data_give_equal_files_regardless_of_user_settings(
     dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
     first = png_bytes(bias_figure("x", dwells, bins))
