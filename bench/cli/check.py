@@ -38,7 +38,7 @@ def check(
     With --json: {"station", "fit", "checks": [{"subject", "what", "verdict", "found", "advice"}]}; a
     verdict is pass, fail or skipped.
 
-    Exit codes: 0 nothing speaks against a run, 1 something does, 3 no instrument answers or a run
+    Exit codes: 0 ready for a run, 1 a check failed, 3 no instrument answers or a run
     holds the bench.
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7

@@ -20,7 +20,7 @@ _MAX_INFLATION = 1000.0
 _COLUMNS = (
     f"found from: smallest size found with {POWER:.0%} probability at the median of the effect's "
     "parameters; at worst: at the worst value. variance: inflation of the variance of its size by fitting "
-    "the other effects. separable from: smallest size at which it is distinguished from the hardest rival."
+    "the other effects. distinct: smallest size at which it is distinguished from the hardest rival."
 )
 
 
@@ -98,7 +98,7 @@ def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
     for header in ("found from", "at worst", "variance"):
         table.add_column(header, justify="right", no_wrap=True)
     table.add_column("hardest rival", no_wrap=True)
-    table.add_column("separable from", justify="right", no_wrap=True)
+    table.add_column("distinct", justify="right", no_wrap=True)
     for each in seen:
         name = each.effect.name
         rival, separable_dph = separability.hardest_rival(name) or ("none", each.typical_dph)

@@ -275,4 +275,6 @@ def _sum(checks: Sequence[Check]) -> Text:
     )
     if counts[Verdict.FAIL]:
         return Text(f"{numbers}: not ready for a run.", style="bold red")
-    return Text(f"{numbers}: ready for a run.", style="bold")
+    return Text(
+        f"{numbers}: ready for a run{' as far as checked' if counts[Verdict.SKIPPED] else ''}.", style="bold"
+    )

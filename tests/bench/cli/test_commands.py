@@ -137,7 +137,7 @@ def test_plan_reports_which_effects_its_dwells_report_apart(tmp_path):
     result = gyrobench("plan", "six_position_fig7", "--separability", "--target-dph", "0.05", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "A search sees 30 of 60 dwells" in result.stdout
-    assert "At 50.00 all of them are found and told apart." in result.stdout
+    assert "At 50.00 all of them are found and separable." in result.stdout
     assert (tmp_path / "separability_six_position_fig7.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -69,7 +69,7 @@ def test_agreement_is_stated_with_the_largest_difference():
 
 def test_differences_are_stated():
     sentence = verification_sentence([ROW, CHANGED, ALIGNMENT])
-    assert sentence.startswith("1 of 3 biases differs from the calibration (p < 0.01, allowing for 3")
+    assert sentence.startswith("1 of 3 biases differs from the calibration (p < 0.01, corrected for 3")
     assert "is 0.0100 ± 0.0015 deg/h (+6.5 standard uncertainties): Y gyro in Z-Up 0°" in sentence
 
 
@@ -142,7 +142,7 @@ def test_the_text_says_what_is_in_no_uncertainty_and_what_was_assumed():
 def test_large_uncertainties_from_accelerometers_are_explained(sigma_ug, is_explained):
     text = paragraphs([ROW, replace(ROW, accelerometer_sigma_ug=sigma_ug), FLAGGED])
     assert ("For 1 of 2 biases the calibration has no bias of the accelerometer" in text) is is_explained
-    assert ("100 µg pass for 0.0009 deg/h. The uncertainties hold 1000 µg" in text) is is_explained
+    assert ("100 µg appear as 0.0009 deg/h. The large uncertainties include 1000 µg" in text) is is_explained
 
 
 def test_without_a_verification_there_is_no_section():

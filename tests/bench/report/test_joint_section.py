@@ -105,7 +105,7 @@ def test_without_a_pair_no_rate_is_stated() -> None:
 
 def test_one_gyro_has_nothing_to_be_compared_with() -> None:
     text = section_of([plateau_row(finding="one_gyro", up_rate_p_value=math.nan)]).paragraphs[1]
-    assert "10⁻³ deg/h: a single gyro was vertical both up and down" in text
+    assert "10⁻³ deg/h: only one gyro was vertical both up and down" in text
 
 
 def test_plateaus_whose_dwells_do_not_agree_are_named() -> None:

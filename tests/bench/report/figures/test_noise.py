@@ -126,9 +126,7 @@ def test_a_gyro_that_never_moves_is_left_out() -> None:
 def test_output_that_never_changes_is_said_so() -> None:
     figure = noise_figure(made_up(attitude_step=1.0, velocity_step=10.0), DECLARED)
     for axes in panels(figure):
-        assert [text.get_text() for text in axes.texts] == [
-            "constant output: noise below resolution"
-        ]
+        assert [text.get_text() for text in axes.texts] == ["constant output: noise below resolution"]
     png_bytes(figure)
 
 
