@@ -1,7 +1,7 @@
-"""A serial port without wires, for handlers of pyserial whose instrument lives inside this program.
+"""A serial port for pyserial handlers whose instrument is inside this process.
 
-It lives on a clock: a read with a time-out waits there, so on a virtual clock it returns at once with
-what would have come in that time.
+A read with a time-out waits on a clock: on a virtual clock it returns at once with the bytes that
+would arrive in that time.
 """
 
 from __future__ import annotations
@@ -14,27 +14,21 @@ from gyrobench.bench.foundations.clock import Clock
 
 
 class ClockedPort(SerialBase):
-    """What both kinds of such ports have in common; ``open`` is a matter of each.
-
-    Attributes
-    ----------
-    clock : Clock
-        Set by ``open``, as is ``is_open``.
-    """
+    """A port on a clock; subclasses implement ``open``, which sets ``clock`` and ``is_open``."""
 
     clock: Clock
     _arrived: bytearray
 
     @abstractmethod
     def next_due_s(self) -> float | None:
-        """When the next bytes arrive, on the clock; None where none are under way."""
+        """Time on the clock at which the next bytes arrive; None if none are under way."""
 
     @abstractmethod
     def take(self) -> bytes:
-        """Bytes that have arrived since the last call; raises SerialException where the port is gone."""
+        """Bytes that have arrived since the last call; raises SerialException if the port is gone."""
 
     def close(self) -> None:
-        """Disconnect; the instrument goes on as it is."""
+        """Disconnect; the instrument continues unchanged."""
         self.is_open = False
 
     def _reconfigure_port(self) -> None:
@@ -53,7 +47,7 @@ class ClockedPort(SerialBase):
         return len(self._arrived)
 
     def read(self, size: int = 1, /) -> bytes:
-        """Read up to ``size`` bytes, waiting for them on the clock until the time-out."""
+        """Read up to ``size`` bytes, waiting on the clock until the time-out."""
         self._collect()
         end_s = None if self.timeout is None else self.clock.now() + self.timeout * self.clock.speed
         while len(self._arrived) < size:
@@ -69,15 +63,15 @@ class ClockedPort(SerialBase):
         return data
 
     def flush(self) -> None:
-        """Everything has been sent already."""
+        """Do nothing: written bytes are sent at once."""
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
+        """Discard what has arrived."""
         self._collect()
         self._arrived.clear()
 
     def reset_output_buffer(self) -> None:
-        """Nothing waits to be sent."""
+        """Do nothing: no output waits."""
 
     def _collect(self) -> None:
         if not self.is_open:

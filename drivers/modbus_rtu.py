@@ -1,12 +1,12 @@
-"""Modbus RTU, the master's side: read and write the holding registers of one device.
+"""Modbus RTU master: reads and writes the holding registers of one device.
 
 Frames and exception codes: MODBUS Application Protocol V1.1b3; CRC and silent interval: MODBUS
 over Serial Line V1.02.
 
-The reply to a read does not say which register was asked for: a reply that comes late could pass
-for that to the next question. So after any failed exchange nothing is asked until the line has been
-silent for the reply time-out. A reply that is later than twice the reply time-out, or a second copy
-of a good reply that comes after the next question, can't be told from a right one by this protocol.
+The reply to a read does not name its register: a late reply could pass for the reply to the next
+request. So after a failed exchange nothing is sent until the line has been silent for the reply
+time-out. The protocol can't detect a reply later than twice the reply time-out, or a second copy of a
+reply after the next request.
 """
 
 from __future__ import annotations
@@ -20,10 +20,8 @@ from gyrobench.drivers.serial_line import SerialLine
 
 #: A frame ends with a silence of 3.5 characters, 4 ms at 9600 baud.
 PAUSE_AFTER_READ_S = 0.005
-#: Controllers store a written value before they listen again.
+#: Controllers store a written value before they receive again.
 PAUSE_AFTER_WRITE_S = 0.03
-#: A line that is not silent within this many reply time-outs never will be.
-_MOST_TIMEOUTS_TO_SILENCE = 5
 
 _READ, _WRITE = 3, 6
 _EXCEPTION_BIT = 0x80
@@ -41,7 +39,7 @@ _CRC_TABLE = tuple(_crc_entry(byte) for byte in range(256))
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/MODBUS; zero for a whole frame that is intact."""
+    """CRC-16/MODBUS; zero for an intact frame."""
     crc = 0xFFFF
     for byte in data:
         crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
@@ -58,12 +56,8 @@ class ModbusRtu:
 
     Parameters
     ----------
-    line : SerialLine
-        Where the device hangs.
     address : int
         1 to 247.
-    reply_timeout_s : float
-        Longest wait for a reply.
     """
 
     def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
@@ -79,9 +73,9 @@ class ModbusRtu:
         Raises
         ------
         RefusedError
-            The device answered with an exception.
+            The device replied with an exception.
         ReplyError, NoReplyError, ConnectionFailedError
-            No valid answer came.
+            There was no valid reply.
         """
         request = struct.pack(">BBHH", self._address, _READ, register, count)
         start = bytes((self._address, _READ, 2 * count))
@@ -100,8 +94,7 @@ class ModbusRtu:
         clock = self._line.clock
         clock.sleep_until(self._next_request_s)
         if self._out_of_step:
-            timeout_s = self._reply_timeout_s
-            self._line.await_silence(timeout_s, _MOST_TIMEOUTS_TO_SILENCE * timeout_s)
+            self._line.await_silence(self._reply_timeout_s)
         self._out_of_step = True
         self._next_request_s = clock.now() + self._reply_timeout_s
         self._line.discard_input()
@@ -111,7 +104,7 @@ class ModbusRtu:
         if crc16(reply) != 0:
             raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
         if not reply.startswith((start, refusal)):
-            raise self._unexpected(request, reply, "it answers something else; check the address")
+            raise self._unexpected(request, reply, "another device or function replied; check the address")
         self._out_of_step = False
         self._next_request_s = clock.now() + pause_s
         return reply
@@ -126,7 +119,7 @@ class ModbusRtu:
     def _unexpected(self, request: bytes, reply: bytes, problem: str) -> ReplyError:
         return ReplyError(
             self._line.instrument,
-            f"asked {request.hex(' ')}, got {reply.hex(' ')} on {self._line.url}: {problem}",
+            f"sent {request.hex(' ')}, received {reply.hex(' ')} on {self._line.url}: {problem}",
         )
 
     def _raise_exception(self, reply: bytes, attempt: str) -> None:

@@ -1,14 +1,13 @@
 """A serial line to an instrument, with deadlines on the run's clock.
 
-Any pyserial URL will do: a device (``/dev/ttyUSB0``), ``socket://host:port``,
+The address is any pyserial URL: a device (``/dev/ttyUSB0``), ``socket://host:port``,
 ``rfc2217://host:port``, ``emulator://table?...`` or ``replay://FILE``, a recording. pyserial finds the
-handlers of the last two in the packages named below; nothing of the emulators is imported here.
+handlers of the last two in the packages named below; the emulators are not imported here.
 """
 
 from __future__ import annotations
 
 import contextlib
-import termios
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -17,12 +16,13 @@ import serial
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
 from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
-from gyrobench.drivers.recording.tap import tapped
-
-#: What pyserial raises when a port goes away, depending on the call.
-_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+from gyrobench.drivers.recording.recording_file import RecordingFile, new_line_recording
 
 _WRITE_TIMEOUT_S = 5.0
+#: A line that is not silent within this many times the silence required never will be.
+_MAX_SILENCES = 5
+#: Bytes recorded of the unread input that is discarded.
+_MAX_DISCARDED = 65536
 
 for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
     if _handlers not in serial.protocol_handler_packages:
@@ -31,16 +31,14 @@ for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
 
 @dataclass(frozen=True)
 class LineDefaults:
-    """How a controller is reached unless the station file says otherwise.
+    """Settings of a controller's line that the station file does not give.
 
     Attributes
     ----------
-    baudrate : int
-        Bits per second.
     parity : {"N", "E", "O"}
         Parity bit; eight data bits and one stop bit always.
     tcp_port : int or None
-        Its TCP port, for an address that names none; None where it has no usual one.
+        TCP port for an address without one; None if there is no usual port.
     """
 
     baudrate: int = 9600
@@ -49,7 +47,7 @@ class LineDefaults:
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:
-    """Open a port for this program alone; raises what pyserial raises."""
+    """Open a port exclusively; raises what pyserial raises."""
     return serial.serial_for_url(
         with_clock(url, clock),
         baudrate=baudrate,
@@ -60,13 +58,22 @@ def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Seri
     )
 
 
+def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
+    """What pyserial raises when a port goes away, depending on call and platform."""
+    try:
+        import termios
+    except ImportError:  # not a POSIX system
+        return (serial.SerialException, OSError, *others)
+    return (serial.SerialException, OSError, termios.error, *others)
+
+
 class SerialLine:
     """Bytes to and from one instrument.
 
     Parameters
     ----------
     instrument : str
-        Name used in error messages, for instance "rate table".
+        Name for error messages, for instance "rate table".
     url : str
         A device name or pyserial URL.
     clock : Clock
@@ -83,6 +90,7 @@ class SerialLine:
     """
 
     _open = False
+    _recording: RecordingFile | None = None
 
     def __init__(
         self, instrument: str, url: str, clock: Clock, baudrate: int = 9600, parity: str = "N"
@@ -103,30 +111,32 @@ class SerialLine:
         self.close()
 
     def reopen(self) -> None:
-        """Open the port anew as it was opened first, after whatever failed; what had arrived is lost.
+        """Close the port and open it again with the same settings; unread input is lost.
 
         Raises
         ------
         ConnectionFailedError
-            The port can't be opened; it stays closed, and may be opened later.
+            The port can't be opened; it stays closed and can be reopened later.
         """
         self.close()
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
-        except (*_PORT_ERRORS, ValueError) as error:
+        except _port_errors(ValueError) as error:
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",
             ) from error
-        self._port = tapped(self.instrument, port, self.clock, self._baudrate, self._parity)
-        self._open = True
+        self._port, self._open = port, True
+        self._recording = new_line_recording(self.instrument, self.clock, self._baudrate, self._parity)
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
         if self._open:
             self._open = False
-            with contextlib.suppress(*_PORT_ERRORS):  # gone already
+            with contextlib.suppress(*_port_errors()):  # the port is already gone
                 self._port.close()
+            if self._recording is not None:
+                self._recording.close()
 
     def write(self, data: bytes) -> None:
         """Send bytes.
@@ -137,9 +147,10 @@ class SerialLine:
             The port went away.
         """
         try:
+            self._record(True, data)
             self._port.write(data)
             self._port.flush()
-        except _PORT_ERRORS as error:
+        except _port_errors() as error:
             raise self._gone(error) from error
 
     def read(self, count: int, deadline: Deadline) -> bytes:
@@ -148,14 +159,14 @@ class SerialLine:
         Raises
         ------
         NoReplyError
-            Fewer bytes came before the deadline; the message holds those that did.
+            Fewer bytes arrived before the deadline; the message has those that did.
         ConnectionFailedError
             The port went away.
         """
         try:
             self._port.timeout = deadline.remaining_s() / self.clock.speed
-            data = bytes(self._port.read(count))
-        except _PORT_ERRORS as error:
+            data = self._read(count)
+        except _port_errors() as error:
             raise self._gone(error) from error
         if len(data) < count:
             raise NoReplyError(
@@ -166,23 +177,25 @@ class SerialLine:
         return data
 
     def discard_input(self) -> None:
-        """Throw away what arrived and nobody read, so that the next reply is the next one read."""
+        """Discard unread input, so that the next reply is the next one read."""
         try:
+            if self._recording is not None:
+                self._record_unread()
             self._port.reset_input_buffer()
-        except _PORT_ERRORS as error:
+        except _port_errors() as error:
             raise self._gone(error) from error
 
-    def await_silence(self, silence_s: float, longest_s: float) -> None:
-        """Throw away what arrives until nothing has come for ``silence_s``.
+    def await_silence(self, silence_s: float, max_s: float | None = None) -> None:
+        """Discard input until nothing has arrived for ``silence_s``.
 
         Raises
         ------
         ReplyError
-            The line was not silent for so long within ``longest_s``.
+            The line did not become silent within ``max_s``, by default five times the silence.
         ConnectionFailedError
             The port went away.
         """
-        deadline = Deadline(self.clock, longest_s)
+        deadline = Deadline(self.clock, _MAX_SILENCES * silence_s if max_s is None else max_s)
         while not deadline.expired():
             try:
                 self.read(1, Deadline(self.clock, silence_s))
@@ -191,13 +204,28 @@ class SerialLine:
             self.discard_input()
         raise ReplyError(
             self.instrument,
-            f"something arrives on {self.url} all the time without being asked for. Is another program or "
-            "master on this line?",
+            f"bytes arrive on {self.url} all the time without a request. Check whether another program or "
+            "master uses this line.",
         )
+
+    def _record(self, is_sent: bool, data: bytes) -> None:
+        if self._recording is not None:
+            self._recording.add(is_sent, data)
+
+    def _read(self, count: int) -> bytes:
+        data = bytes(self._port.read(count))
+        self._record(False, data)
+        return data
+
+    def _record_unread(self) -> None:
+        self._port.timeout = 0
+        left = _MAX_DISCARDED
+        while left > 0 and (waiting := self._port.in_waiting):
+            left -= len(self._read(min(waiting, left)))
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
         if isinstance(error.__cause__, ReplayError):
-            return ConnectionFailedError(self.instrument, f"is not asked as it was recorded: {error}")
+            return ConnectionFailedError(self.instrument, f"the driver deviates from the recording: {error}")
         return ConnectionFailedError(
             self.instrument, f"{self.url} went away: {error}. Check cable and power."
         )

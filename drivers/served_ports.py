@@ -1,41 +1,13 @@
-"""Byte streams that other programs connect to: pseudo-terminals, and TCP ports of the loopback."""
+"""Ports for other programs to connect to: pseudo-terminals, and TCP ports of the loopback."""
 
 from __future__ import annotations
 
 import os
 import socket
-import tty
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 _CHUNK = 4096
-
-
-class Port(Protocol):
-    """A byte stream to whoever connects."""
-
-    url: str
-
-    def fileno(self) -> int:
-        """Descriptor to wait on."""
-        ...
-
-    def read(self) -> bytes:
-        """What has come; empty for nothing."""
-        ...
-
-    def write(self, data: bytes) -> int:
-        """Send what fits now; returns how many bytes that was."""
-        ...
-
-    def unplug(self) -> None:
-        """Go away, as a device that is pulled out; whoever had it open loses it."""
-        ...
-
-    def plug_in(self) -> None:
-        """Come back under the same ``url``."""
-        ...
 
 
 class PseudoTerminal:
@@ -44,8 +16,8 @@ class PseudoTerminal:
     Parameters
     ----------
     link : Path, optional
-        A symbolic link for ``url``, which stays the same when the terminal itself comes back as another.
-        One that a killed program left there is replaced.
+        A symbolic link for ``url`` that stays the same when the terminal's name changes. A dangling
+        link of a killed program is replaced.
 
     Raises
     ------
@@ -58,7 +30,9 @@ class PseudoTerminal:
         self.plug_in()
 
     def plug_in(self) -> None:
-        """Come back under the same ``url``, if there is a link."""
+        """Open a terminal, under the same ``url`` if there is a link."""
+        import tty  # not on every platform
+
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -70,7 +44,7 @@ class PseudoTerminal:
             self.url = str(self._link)
 
     def unplug(self) -> None:
-        """Go away: whoever had it open gets input/output errors."""
+        """Close it: a program that has it open gets input/output errors."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         os.close(self._master)
@@ -81,14 +55,14 @@ class PseudoTerminal:
         return self._master
 
     def read(self) -> bytes:
-        """What has come."""
+        """Bytes that have arrived, without waiting."""
         try:
             return os.read(self._master, _CHUNK)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> int:
-        """Send what fits now."""
+        """Send what fits in the buffer."""
         try:
             return os.write(self._master, data)
         except BlockingIOError:
@@ -96,14 +70,14 @@ class PseudoTerminal:
 
 
 class TcpPort:
-    """A TCP port of the loopback with one client at a time; a new one replaces the old.
+    """A TCP port of the loopback with one client at a time; a new client replaces the old one.
 
     Parameters
     ----------
     number : int
-        Number of the port; 0 for any that is free.
+        Number of the port; 0 for any free port.
     greet : callable, optional
-        Gives what a new client is told at once.
+        Returns bytes to send to each new client.
 
     Raises
     ------
@@ -119,13 +93,13 @@ class TcpPort:
         self.url = f"socket://127.0.0.1:{self.number}"
 
     def plug_in(self) -> None:
-        """Listen, at the same port as before."""
+        """Listen, on the same port as before."""
         self._listener = socket.create_server(("127.0.0.1", self.number))
         self._listener.setblocking(False)
         self.number = self._listener.getsockname()[1]
 
     def unplug(self) -> None:
-        """Hang up, and let nobody connect."""
+        """Disconnect the client and stop listening."""
         self._hang_up()
         self._listener.close()
 
@@ -134,7 +108,7 @@ class TcpPort:
         return (self._client or self._listener).fileno()
 
     def read(self) -> bytes:
-        """What has come."""
+        """Bytes that have arrived, without waiting."""
         try:
             client, _ = self._listener.accept()
             client.setblocking(False)
@@ -157,7 +131,7 @@ class TcpPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Send what fits now; without a client it is lost."""
+        """Send what fits in the buffer; without a client the bytes are lost."""
         if self._client is None:
             return len(data)
         try:
@@ -172,3 +146,6 @@ class TcpPort:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+Port = PseudoTerminal | TcpPort

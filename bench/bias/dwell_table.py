@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, format_number, read_text, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -26,6 +27,10 @@ _TRIPLES = {
     "accelerometer_sigma_ug": "accelerometer_sigma_{}_ug",
 }
 _FIT = ("fit_ratio", "fit_p_value")
+#: How values are read that are more than a number.
+_READERS = {"gyro_c": CsvTable.temperature} | dict.fromkeys(
+    ("sigma_dph", "paper_sigma_dph", "accelerometer_sigma_ug"), CsvTable.uncertainty
+)
 #: What a table may lack, or have empty.
 _OPTIONAL = {
     *("azimuth_deg", "chamber_set_c", "chamber_c", "case_c", "board_c"),
@@ -195,38 +200,24 @@ def _cells(row: DwellRow) -> list[str]:
 def _row(table: CsvTable, index: int) -> DwellRow:
     failed = bool(table.text(index, "flags"))
 
-    def triple(name: str, read: Callable[[int, str, bool], float] = table.number) -> Triple:
-        x, y, z = (read(index, _TRIPLES[name].format(axis), failed or name in _OPTIONAL) for axis in AXES)
+    def triple(name: str) -> Triple:
+        read = _READERS.get(name, CsvTable.number)
+        columns = (_TRIPLES[name].format(axis) for axis in AXES)
+        x, y, z = (read(table, index, column, failed or name in _OPTIONAL) for column in columns)
         return x, y, z
 
-    def scalar(name: str) -> float:
-        return table.number(index, name, may_be_empty=name in _OPTIONAL)
-
+    values: dict[str, Any] = {
+        name: table.number(index, name, may_be_empty=name in _OPTIONAL) for name in (*_SCALARS, *_FIT)
+    }
+    values |= {name: triple(name) for name in _TRIPLES}
     row = DwellRow(
         unit=table.name(index, "unit"),
         run=table.name(index, "run"),
         dwell=table.integer(index, "dwell"),
         cycle=table.integer(index, "cycle"),
         position=table.choice(index, "position", POSITIONS),
-        azimuth_deg=scalar("azimuth_deg"),
-        start_s=scalar("start_s"),
-        end_s=scalar("end_s"),
-        since_power_on_s=scalar("since_power_on_s"),
-        chamber_set_c=scalar("chamber_set_c"),
-        chamber_c=scalar("chamber_c"),
-        case_c=scalar("case_c"),
-        gyro_c=triple("gyro_c", table.temperature),
-        gyro_rate_c_per_h=triple("gyro_rate_c_per_h"),
-        board_c=triple("board_c"),
-        bias_dph=triple("bias_dph"),
-        sigma_dph=triple("sigma_dph", table.uncertainty),
-        paper_bias_dph=triple("paper_bias_dph"),
-        paper_sigma_dph=triple("paper_sigma_dph", table.uncertainty),
-        accelerometer_ug=triple("accelerometer_ug"),
-        accelerometer_sigma_ug=triple("accelerometer_sigma_ug", table.uncertainty),
-        fit_ratio=scalar("fit_ratio"),
-        fit_p_value=scalar("fit_p_value"),
         flags=table.text(index, "flags"),
+        **values,
     )
     if row.end_s < row.start_s:
         table.problem(

@@ -26,7 +26,6 @@ from scipy.stats import norm
 from gyrobench.bench.bias.allan import (
     RANDOM_WALK,
     WHITE_ANGLE,
-    AllanVariance,
     RateNoise,
     allan_variance,
     fit_rate_noise,
@@ -154,16 +153,10 @@ class RateEstimate:
         Rate of each gyro.
     sigma_radps : ndarray, shape (3,)
         Its standard uncertainty from the noise in the recording.
-    allan : tuple of AllanVariance
-        Of each gyro.
-    noise : tuple of RateNoise
-        What was fitted to them.
     """
 
     rate_radps: FloatArray
     sigma_radps: FloatArray
-    allan: tuple[AllanVariance, ...]
-    noise: tuple[RateNoise, ...]
 
 
 @dataclass(frozen=True)
@@ -216,16 +209,12 @@ def estimate_rate(recording: RateRecording) -> RateEstimate:
         The recording is too short to estimate its noise.
     """
     interval = recording.interval_s
-    allans, noises, slopes = [], [], []
+    slopes = []
     for rate, angle in zip(recording.rate_radps.T, recording.angle_rad.T, strict=True):
-        allan = allan_variance([angle], interval)
-        noise = fit_rate_noise(allan)
-        expected = _expected_terms(noise)
-        allans.append(allan)
-        noises.append(noise)
+        expected = _expected_terms(fit_rate_noise(allan_variance([angle], interval)))
         slopes.append(_slope(rate, interval, expected[WHITE_ANGLE], expected[RANDOM_WALK]))
     rates, variances = np.array(slopes).T
-    return RateEstimate(rates, np.sqrt(variances), tuple(allans), tuple(noises))
+    return RateEstimate(rates, np.sqrt(variances))
 
 
 def up_down_pair(

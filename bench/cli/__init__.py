@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from typing import Annotated
 
 import typer
 
+from gyrobench.bench import __version__
 from gyrobench.bench.cli import (
     bins,
     check,
     close,
+    control,
     emulate,
     export,
     fleet,
@@ -27,7 +30,6 @@ from gyrobench.bench.cli import (
     run,
     runs,
     schema,
-    tell,
     validate,
     verify,
 )
@@ -41,11 +43,10 @@ from gyrobench.bench.cli.output import (
 )
 from gyrobench.bench.foundations.errors import BenchInUseError, DocumentError, GyrobenchError, InstrumentError
 
-# The matrices of this project are small: threads of the linear algebra only get into each other's way.
+# The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
-    help="Bench controller for calibrating the gyros of inertial navigation systems.",
     epilog=EXIT_CODES_HELP,
     cls=CommandGroups,
     no_args_is_help=True,
@@ -54,10 +55,27 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo(f"gyrobench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Bench controller for calibrating the gyros of inertial navigation systems."""
+
+
 # In the order of the groups in which the help lists them.
 app.command()(run.run)
 app.command()(resume.resume)
-app.command()(tell.tell)
+app.command()(control.control)
+app.command(hidden=True)(control.tell)
 app.command()(verify.verify)
 app.command()(plan.plan)
 app.command()(check.check)

@@ -7,7 +7,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_biases, print_
 
 
 def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
-    """Measure a run anew from its raw CAN log and write its tables again.
+    """Recompute the tables of a run from its raw CAN log.
 
     With --json: {"folder", "report", "bins", "verification", "acceptance"}; bins and verification are
     lists with the columns of their tables as keys, acceptance is what acceptance.json holds.

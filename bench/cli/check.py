@@ -23,23 +23,22 @@ def check(
     station: StationArgument = EMULATED,
     procedure: Annotated[
         str | None,
-        typer.Option(
-            help="Procedure that is to be run: file or shipped name.", autocompletion=complete_procedure
-        ),
+        typer.Option(help="Procedure to be run: file or shipped name.", autocompletion=complete_procedure),
     ] = None,
     world: WorldOption = "gyro_a",
     seed: SeedOption = 0,
     faults: FaultsOption = None,
-    out: Annotated[Path, typer.Option(help="Folder in which the run folder is to be.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder for the run folder.")] = Path("runs"),
     as_json: JsonOption = False,
 ) -> None:
-    """Look whether a bench is fit for a run, without moving anything; a unit that is off is on meanwhile.
+    """Preflight check: is the bench ready? Moves nothing.
+
+    A unit that is off is switched on during the check.
 
     With --json: {"station", "fit", "checks": [{"subject", "what", "verdict", "found", "advice"}]}; a
     verdict is pass, fail or skipped.
 
-    Exit codes: 0 ready for a run, 1 a check failed, 3 no instrument answers or a run
-    holds the bench.
+    Exit codes: 0 ready, 1 not ready, 3 no instrument replies or a run uses the bench.
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """

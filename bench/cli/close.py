@@ -41,15 +41,15 @@ def close(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; by default closure, beside the table or in the run.")
+        Path | None, typer.Option(help="Output folder; default: closure, beside the table or in the run.")
     ] = None,
     hold_out_cycle: Annotated[
         list[int] | None,
-        typer.Option(help="Cycle that the search does not see, may be repeated; by default the last one."),
+        typer.Option(help="Cycle excluded from the search, may be repeated; default: the last one."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Search for the effect behind what the bias model leaves, and test it on a cycle held out.
+    """Search for effects that explain the residual of the bias model, and test them on a held-out cycle.
 
     With --json: {"folder", "report", "closure"}, the last with what closure.json holds: "verdict", which
     is clean, explained, ambiguous or unexplained, "effects", "error_before_dph", "error_after_dph", ...
@@ -58,8 +58,8 @@ def close(
     """
     import json
 
-    from gyrobench.bench.report.closure.search_files import write_search
-    from gyrobench.bench.report.closure.terminal import closure_summary
+    from gyrobench.bench.report.closure.closure_page import write_search
+    from gyrobench.bench.report.closure.closure_summary import closure_summary
 
     closure = search(campaign, hold_out_cycle or ())
     written = write_search(closure, campaign, out)

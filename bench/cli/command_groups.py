@@ -1,4 +1,4 @@
-"""The list of commands in `gyrobench --help`, in groups by what one wants to do."""
+"""The list of commands in `gyrobench --help`, grouped by task."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from typing import Any
 
 from typer.core import TyperGroup
 
-#: Commands by what they are for; one that is in no group stands in the last.
+#: Commands by task; a command without a group is listed last.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Measure": ("run", "resume", "tell", "verify"),
+    "Measure": ("run", "resume", "control", "verify"),
     "Before a run": ("plan", "check", "jog", "message"),
-    "Look and report": ("monitor", "report", "export", "bins", "close", "import", "raw-rate"),
+    "Watch and report": ("monitor", "report", "export", "bins", "close", "import", "raw-rate"),
     "Many runs": ("runs", "fleet"),
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),
 }
 _OTHERS = "Other"
-#: A first sentence stands whole, on as many lines as it needs.
+#: The first sentence is shown in full.
 _MAX_HELP = 300
 
 

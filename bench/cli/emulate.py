@@ -16,7 +16,7 @@ _PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
 
 
 class CanServer(StrEnum):
-    """What the emulated INS speaks."""
+    """CAN interface of the emulated INS."""
 
     slcan = "slcan"
     socketcand = "socketcand"
@@ -28,31 +28,29 @@ def emulate(
     seed: SeedOption = 0,
     faults: FaultsOption = None,
     faults_log: Annotated[
-        Path | None, typer.Option(help="File to which each injected fault is added as JSON.")
+        Path | None, typer.Option(help="File for a JSON line for each injected fault.")
     ] = None,
     tcp: Annotated[
-        bool, typer.Option("--tcp", help="TCP ports of the loopback, not pseudo-terminals.")
+        bool, typer.Option("--tcp", help="Use TCP ports of the loopback instead of pseudo-terminals.")
     ] = False,
     table_port: Annotated[str, typer.Option(help=_PORT_HELP.format("rate table"))] = "",
     chamber_port: Annotated[str, typer.Option(help=_PORT_HELP.format("chamber"))] = "",
     ins_port: Annotated[str, typer.Option(help=_PORT_HELP.format("INS"))] = "",
     can: Annotated[
-        CanServer | None, typer.Option(help="What the INS speaks; else as the station says.")
+        CanServer | None, typer.Option(help="CAN interface of the INS; default: that of the station.")
     ] = None,
-    speed: Annotated[
-        float, typer.Option(min=1.0, max=100.0, help="How many times as fast as real time.")
-    ] = 1.0,
+    speed: Annotated[float, typer.Option(min=1.0, max=100.0, help="Speed relative to real time.")] = 1.0,
     for_s: Annotated[
-        float | None, typer.Option(min=0.0, help="End after so many seconds of real time.")
+        float | None, typer.Option(min=0.0, help="End after this many seconds of real time.")
     ] = None,
     write_station: Annotated[
-        Path | None, typer.Option(help="Station file to write, with which the bench can be used at once.")
+        Path | None, typer.Option(help="Station file to write, for use of the emulated bench.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON for programs.")] = False,
 ) -> None:
     """Serve the emulated table, chamber and INS to any program on this computer, until Ctrl-C.
 
-    Exit codes: 0 ended as told, 2 an option or file is wrong, or a port is taken.
+    Exit codes: 0 ended by Ctrl-C or --for-s, 2 an option or file is wrong, or a port is in use.
 
     Example: gyrobench emulate --speed 10 --write-station mine.yaml
     """
@@ -75,11 +73,11 @@ def emulate(
         if emulators.urls:
             if write_station:
                 write_station_file(write_station, bench, emulators.urls, speed)
-            told = (
+            summary = (
                 json.dumps(emulators.urls)
                 if as_json
                 else guide(emulators.urls, bench.file, speed, write_station)
             )
-            typer.echo(told)
+            typer.echo(summary)
         code = emulators.wait()
     sys.exit(code)

@@ -16,25 +16,25 @@ _WHAT = "dwells, bins, joint, verification, telemetry, navigation, can, compensa
 def export(
     run_folder: RunArgument,
     what: Annotated[
-        str, typer.Option(help=f"Some of {_WHAT}, with commas between; by default all but navigation.")
+        str, typer.Option(help=f"Comma-separated list of {_WHAT}; default: all but navigation.")
     ] = "",
     formats: Annotated[
         str,
         typer.Option(
-            "--format", help="Some of parquet, csv, blf, mf4, with commas between; by default parquet,blf."
+            "--format", help="Comma-separated list of parquet, csv, blf, mf4; default: parquet,blf."
         ),
     ] = "",
     dwell: Annotated[
-        int | None, typer.Option(min=1, help="Navigation of this dwell alone; by default of the whole run.")
+        int | None, typer.Option(min=1, help="Navigation data of this dwell only; default: whole run.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; by default export in the run.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Output folder; default: export in the run.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
-    """Write the data of a run for other tools, with units and where they came from.
+    """Export the data of a run for other tools, with units and provenance.
 
-    Tables, readings and decoded navigation are written as Parquet or CSV, raw CAN frames as one BLF or MDF4
-    file, the compensation as tables and as the YAML file that `gyrobench run` takes. A run that was cut off
-    gives what it holds.
+    Tables, telemetry and decoded navigation data are written as Parquet or CSV, raw CAN frames as one BLF or
+    MDF4 file, the compensation as tables and as the YAML file that `gyrobench run` loads. An interrupted run
+    is exported as far as it was recorded.
 
     Example: gyrobench export runs/six_position_fig7-001 --what dwells,can --format csv,mf4
     """
@@ -51,14 +51,14 @@ def export(
     for path in exported.files:
         typer.echo(f"{_size(path):>9}  {path}")
     for kind, why in exported.missing.items():
-        typer.echo(f"without {kind}: {why}")
+        typer.echo(f"not exported: {kind}: {why}")
 
 
 def _chosen(text: str, allowed: list[str], option: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in allowed:
-            raise DocumentError(f"{option}: '{name}' is none of {', '.join(allowed)}")
+            raise DocumentError(f"{option}: '{name}' is not one of {', '.join(allowed)}")
     return list(dict.fromkeys(names))
 
 

@@ -12,17 +12,15 @@ from gyrobench.bench.cli.options import complete_import_map
 
 def import_log(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Log of a real IMU, or several in order.")
+        list[Path], typer.Argument(metavar="LOG...", help="Log of a real IMU; several in order of time.")
     ],
     mapping: Annotated[
         str,
-        typer.Option(
-            "--map", help="What stands where: file or shipped name.", autocompletion=complete_import_map
-        ),
+        typer.Option("--map", help="Import map: file or shipped name.", autocompletion=complete_import_map),
     ],
     out: Annotated[Path, typer.Option(help="Dwell table to write.")] = Path("dwells.csv"),
 ) -> None:
-    """Average logs of a real IMU or INS to a dwell table.
+    """Import logs of a real IMU or INS into a dwell table.
 
     Example: gyrobench import imu.csv --map my_imu.yaml --out dwells.csv
     """

@@ -14,26 +14,26 @@ def jog(
     station: StationArgument = EMULATED,
     commands: Annotated[
         list[str] | None,
-        typer.Argument(metavar="COMMAND...", help="Commands to carry out; without any, they are typed."),
+        typer.Argument(metavar="COMMAND...", help="Commands to execute; default: typed interactively."),
     ] = None,
     leave: Annotated[
         bool,
         typer.Option(
-            "--leave", help="Leave chamber, unit and servos as they are at the end; the table stops."
+            "--leave", help="At the end leave chamber, unit and servos as they are; the table stops."
         ),
     ] = False,
     world: WorldOption = "gyro_a",
     seed: SeedOption = 0,
     faults: FaultsOption = None,
 ) -> None:
-    """Move the table, set the chamber and watch the INS by hand, within the limits of the station.
+    """Manual control of table, chamber and INS, within the limits of the station.
 
     Commands are typed one a line, come from a pipe, or are given as arguments, each in quotes; `help`
-    lists them. The interlocks of the station are watched all the time: a trip brings the bench to its
-    safe state and says why. Ctrl-C stops the table. At the end the bench is left in its safe state.
+    lists them. The interlocks of the station are active: a trip brings the bench to its safe state and
+    reports the reason. Ctrl-C stops the table. At the end the bench is left in its safe state.
 
-    Exit codes: 0 all was done, 1 a command could not be carried out or an interlock tripped, 3 an
-    instrument can't be reached or a run holds the bench.
+    Exit codes: 0 success, 1 a command failed or an interlock tripped, 3 an instrument can't be reached
+    or a run uses the bench.
 
     Example: gyrobench jog my_bench.yaml "table outer 30" "chamber 40 at 1.5" "watch 60"
     """

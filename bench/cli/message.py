@@ -12,11 +12,11 @@ from gyrobench.bench.cli.output import EXIT_INSTRUMENT
 
 def message(
     station: StationArgument,
-    text: Annotated[str, typer.Argument(help="What to tell.")] = "This is a test. Nothing is to be done.",
+    text: Annotated[str, typer.Argument(help="Text of the message.")] = "This is a test. No action required.",
 ) -> None:
-    """Send a test message to everybody that a station file names, and say what each answered.
+    """Send a test message to all receivers of a station file, and report each reply.
 
-    Exit codes: 0 all took it, 2 the station file names nobody, 3 somebody could not be reached.
+    Exit codes: 0 all accepted it, 2 the station file names no receiver, 3 a receiver was not reached.
 
     Example: gyrobench message my_bench.yaml "A test of the bench's messages."
     """

@@ -9,21 +9,23 @@ import typer
 
 from gyrobench.bench.cli.options import complete_run
 
-_HELP = "Run folder, or a folder of runs: then a list of them, each with its page."
+_HELP = "Run folder, or folder of runs."
 
 
 def monitor(
     run: Annotated[Path, typer.Argument(metavar="RUN", help=_HELP, autocompletion=complete_run)],
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of this machine's loopback; 0 for any free one.")
+        int, typer.Option(min=0, max=65535, help="Port on the loopback; 0 for any free port.")
     ] = 8765,
-    for_s: Annotated[float | None, typer.Option(min=0.0, help="End after so many seconds.")] = None,
-    open_browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser here.")] = False,
+    for_s: Annotated[float | None, typer.Option(min=0.0, help="End after this many seconds.")] = None,
+    open_browser: Annotated[
+        bool, typer.Option("--open", help="Open the page in a browser on this machine.")
+    ] = False,
 ) -> None:
-    """Show a run, or a folder of runs, in a browser: live while it goes on, as a record after it.
+    """Show a run, or a folder of runs, in a browser: live during a run, as a record after it.
 
-    The page is read only, needs nothing from outside, and is served on this machine alone (127.0.0.1).
-    From another one it is reached through ssh: the command says how. Ctrl-C ends it; the run goes on.
+    The page is read only, self-contained, and served on this machine only (127.0.0.1). For access from
+    another machine through ssh, the command prints how. Ctrl-C ends the monitor, not the run.
 
     Example: gyrobench monitor runs/six_position_fig7-001 --open
     """
@@ -39,11 +41,11 @@ def monitor(
     from gyrobench.bench.monitor.site import Site
 
     if not run.is_dir():
-        raise RunFolderError(f"{run}: there is no such folder. Give a run folder, or a folder of runs")
+        raise RunFolderError(f"{run}: no such folder. Give a run folder, or a folder of runs")
     with MonitorServer(Site(run, WallClock().utc).answer, port) as server:
         local = server.server_port
         typer.echo(f"{run} is shown at {server.url} until Ctrl-C.")
-        typer.echo("From another machine, leave this open there, and look at the same address:")
+        typer.echo("From another machine, run this there and open the same address:")
         typer.echo(f"  ssh -N -L {local}:127.0.0.1:{local} {getpass.getuser()}@{socket.gethostname()}")
         if open_browser:
             webbrowser.open(server.url)

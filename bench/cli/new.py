@@ -14,16 +14,14 @@ from gyrobench.bench.foundations.errors import DocumentError
 _STANDARD_OUTPUT = Path("-")
 
 new = typer.Typer(
-    help="Write a commented file to start from: every key with its meaning, bounds and default.\n\n"
+    help="Write a commented template: every key with its meaning, bounds and default.\n\n"
     "Example: gyrobench new procedure my_check --like check",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
-_Name = Annotated[str, typer.Argument(help="Name of the new one: letters, digits, underscore, hyphen.")]
-_Out = Annotated[
-    Path | None, typer.Option(help="File to write, - for standard output; by default NAME.yaml here.")
-]
+_Name = Annotated[str, typer.Argument(help="Name: letters, digits, underscore, hyphen.")]
+_Out = Annotated[Path | None, typer.Option(help="Output file, - for standard output; default: NAME.yaml.")]
 
 
 @new.command()
@@ -32,7 +30,7 @@ def procedure(
     like: Annotated[
         str,
         typer.Option(
-            help="Start from six_position, check, verification, another shipped one, or a file.",
+            help="Template: six_position, check, calibration_check, a shipped procedure, or a file.",
             autocompletion=complete_template,
         ),
     ] = "check",
@@ -44,7 +42,7 @@ def procedure(
     """
     from gyrobench.bench.authoring.new_files import new_procedure
 
-    _write(name, out, lambda path: new_procedure(name, like, path), "Look at it with: gyrobench plan")
+    _write(name, out, lambda path: new_procedure(name, like, path), "Next: gyrobench plan")
 
 
 @new.command()
@@ -59,7 +57,7 @@ def station(
     ] = None,
     out: _Out = None,
 ) -> None:
-    """Write a station file: fill in ports, limits, mounting and signals, then look with `gyrobench check`.
+    """Write a station file: fill in ports, limits, mounting and signals, then run `gyrobench check`.
 
     Example: gyrobench new station my_bench --chamber watlow_f4
     """
@@ -69,7 +67,7 @@ def station(
         name,
         out,
         lambda path: new_station(name, path, table, chamber),
-        "Fill it in, then look with: gyrobench check",
+        "Fill it in. Next: gyrobench check",
     )
 
 
@@ -77,23 +75,21 @@ def station(
 def world(
     name: _Name,
     like: Annotated[
-        str, typer.Option(help="Shipped world, or a file, to copy.", autocompletion=complete_world)
+        str, typer.Option(help="World to copy: file or shipped name.", autocompletion=complete_world)
     ] = "quick",
     out: _Out = None,
 ) -> None:
-    """Copy a world file, to change what is true of an emulated bench.
+    """Copy a world file, to change the simulated truth of an emulated bench.
 
     Example: gyrobench new world hidden --like gyro_b
     """
     from gyrobench.bench.authoring.new_files import new_world
 
-    _write(
-        name, out, lambda path: new_world(name, like, path), "Change it, look at it with: gyrobench validate"
-    )
+    _write(name, out, lambda path: new_world(name, like, path), "Edit it. Next: gyrobench validate")
 
 
 def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: str) -> None:
-    """Write what is made for a path, and say what is next; nothing that exists is written over."""
+    """Write a new file and print the next step; existing files are not overwritten."""
     path = out or Path(f"{name}.yaml")
     text = make(path)
     if path == _STANDARD_OUTPUT:
@@ -103,6 +99,6 @@ def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: 
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:
-        why = "is there already; name another with --out" if path.exists() else str(error.strerror)
+        why = "exists already; choose another --out" if path.exists() else str(error.strerror)
         raise DocumentError(f"{path}: {why}. Nothing was written.") from error
     typer.echo(f"{path}: written. {next_step} {path}")

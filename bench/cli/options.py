@@ -68,7 +68,7 @@ def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
-#: The station of commands that are given none.
+#: Default station.
 EMULATED = "emulated"
 
 STATION_HELP = "Station file, or the name of a shipped one."
@@ -77,7 +77,7 @@ SEED_HELP = "Seed of everything random in the emulated world."
 
 
 class View(StrEnum):
-    """How a run is shown in the terminal."""
+    """View of a run in the terminal."""
 
     LIVE = "live"
     LINES = "lines"
@@ -93,10 +93,8 @@ SeedOption = Annotated[int, typer.Option(min=0, help=SEED_HELP)]
 FaultsOption = Annotated[
     str | None,
     typer.Option(
-        help="Faults that emulated instruments have: file or shipped name.", autocompletion=complete_faults
+        help="Faults of the emulated instruments: file or shipped name.", autocompletion=complete_faults
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
-ViewOption = Annotated[
-    View, typer.Option(help="The whole picture on a terminal, or lines only, as where output goes to a file.")
-]
+ViewOption = Annotated[View, typer.Option(help="Live view of the run on a terminal, or lines as in a file.")]

@@ -28,22 +28,22 @@ if TYPE_CHECKING:
     from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 
-#: The run did not finish, or what was looked at is not as it should be.
+#: The run did not finish, or a check failed.
 EXIT_NOT_FINISHED = 1
 #: A file, table or option is wrong.
 EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
 
-#: For the help; the lines bar as they are.
+#: For the help; line breaks are kept.
 EXIT_CODES_HELP = """\b
 Exit codes of all commands:
-  0  it is done; of run and resume: the run finished
-  1  it did not finish, or what was looked at is not as it should be
-  2  a file, table or option is wrong; the message says where
-  3  an instrument can't be reached, or another run holds the bench
+  0  success; run and resume: the run finished
+  1  not finished, or a check failed
+  2  a file, table or option is wrong; the message states where
+  3  an instrument can't be reached, or another run uses the bench
 
-A command's own help says what it adds: gyrobench COMMAND --help
+Codes of a single command: gyrobench COMMAND --help
 """
 
 
@@ -54,18 +54,18 @@ def fail(error: GyrobenchError, code: int) -> NoReturn:
 
 
 def console(as_json: bool = False) -> RunConsole:
-    """Make a console that prints text as it is; on standard error where standard output is for JSON."""
+    """Make a console for plain text; on standard error if standard output is for JSON."""
     from gyrobench.bench.monitor.terminal import RunConsole
 
     return RunConsole(stderr=as_json, markup=False, highlight=False)
 
 
-JSON_HELP = "Print one JSON object in place of text; everything else goes to standard error."
+JSON_HELP = "Print one JSON object instead of text; messages go to standard error."
 JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
 
 
 def print_json(content: dict[str, Any]) -> None:
-    """Print an object; numbers that are not finite become null, as JSON has none."""
+    """Print an object; numbers that are not finite become null."""
     typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False))
 
 
@@ -80,7 +80,7 @@ def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType)
 
 
 def plain(value: Any) -> Any:
-    """Turn records, arrays, times and paths into what JSON has; what else there is becomes its text."""
+    """Convert records, arrays, times and paths to JSON types; other objects to their text."""
     if hasattr(value, "model_dump"):  # models of pydantic
         return value.model_dump(mode="json")
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -105,7 +105,7 @@ def plain(value: Any) -> Any:
 def print_biases(
     console: Console, bins: list[BiasBin], verification: list[CalibrationCheckRow], acceptance: Acceptance
 ) -> None:
-    """Print bins with the comparison of positions, or what a verification showed; and the verdict."""
+    """Print bins with the comparison of positions, or the calibration check; and the verdict."""
     from gyrobench.bench.bias.bins import compare_positions
     from gyrobench.bench.report.calibration_check import verification_table
     from gyrobench.bench.report.terminal.tables import acceptance_summary, bins_table
@@ -118,7 +118,7 @@ def print_biases(
 
 
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
-    """Report how a run ended, also as JSON if wanted; exits with an error where it did not finish."""
+    """Report the end of a run, with ``as_json`` also as JSON; exits with an error if it did not finish."""
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import durations_table
 
@@ -137,7 +137,7 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
     if as_json:
         print_json(_end_record(folder, outcome, report))
     if not is_finished:
-        console.print(f"Go on    gyrobench resume {folder.path}", soft_wrap=True)
+        console.print(f"Resume   gyrobench resume {folder.path}", soft_wrap=True)
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
@@ -147,7 +147,7 @@ def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[st
         "reason": outcome.reason or None,
         "folder": folder.path,
         "report": report,
-        "dwells": len(outcome.dwells) + len(outcome.verifications),
+        "dwells": len(outcome.dwells) + len(outcome.check_dwells),
         "verdict": outcome.results.acceptance.verdict,
         "safe_state": outcome.safe_state,
     }

@@ -19,20 +19,20 @@ def plan(
     procedure: ProcedureArgument,
     station: StationOption = EMULATED,
     figure: Annotated[
-        Path | None, typer.Option(help="PNG file to draw; by default plan_PROCEDURE.png.")
+        Path | None, typer.Option(help="PNG file to write; default: plan_PROCEDURE.png.")
     ] = None,
     separability: Annotated[
-        bool, typer.Option("--separability", help="Tell which effects on the bias its dwells tell apart.")
+        bool, typer.Option("--separability", help="Show which effects on the bias its dwells distinguish.")
     ] = False,
     target_dph: Annotated[
         float, typer.Option(min=1e-6, help="With --separability: size of effect that matters, deg/h rms.")
     ] = 0.002,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a procedure would do and how long it takes, without touching an instrument.
+    """Show the steps and duration of a procedure. Uses no instrument.
 
-    The profile is drawn with the positions on it, as a PNG file; with --separability also
-    separability_PROCEDURE.png, how alike effects look.
+    The temperature profile and the positions are drawn as a PNG file; with --separability also
+    separability_PROCEDURE.png, the similarity of effects.
 
     With --json: {"procedure", "station", "duration_s", "dwells", "figure", "steps": [{"number", "step",
     "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the plan.
@@ -46,7 +46,7 @@ def plan(
     from gyrobench.bench.report.terminal.tables import timeline_table
 
     if as_json and separability:
-        raise DocumentError("--separability is told as text only; leave out one of it and --json")
+        raise DocumentError("--separability prints text only: it can't be combined with --json")
     job = prepare_job(procedure, station)
     path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
     save_figure(plan_figure(job.plan), path)

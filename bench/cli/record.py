@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 
 
 class Instrument(StrEnum):
-    """What is recorded."""
+    """Instrument to record."""
 
     table = "table"
     chamber = "chamber"
@@ -24,32 +24,33 @@ def record(
     context: typer.Context,
     station: StationArgument,
     out: Annotated[
-        Path, typer.Option(help="Recording to write: *.rec, *.log for the INS; a folder with a COMMAND.")
+        Path, typer.Option(help="Recording to write: *.rec, *.log for the INS; with a COMMAND a folder.")
     ],
     command: Annotated[
-        list[str] | None, typer.Argument(help="After --, a command of gyrobench, whose lines are recorded.")
+        list[str] | None, typer.Argument(help="After --, a gyrobench command to be recorded.")
     ] = None,
-    instrument: Annotated[Instrument | None, typer.Option(help="What is recorded.")] = None,
+    instrument: Annotated[Instrument | None, typer.Option(help="Instrument to record.")] = None,
     proxy: Annotated[
-        bool, typer.Option("--proxy", help="Serve the instrument to any program, and record that.")
+        bool, typer.Option("--proxy", help="Serve the instrument to any program, and record the traffic.")
     ] = False,
     port: Annotated[
-        str, typer.Option(help="Of the proxy: a TCP port, or a link to its pseudo-terminal.")
+        str, typer.Option(help="Port of the proxy: a TCP port, or a link to its pseudo-terminal.")
     ] = "",
     for_s: Annotated[
-        float | None, typer.Option(min=0.1, help="How long proxy or CAN log last; else Ctrl-C, and 10 s.")
+        float | None,
+        typer.Option(min=0.1, help="Duration of proxy or CAN log; default: until Ctrl-C, and 10 s."),
     ] = None,
-    note: Annotated[str, typer.Option(help="What is worth knowing, for instance a quirk.")] = "",
+    note: Annotated[str, typer.Option(help="Comment kept in the recording.")] = "",
     world: WorldOption = "gyro_a",
     seed: SeedOption = 0,
     faults: FaultsOption = None,
 ) -> None:
-    """Keep the bytes exchanged with an instrument, so that its driver can be tested with them.
+    """Record the bytes exchanged with an instrument, for tests of its driver.
 
-    Without --proxy or a COMMAND it asks the table or the chamber what can be asked without moving
-    anything, or listens to the INS; a unit that is off is on meanwhile.
+    Without --proxy or a COMMAND it sends the table or the chamber all queries that move nothing, or
+    listens to the INS; a unit that is off is switched on for the recording.
 
-    Exit codes: 0 recorded, or that of the COMMAND; 3 the instrument can't be reached, or a run holds
+    Exit codes: 0 recorded, or that of the COMMAND; 3 the instrument can't be reached, or a run uses
     the bench.
 
     Example: gyrobench record my_bench.yaml --instrument chamber --out chamber.rec
@@ -60,13 +61,11 @@ def record(
     recorder = Recorder(station, Emulation(world, seed, faults or ""), note, typer.echo)
     if command:
         if instrument or proxy:
-            raise DocumentError(
-                "record: with a COMMAND its table and chamber are recorded; leave the options out"
-            )
+            raise DocumentError("record: a COMMAND records table and chamber; omit --instrument and --proxy")
         with recorder.lines(out):
             raise typer.Exit(_run(context, command, station))
     if instrument is None:
-        raise DocumentError("record: say which instrument (--instrument table, chamber or ins), or a COMMAND")
+        raise DocumentError("record: give --instrument table, chamber or ins, or a COMMAND")
     if proxy:
         recorder.proxy(instrument.value, out, port, for_s)
     else:

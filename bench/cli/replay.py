@@ -13,9 +13,9 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED
 def replay(
     recording: Annotated[Path, typer.Argument(help="Recording of `gyrobench record`.", show_default=False)],
 ) -> None:
-    """Ask a driver again what it was asked in a recording, and compare what it makes of the replies.
+    """Replay a recording through its driver, and compare the results with the recorded ones.
 
-    Exit codes: 0 the same as then, 1 something else.
+    Exit codes: 0 same results, 1 different results.
 
     Example: gyrobench replay chamber.rec
     """
@@ -30,6 +30,6 @@ def replay(
         if not same:
             typer.echo(f"         recorded: {then.outcome()}")
     if not calls:
-        typer.echo("No call of the driver is in the header (`calls`), so nothing was asked.")
+        typer.echo("The header of the recording lists no calls of the driver (`calls`).")
     if changed or not calls:
         raise typer.Exit(EXIT_NOT_FINISHED)

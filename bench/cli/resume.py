@@ -13,18 +13,18 @@ from gyrobench.bench.cli.output import JsonOption, console, print_end
 def resume(
     run_folder: RunArgument,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Also if it was resumed again and again without getting on.")
+        bool, typer.Option("--anyway", help="Also after repeated resumptions without progress.")
     ] = False,
     look: Annotated[
-        bool, typer.Option("--look", help="Only say what was found and what would be done.")
+        bool, typer.Option("--look", help="Only show the state of the run and the next steps.")
     ] = False,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on with a run that was cut short: by a power cut, a kill, an order, or a fault.
+    """Resume an interrupted run.
 
-    Finished dwells are kept. The dwell that was under way is repeated, with the temperature and the soak that
-    it needs.
+    Completed dwells are kept. The interrupted dwell is repeated, after its temperature and soak are
+    re-established.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
     is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.

@@ -25,23 +25,23 @@ def run(
     procedure: ProcedureArgument,
     station: StationOption = EMULATED,
     world: WorldOption = "gyro_a",
-    out: Annotated[Path | None, typer.Option(help="Run folder; by default a new one under runs/.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default: a new one under runs/.")] = None,
     seed: SeedOption = 0,
     calibration: Annotated[
         Path | None,
         typer.Option(
-            help="Run folder or dwell table that verifications are compared with.",
+            help="Run folder or dwell table for calibration checks.",
             autocompletion=complete_run,
         ),
     ] = None,
     compensation: Annotated[
-        Path | None, typer.Option(help="Compensation file that is loaded into the INS after each power-on.")
+        Path | None, typer.Option(help="Compensation file to load into the INS after each power-on.")
     ] = None,
     faults: FaultsOption = None,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a procedure and report each gyro's bias.
+    """Run a procedure and report the bias of each gyro.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
     is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.

@@ -13,11 +13,11 @@ from gyrobench.bench.cli.validate import Kind
 def schema(
     kind: Annotated[
         Kind | None,
-        typer.Argument(help="Print the schema of this kind of file; by default the lines that name them."),
+        typer.Argument(help="Kind of file whose schema is printed; default: the first lines for editors."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write all of them to.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for all schemas.")] = None,
 ) -> None:
-    """Give the JSON Schemas of the YAML files, for editors that complete, explain and check.
+    """Print the JSON Schemas of the YAML files, for editors that complete, explain and check.
 
     An editor with the YAML language server finds the schema by the first line of a file, which
     `gyrobench new` writes; without a kind this prints that line for each.

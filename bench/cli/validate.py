@@ -29,22 +29,22 @@ class Kind(StrEnum):
 def validate(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="YAML files.")],
     as_kind: Annotated[
-        Kind | None, typer.Option("--as", help="What the files are meant to be; by default their keys tell.")
+        Kind | None, typer.Option("--as", help="Kind of the files; default: detected from their keys.")
     ] = None,
     station: Annotated[
         str | None,
         typer.Option(
-            help="Station that procedures are to run on: their plan is checked too.",
+            help="Station of the procedures: their plans are checked too.",
             autocompletion=complete_station,
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say of each file what it is and everything that is wrong with it, with places.
+    """Check YAML files and list every mistake with its place.
 
     With --json: {"files": [{"file", "kind", "ok", "found", "problems": [{"line", "column", "message"}]}]}.
 
-    Exit codes: 0 all files are right, 2 one is wrong or its kind can't be told.
+    Exit codes: 0 all files are valid, 2 a file is invalid or of unknown kind.
 
     Example: gyrobench validate my_procedure.yaml --station my_bench.yaml
     """
@@ -68,7 +68,7 @@ def validate(
 def _line(check: FileCheck) -> str:
     if not check.is_good:
         return check.text
-    return f"{check.path}: a good {check.kind} file{f', {check.found}' if check.found else ''}"
+    return f"{check.path}: valid {check.kind} file{f', {check.found}' if check.found else ''}"
 
 
 def _record(check: FileCheck) -> dict[str, object]:

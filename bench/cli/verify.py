@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Compensated(StrEnum):
-    """What `verify` measures with; the values are those of gyrobench.bench.verification.comparison."""
+    """Compensations of `verify`, with the values of the module compensation_verification."""
 
     NONE = "none"
     DECLARED = "declared"
@@ -43,29 +43,29 @@ def verify(
     ] = "verify_compensation",
     station: Annotated[
         str | None,
-        typer.Option(help=f"{STATION_HELP} By default the run's.", autocompletion=complete_station),
+        typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station),
     ] = None,
     world: Annotated[
         str | None,
         typer.Option(
-            help="World behind emulated instruments; by default the run's.", autocompletion=complete_world
+            help="World behind emulated instruments; default: the run's.", autocompletion=complete_world
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the emulated world; by default the run's plus one.")
+        int | None, typer.Option(min=0, help="Seed of the emulated world; default: the run's plus one.")
     ] = None,
     only: Annotated[
         list[Compensated] | None,
-        typer.Option(help="Measure with this compensation alone, may be repeated; by default with each."),
+        typer.Option(help="Measure only with this compensation, may be repeated; default: each."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; by default verify in the run.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Load the model of a run into the INS and measure anew what it leaves.
+    """Prove the compensation: load the model of a run into the INS and measure the remaining error.
 
-    The procedure runs without compensation, with the declared model, and with the effects found
-    added. A run that is in the folder already is not made again, so a verification can be continued.
+    The procedure runs without compensation, with the declared model, and with the effects that were
+    found. Existing runs in the folder are not repeated, so a verification can be continued.
 
     With --json: {"folder", "report", "comparison"}, the last a list with the columns of comparison.csv
     as keys.
@@ -73,7 +73,7 @@ def verify(
     Example: gyrobench verify runs/six_position_fig7-001
     """
     from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
-    from gyrobench.bench.report.verification.terminal import verify_plan
+    from gyrobench.bench.report.verification.verification_summary import verification_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
@@ -90,16 +90,16 @@ def verify(
     )
     missing = [name for name in verification.selected if not verification.is_there(name)]
     job = verification.jobs[verification.selected[0]]
-    terminal.print(verify_plan(closure, verification.models, missing, job.plan.duration_s))
+    terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
         _measure(terminal, verification, name, view)
-    _tell(terminal, verification, run, as_json)
+    _report_result(terminal, verification, run, as_json)
 
 
 def _search(run: RunFolder) -> Closure:
-    """Search in a run as it was searched before; what is found is written unless it is there."""
+    """Repeat the search of a run; its files are written if they are missing."""
     from gyrobench.bench.closure.files import is_written, read_held_out_cycles
-    from gyrobench.bench.report.closure.search_files import write_search
+    from gyrobench.bench.report.closure.closure_page import write_search
 
     closure = search(run.path, read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
@@ -108,7 +108,7 @@ def _search(run: RunFolder) -> Closure:
 
 
 def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, view: View) -> None:
-    """Run the procedure with one compensation; exits where the run does not finish."""
+    """Run the procedure with one compensation; exits if the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
 
@@ -122,23 +122,24 @@ def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, vi
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _tell(terminal: RunConsole, verification: VerificationRuns, run: RunFolder, as_json: bool) -> None:
-    """Compare what was measured, write it, and say what came out."""
+def _report_result(
+    terminal: RunConsole, verification: VerificationRuns, run: RunFolder, as_json: bool
+) -> None:
+    """Evaluate what was measured, write the files, print the result."""
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.verification.page import write_verify_page
-    from gyrobench.bench.report.verification.terminal import verify_summary
-    from gyrobench.bench.verification.comparison import write_comparison
+    from gyrobench.bench.report.verification.verification_page import write_verification_page
+    from gyrobench.bench.report.verification.verification_summary import verification_summary
+    from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
-    folder, comparison = verification.folder, verification.comparison()
+    folder, result = verification.folder, verification.result()
     table = folder / "comparison.csv"
-    write_comparison(table, comparison.leftovers)
-    page = write_verify_page(folder, comparison, run.dwells)
+    write_verification_table(table, result.results)
+    page = write_verification_page(folder, result, run.dwells)
     report = write_report(run) if folder == run.verify else None
     if as_json:
-        rows = [row for each in comparison.leftovers for row in (*each.rows, each.total)]
-        print_json({"folder": folder, "report": page, "comparison": rows})
+        print_json({"folder": folder, "report": page, "comparison": table_records(result.results)})
         return
-    terminal.print(verify_summary(comparison))
+    terminal.print(verification_summary(result))
     terminal.print(
         f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
         soft_wrap=True,

@@ -1,4 +1,4 @@
-"""A dwell table as arrays: what the search for effects works on."""
+"""A dwell table as arrays: the input of the search for effects."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 
-#: Share of the dwells in which a sensor other than a gyro's may have said nothing.
-_MOST_HOLES = 0.1
+#: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
+_MAX_MISSING = 0.1
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Dwells in the order of time; n of them, gyros in the order x, y, z.
+    """n dwells in the order of time, gyros in the order x, y, z.
 
     Attributes
     ----------
     dwell, cycle, run : ndarray of int, shape (n,)
-        Number of the dwell, pass of the profile, and index into ``run_names``.
+        Number of the dwell, cycle of the profile, and index into ``run_names`` (power cycles).
     position : tuple of str
         Names of the positions.
     up_body : ndarray, shape (n, 3)
         Unit vector Up in body axes.
     start_s, end_s, since_power_on_s : ndarray, shape (n,)
-        Time on one clock, and time since the last power-on at the start.
+        Times, and time since the last power-on at the start.
     set_c, air_c, case_c : ndarray, shape (n,)
-        The chamber's set point, its air, and the unit's case; NaN where not measured.
+        Chamber set point, chamber air, and case of the unit; NaN if not measured.
     gyro_c, rate_c_per_h, board_c : ndarray, shape (n, 3)
-        Optics, their slope, and electronics (NaN without sensor).
+        Optics, their slope, and electronics (NaN without a sensor).
     bias_dph, sigma_dph : ndarray, shape (n, 3)
         Measured biases and their standard uncertainties.
     record : TemperatureRecord
-        The gyros' temperatures at all times, between dwells too.
+        Temperatures of the gyros at all times, also between dwells.
     unit : str
         Serial number of the INS.
     held_out : ndarray of bool, shape (n,)
-        Dwells whose temperatures, too, must not influence what the others are explained by.
+        Dwells of which not even the temperatures may influence a fit to the others.
     without_temperatures : tuple of int
-        Dwells of the table that have no place here, because a gyro's temperature lacks.
+        Dwells of the table that are left out because a gyro's temperature is missing.
     part_of : tuple of Campaign and ndarray of bool, or None
-        The campaign with the dwells that gave no result too, and which of its dwells these are.
+        The campaign including the dwells without a result, and which of its dwells these are.
     """
 
     run_names: tuple[str, ...]
@@ -76,16 +76,16 @@ class Campaign:
     part_of: tuple[Campaign, BoolArray] | None = None
 
     def __len__(self) -> int:
-        """How many dwells there are."""
+        """Number of dwells."""
         return len(self.dwell)
 
     @property
     def whole(self) -> Campaign:
-        """The campaign with the dwells that gave no result too; their biases may be NaN."""
+        """The campaign including the dwells without a result; their biases may be NaN."""
         return self if self.part_of is None else self.part_of[0]
 
     def holding_out(self, cycles: Sequence[int]) -> Campaign:
-        """Same campaign with the temperatures of some cycles kept from all fits."""
+        """Same campaign with the temperatures of some cycles excluded from all fits."""
         whole = self.whole
         held_out: BoolArray = np.isin(whole.cycle, cycles)
         record = whole.record
@@ -95,7 +95,7 @@ class Campaign:
         return whole if self.part_of is None else whole.part(self.part_of[1])
 
     def part(self, chosen: BoolArray) -> Campaign:
-        """Some of the dwells; what is told by the course of temperatures is still told by all."""
+        """Some of the dwells; the course of temperatures remains that of all."""
         arrays: dict[str, Any] = {
             each.name: value[chosen]
             for each in fields(self)
@@ -111,7 +111,7 @@ class Campaign:
 
     @cached_property
     def power_on_s(self) -> FloatArray:
-        """Times at which the unit was switched on, in order; at least one."""
+        """Times of power-on, in order; at least one."""
         if self.part_of is not None:
             return self.whole.power_on_s
         times = np.unique(np.round(self.start_s - self.since_power_on_s))
@@ -119,7 +119,7 @@ class Campaign:
 
     @cached_property
     def run_shares(self) -> FloatArray:
-        """Share of each dwell that belongs to each run, shape (n, runs): a dwell may hold a power-on."""
+        """Share of each dwell in each run, shape (n, runs): a dwell may contain a power-on."""
         if self.part_of is not None:
             return self.whole.run_shares[self.part_of[1]]
         runs = np.arange(len(self.run_names))
@@ -141,9 +141,9 @@ class Campaign:
 
     @cached_property
     def above_optics_c(self) -> FloatArray | None:
-        """Temperature of each gyro's electronics above its optics (n, 3); None where nothing tells it.
+        """Temperature of each gyro's electronics above its optics (n, 3); None if unknown.
 
-        By the thermal network where that describes the temperatures, else as measured.
+        By the thermal network if that describes the temperatures, otherwise as measured.
         """
         if self.part_of is not None:
             whole_c = self.whole.above_optics_c
@@ -158,14 +158,14 @@ class Campaign:
 
 
 def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = None) -> Campaign:
-    """Gather the dwells that have a result and no flags; the others tell temperatures alone.
+    """Collect the dwells that have a result and no flags; of the others only temperatures are used.
 
     Parameters
     ----------
     rows : sequence of DwellRow
         The table, in any order.
     record : TemperatureRecord, optional
-        The gyros' temperatures over the whole time; without one it is made from the dwells.
+        Temperatures of the gyros over the whole time; by default interpolated between the dwells.
 
     Raises
     ------
@@ -176,11 +176,14 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
     warm = [row for row in ordered if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()]
     good = [not row.flags and bool(np.isfinite([*row.bias_dph, *row.sigma_dph]).all()) for row in warm]
     if not any(good):
-        raise MeasurementError("no dwell of the table has a result without flags: there is nothing to search")
+        raise MeasurementError(
+            "no dwell of the table has a result without flags. Measure the flagged dwells again"
+        )
     units = sorted({row.unit for row in warm})
     if len(units) > 1:
         raise MeasurementError(
-            f"the table holds dwells of {len(units)} units ({', '.join(units)}); give one table a unit"
+            f"the table has dwells of {len(units)} units ({', '.join(units)}). Split it into one table per "
+            "unit"
         )
     names = list(dict.fromkeys(row.run for row in warm))
 
@@ -199,12 +202,12 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
         start_s=start_s,
         end_s=end_s,
         since_power_on_s=gather("since_power_on_s"),
-        set_c=_without_holes(start_s, gather("chamber_set_c")),
-        air_c=_without_holes(start_s, gather("chamber_c")),
-        case_c=_without_holes(start_s, gather("case_c")),
+        set_c=_interpolated(start_s, gather("chamber_set_c")),
+        air_c=_interpolated(start_s, gather("chamber_c")),
+        case_c=_interpolated(start_s, gather("case_c")),
         gyro_c=gyro_c,
         rate_c_per_h=rate_c_per_h,
-        board_c=np.stack([_without_holes(start_s, board_c) for board_c in boards], axis=1),
+        board_c=np.stack([_interpolated(start_s, board_c) for board_c in boards], axis=1),
         bias_dph=gather("bias_dph"),
         sigma_dph=gather("sigma_dph"),
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
@@ -215,9 +218,9 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
     return whole if all(good) else whole.part(np.array(good))
 
 
-def _without_holes(time_s: FloatArray, readings: FloatArray) -> FloatArray:
-    """Put straight lines across missing readings where they are few; leave them out where they are many."""
+def _interpolated(time_s: FloatArray, readings: FloatArray) -> FloatArray:
+    """Interpolate a few missing readings linearly; return many missing ones unchanged."""
     known = np.isfinite(readings)
-    if np.mean(known) < 1.0 - _MOST_HOLES:
+    if np.mean(known) < 1.0 - _MAX_MISSING:
         return readings
     return np.interp(time_s, time_s[known], readings[known])

@@ -1,9 +1,13 @@
-"""Candidate effects fitted to a problem, alone or together, and the criterion that compares them (BIC)."""
+"""Candidate effects fitted to a problem, and hypotheses: sets of effects compared by their BIC.
+
+The comparison of hypotheses is here alone: :class:`Hypothesis` ranks them, states ties and odds.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +18,10 @@ from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.problem import Problem, Solution, solve
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
-_MOST_EVALUATIONS = 60
-#: Of a parameter in first steps, and of the sum of squares.
+#: Hypotheses are tied if the data prefer one by odds of less than 100 to 1; twice the logarithm.
+TIE_MARGIN = 2.0 * math.log(100.0)
+_MAX_EVALUATIONS = 60
+#: Precision of a parameter in units of its first step, and of chi2.
 _PARAMETER_PRECISION = 1e-2
 _CHI2_PRECISION = 0.05
 
@@ -27,11 +33,11 @@ class Candidate:
     Attributes
     ----------
     effect, form : Effect, Form
-        What and in which form.
+        The effect and its form.
     values : tuple of float
-        Of the form's parameters.
+        Parameters of the form.
     kept : ndarray of bool, shape (3, k)
-        Terms that each gyro has.
+        Terms used for each gyro.
     """
 
     effect: Effect
@@ -45,45 +51,123 @@ class Candidate:
 
     @property
     def is_at_open_end(self) -> bool:
-        """Whether a parameter ended at an upper bound beyond which the effect becomes another one."""
+        """Whether a parameter is at an upper bound beyond which the effect becomes another one."""
         return any(
             each.is_open_end and value >= 0.999 * each.high
             for each, value in zip(self.form.parameters, self.values, strict=True)
         )
 
     @property
-    def unknowns(self) -> int:
-        """Sizes and parameters fitted."""
+    def parameter_count(self) -> int:
+        """Number of fitted sizes and parameters."""
         return int(self.kept.sum()) + len(self.values)
 
 
-def starts(form: Form, campaign: Campaign) -> list[tuple[float, ...]]:
-    """All combinations of the values that a form's parameters start from."""
-    grids = [parameter.starts(campaign).tolist() for parameter in form.parameters]
-    return list(itertools.product(*grids))
+@dataclass(frozen=True)
+class Hypothesis:
+    """The declared model with a set of effects fitted together.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+        The effects; empty for the declared model alone.
+    chi2 : float
+        Sum of squared residuals in units of sigma.
+    bic : float
+        ``chi2`` plus :func:`bic_penalty` for each parameter (Schwarz); smaller is better. The difference
+        of two is twice the logarithm of the odds.
+    """
+
+    candidates: tuple[Candidate, ...]
+    chi2: float
+    bic: float
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the effects."""
+        return frozenset(each.effect.name for each in self.candidates)
+
+    @property
+    def parameter_count(self) -> int:
+        """Number of fitted sizes and parameters of all effects."""
+        return sum(each.parameter_count for each in self.candidates)
+
+    def without(self, one: Candidate) -> list[Candidate]:
+        """All effects but one."""
+        return [each for each in self.candidates if each is not one]
+
+    def log_odds_against(self, other: Hypothesis) -> float:
+        """Twice the logarithm of the odds by which the data prefer another hypothesis to this one."""
+        return self.bic - other.bic
+
+    def is_better_than(self, other: Hypothesis) -> bool:
+        """Whether the data prefer this hypothesis."""
+        return self.bic < other.bic
+
+    def is_no_worse_than(self, other: Hypothesis) -> bool:
+        """Whether it is better than another one or tied with it."""
+        return self.bic < other.bic + TIE_MARGIN
 
 
-def tried(effect: Effect, campaign: Campaign) -> int:
-    """How many starts a search makes of an effect, over all its forms."""
-    return sum(len(starts(form, campaign)) for form in effect.forms)
+def ranked(hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses, best first."""
+    return sorted(hypotheses, key=lambda each: each.bic)
 
 
-def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
-    """Form with the parameters, of those that it starts from, that explain most of what is left."""
-    begun = starts(form, problem.campaign)
-    gains = [problem.gain(form.columns(problem.campaign, values))[0] for values in begun]
-    return Candidate(effect, form, begun[int(np.argmax(gains))], np.ones((3, len(form.terms)), dtype=bool))
+def bic_penalty(problem: Problem) -> float:
+    """Penalty of one parameter: the logarithm of the number of dwells searched."""
+    return float(np.log(problem.searched.sum()))
 
 
-def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Improve the parameters of several candidates together.
+def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
+    """Hypothesis of candidates, without the terms that do not lower the BIC.
 
     Parameters
     ----------
     problem : Problem
         With the declared model alone.
     candidates : sequence of Candidate
-        To fit at the same time; the terms that they keep stay the same.
+        With fitted parameters.
+    """
+    return hypothesis(problem, _prune(problem, candidates) if candidates else ())
+
+
+def hypothesis(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
+    """Hypothesis of candidates with the terms that they keep."""
+    chi2 = problem.chi2
+    if candidates:
+        chi2 -= problem.chi2_reduction(*stack(candidates, problem.campaign))[0]
+    penalty = bic_penalty(problem) * sum(each.parameter_count for each in candidates)
+    return Hypothesis(tuple(candidates), chi2, chi2 + penalty)
+
+
+def starts(form: Form, campaign: Campaign) -> list[tuple[float, ...]]:
+    """All combinations of the starting values of a form's parameters."""
+    return list(itertools.product(*(parameter.starts(campaign).tolist() for parameter in form.parameters)))
+
+
+def start_count(effect: Effect, campaign: Campaign) -> int:
+    """Number of starting values of an effect, over all its forms."""
+    return sum(len(starts(form, campaign)) for form in effect.forms)
+
+
+def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
+    """Form at the starting values that reduce chi2 most."""
+    values = starts(form, problem.campaign)
+    reductions = [problem.chi2_reduction(form.columns(problem.campaign, each))[0] for each in values]
+    all_terms = np.ones((3, len(form.terms)), dtype=bool)
+    return Candidate(effect, form, values[int(np.argmax(reductions))], all_terms)
+
+
+def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Fit the parameters of several candidates together.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the declared model alone.
+    candidates : sequence of Candidate
+        To fit at the same time; the terms that they keep do not change.
     """
     parameters = [parameter for each in candidates for parameter in each.form.parameters]
     start = np.array([value for each in candidates for value in each.values])
@@ -102,18 +186,17 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
             replace(each, values=tuple(itertools.islice(values, len(each.values)))) for each in candidates
         ]
 
-    def left(offsets: FloatArray) -> float:
-        return -problem.gain(*stack(split(offsets), problem.campaign))[0]
+    def negative_reduction(offsets: FloatArray) -> float:
+        return -problem.chi2_reduction(*stack(split(offsets), problem.campaign))[0]
 
     zero = np.zeros(len(start))
-    simplex = np.vstack([zero, np.eye(len(start))])
     found = minimize(
-        left,
+        negative_reduction,
         zero,
         method="Nelder-Mead",
         options={
-            "initial_simplex": simplex,
-            "maxfev": _MOST_EVALUATIONS * len(start),
+            "initial_simplex": np.vstack([zero, np.eye(len(start))]),
+            "maxfev": _MAX_EVALUATIONS * len(start),
             "xatol": _PARAMETER_PRECISION,
             "fatol": _CHI2_PRECISION,
         },
@@ -122,7 +205,7 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
 
 
 def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArray, BoolArray]:
-    """Terms of several candidates side by side, and which of them each gyro keeps."""
+    """Terms of several candidates side by side, and the ones kept by each gyro."""
     columns = np.concatenate([each.columns(campaign) for each in candidates], axis=2)
     return columns, np.concatenate([each.kept for each in candidates], axis=1)
 
@@ -133,7 +216,7 @@ def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
 
 
 def _width(value: float, low: float, high: float, problem: Problem) -> float:
-    """First step of a parameter: a good part of it, or of a dwell where it is a time without bounds."""
+    """First step of a parameter: a quarter of it, or a dwell for a time without bounds."""
     if np.isinf(low):
         campaign = problem.campaign
         return float(np.median(campaign.end_s - campaign.start_s))
@@ -141,66 +224,10 @@ def _width(value: float, low: float, high: float, problem: Problem) -> float:
     return -step if value + step > high else step
 
 
-@dataclass(frozen=True)
-class EffectSet:
-    """Effects fitted together.
-
-    Attributes
-    ----------
-    candidates : tuple of Candidate
-        The effects; empty for the declared model alone.
-    chi2 : float
-        Sum of squares that they leave.
-    score : float
-        ``chi2`` plus what the unknowns cost (Schwarz); less is better. The difference of two is
-        twice the logarithm of how much more the data prefer one.
-    """
-
-    candidates: tuple[Candidate, ...]
-    chi2: float
-    score: float
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Names of the effects."""
-        return frozenset(each.effect.name for each in self.candidates)
-
-    def without(self, one: Candidate) -> list[Candidate]:
-        """All effects but one."""
-        return [each for each in self.candidates if each is not one]
-
-
-def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> EffectSet:
-    """Drop the terms that don't pay for themselves, and score what stays.
-
-    Parameters
-    ----------
-    problem : Problem
-        With the declared model alone.
-    candidates : sequence of Candidate
-        With good values of their parameters.
-    """
-    return scored(problem, _prune(problem, candidates) if candidates else ())
-
-
-def scored(problem: Problem, candidates: Sequence[Candidate]) -> EffectSet:
-    """Score candidates with the terms that they keep."""
-    left = problem.chi2
-    if candidates:
-        left -= problem.gain(*stack(candidates, problem.campaign))[0]
-    cost = price(problem) * sum(each.unknowns for each in candidates)
-    return EffectSet(tuple(candidates), left, left + cost)
-
-
-def price(problem: Problem) -> float:
-    """What an unknown costs: the logarithm of the number of dwells searched."""
-    return float(np.log(problem.searched.sum()))
-
-
 def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Take away terms, gyro by gyro, as long as the score gets better.
+    """Drop terms, gyro by gyro, as long as the BIC falls.
 
-    Each effect keeps one term for each gyro: a cause that one gyro has, all of them have.
+    Each effect keeps one term per gyro: an effect present in one gyro is present in all of them.
     """
     columns, kept = stack(candidates, problem.campaign)
     kept = kept.copy()
@@ -208,19 +235,19 @@ def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     for gyro in range(3):
         mine = np.zeros_like(kept)
         mine[gyro] = kept[gyro]
-        gain, _ = problem.gain(columns, mine)
+        reduction, _ = problem.chi2_reduction(columns, mine)
         while True:
             trials = []
             for term in np.flatnonzero(mine[gyro]):
                 if np.sum(mine[gyro] & (owner == owner[term])) > 1:
                     fewer = mine.copy()
                     fewer[gyro, term] = False
-                    trials.append((problem.gain(columns, fewer)[0], int(term)))
-            best, least = max(trials, default=(-np.inf, -1))
-            if gain - best >= price(problem):
+                    trials.append((problem.chi2_reduction(columns, fewer)[0], int(term)))
+            best, dropped = max(trials, default=(-np.inf, -1))
+            if reduction - best >= bic_penalty(problem):
                 break
-            gain = best
-            mine[gyro, least] = False
+            reduction = best
+            mine[gyro, dropped] = False
         kept[gyro] = mine[gyro]
     bounds = np.cumsum([0, *(each.kept.shape[1] for each in candidates)])
     parts = [kept[:, low:high] for low, high in itertools.pairwise(bounds)]

@@ -1,4 +1,4 @@
-"""What a search leaves: ``closure.json``, ``predictions.csv`` and the model with its effects."""
+"""Files of a search: ``closure.json``, ``predictions.csv`` and ``model.yaml``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from gyrobench.bench.closure.loop import Closure, FoundEffect, separating_measurement, statement, whereabouts
+from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -19,7 +19,7 @@ from gyrobench.bench.navigation.positions import AXES
 
 _DOCUMENT = "closure.json"
 _MAX_BYTES = 100_000_000
-_WHAT_TO_DO = "Remove it, or close the run again"
+_WHAT_TO_DO = "Remove it and run gyrobench close again"
 PREDICTION_COLUMNS = (
     "dwell",
     *(f"bias_{axis}_before_dph" for axis in AXES),
@@ -28,7 +28,7 @@ PREDICTION_COLUMNS = (
 
 
 def write_closure(folder: Path, closure: Closure) -> None:
-    """Write everything into a folder, which is made if it isn't there.
+    """Write all files into a folder, which is created if missing.
 
     Raises
     ------
@@ -48,12 +48,12 @@ def is_written(folder: Path, closure: Closure) -> bool:
 
 
 def read_held_out_cycles(folder: Path) -> list[int]:
-    """Cycles that a search written before held out; none where there is no such search.
+    """Held-out cycles of an earlier search; none without one.
 
     Raises
     ------
     RunFolderError
-        The file is there and can't be read.
+        The file is damaged.
     """
     path = folder / _DOCUMENT
     if not path.exists():
@@ -61,10 +61,10 @@ def read_held_out_cycles(folder: Path) -> list[int]:
     try:
         content = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
     except ValueError as error:
-        raise RunFolderError(f"{path}: is damaged: {error}. {_WHAT_TO_DO}") from error
+        raise RunFolderError(f"{path}: the file is damaged: {error}. {_WHAT_TO_DO}") from error
     cycles = content.get("held_out_cycles") if isinstance(content, dict) else None
     if not isinstance(cycles, list) or not all(type(cycle) is int for cycle in cycles):
-        raise RunFolderError(f"{path}: is damaged: it does not list held_out_cycles. {_WHAT_TO_DO}")
+        raise RunFolderError(f"{path}: the file is damaged: it has no list held_out_cycles. {_WHAT_TO_DO}")
     return cycles
 
 
@@ -77,8 +77,8 @@ def closure_document(closure: Closure) -> dict[str, Any]:
     return {
         "verdict": closure.verdict,
         "effects": [_effect(each) for each in closure.effects],
-        "separating_measurement": separating_measurement(closure),
-        "left_over": whereabouts(closure),
+        "separating_measurement": closure.separating_measurement,
+        "left_over": closure.unexplained_part,
         "noise_dph": closure.noise_dph,
         "noise_over_stated": closure.noise_scale,
         "lack_of_fit_p_before": closure.before.p_value,
@@ -90,7 +90,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "tried": [
             {
                 "effect": each.effect.name,
-                "lacks": each.lacks,
+                "lacks": each.missing_input,
                 "share_explained_alone": None if math.isnan(each.share) else each.share,
                 "p_value_alone": None if each.candidate is None else each.p_value,
             }
@@ -100,22 +100,22 @@ def closure_document(closure: Closure) -> dict[str, Any]:
 
 
 def format_predictions(closure: Closure) -> str:
-    """CSV text: both models' bias of every dwell of the table; empty where a temperature lacks."""
+    """CSV text: the bias of every dwell by both models; empty without a temperature."""
     whole = closure.campaign.whole
     columns = [each.candidate.columns(whole) for each in closure.effects]
     before = predict(whole, closure.declared.declared, [], [])
     after = predict(whole, closure.model.declared, [each.sizes_dph for each in closure.effects], columns)
     known = dict(zip(whole.dwell.tolist(), np.hstack([before, after]).tolist(), strict=True))
-    nothing: list[float] = [math.nan] * 6
+    missing: list[float] = [math.nan] * 6
     rows = [
-        [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in known.get(dwell, nothing))]
+        [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in known.get(dwell, missing))]
         for dwell in sorted([*known, *whole.without_temperatures])
     ]
     return format_csv(PREDICTION_COLUMNS, rows)
 
 
 def model_document(closure: Closure) -> dict[str, Any]:
-    """The model: declared part and effects, with everything that a prediction needs."""
+    """Content of ``model.yaml``: the declared model and the effects, complete for predictions."""
     runs = closure.campaign.run_names
     return {
         "degree": DEGREE,
@@ -133,7 +133,7 @@ def model_document(closure: Closure) -> dict[str, Any]:
         },
         "effects": [
             {
-                "effect": each.candidate.effect.name,
+                "effect": each.effect.name,
                 "form": each.candidate.form.name,
                 "parameters": {
                     parameter.name: value
@@ -153,12 +153,12 @@ def model_document(closure: Closure) -> dict[str, Any]:
 
 def _effect(found: FoundEffect) -> dict[str, Any]:
     return {
-        "effect": found.candidate.effect.name,
+        "effect": found.effect.name,
         "axes": list(found.axes),
         "p_value": found.p_value,
         "rms_dph": found.rms_dph,
         "tied_with": list(found.tied_with),
-        "statement": statement(found),
+        "statement": found.statement,
         "form": found.candidate.form.name,
         "gain_in_cycles_left_out": {str(cycle): gain for cycle, gain in found.gains.items()},
     }

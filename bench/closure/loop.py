@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, EffectSet, evaluate, scored, solve_with, stack
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, hypothesis, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
-from gyrobench.bench.closure.search import MOST_EFFECTS, Search
+from gyrobench.bench.closure.search import MAX_EFFECTS, Search
 from gyrobench.bench.closure.validation import (
     LackOfFit,
     lack_of_fit,
@@ -25,77 +25,101 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
 
-#: Below this probability of chance something is left.
-LEFT_OVER_P = 1e-3
-#: Stated uncertainties are believed to this factor; scatter beyond them that follows nothing is noise.
+#: A lack of fit is significant below this p-value.
+LACK_OF_FIT_P = 1e-3
+#: Scatter without structure is noise up to this ratio to the stated uncertainties.
 NOISE_TOLERANCE = 1.25
-#: Beside something unexplained an effect stays only if it takes away this share of the squares of all
-#: cycles left out, and makes this share of them better.
-PROVEN_SHARE, PROVEN_CYCLES = 0.5, 0.75
-#: Sets that take away this share at least are carried on with, so many at each step.
-PROMISING_SHARE, PROVEN_BEAM = 0.3, 4
-#: Gains this near to each other count as one: the simpler cause is preferred.
+#: If a lack of fit remains, an effect is kept only if cross-validation confirms it: it explains this share of
+#: the chi2 of all cycles left out, and lowers it in this share of the cycles.
+CONFIRMED_SHARE, CONFIRMED_CYCLES = 0.5, 0.75
+#: Hypotheses that explain at least this share are extended, at most so many in each step.
+EXTENDED_SHARE, EXTENDED_HYPOTHESES = 0.3, 4
+#: Gains that differ by less are equal: the simpler hypothesis is preferred.
 _GAIN_STEP = 0.01
 _NO_STRUCTURE_P = 0.05
+_S_PER_H = 3600.0
+_UNITS = {"c": "degC"}
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect that the data show.
+    """An effect found in the data.
 
     Attributes
     ----------
     candidate : Candidate
         The effect, its form and parameters.
     sizes_dph : ndarray, shape (3, k)
-        Size of each term for each gyro; zero where the gyro does without.
+        Size of each term for each gyro; zero for terms not used.
     axes : tuple of str
         Gyros that show it.
     p_value : float
-        Probability that chance gives as much, over all that was tried.
+        Corrected for all candidate fits.
+    candidate_fits : int
+        Their number.
     rms_dph : float
         Its size in the dwells searched, without its mean.
     gains : dict of int to float
-        Share of the squares of each cycle that it takes away, its size taken from the other cycles; see
+        Share of the chi2 of each cycle that it explains, its size fitted to the other cycles; see
         :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
     tied_with : tuple of str
-        Effects that the data can't tell from it.
+        Names of effects that fit equally well.
     """
 
     candidate: Candidate
     sizes_dph: FloatArray
     axes: tuple[str, ...]
     p_value: float
+    candidate_fits: int
     rms_dph: float
     gains: dict[int, float]
     tied_with: tuple[str, ...]
 
+    @property
+    def effect(self) -> Effect:
+        """The effect."""
+        return self.candidate.effect
+
+    @property
+    def statement(self) -> str:
+        """One sentence: what the bias does, its size, the gyros and the parameters."""
+        parameters = ", ".join(
+            _parameter_text(each.name, value)
+            for each, value in zip(self.candidate.form.parameters, self.candidate.values, strict=True)
+        )
+        gyros = f"{listed(self.axes)} gyro{'s' if len(self.axes) > 1 else ''}"
+        size = f"{self.rms_dph:.2g} deg/h rms on the {gyros}"
+        sentence = self.effect.statement
+        return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
+
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one effect, alone, makes of what the declared model leaves.
+    """How well one effect, alone, explains the residuals of the declared model.
 
     Attributes
     ----------
-    lacks : str or None
-        The input that is missing; then nothing else is known.
+    effect : Effect
+        The effect.
+    missing_input : str or None
+        The input without which it was not fitted; then nothing else is known.
     candidate : Candidate or None
-        As fitted alone; None where the data don't show it at all.
+        As fitted alone; None if not significant.
     share : float
-        Share of the sum of squares beyond the noise that it takes away; 1 is all. NaN where nothing is
-        beyond the noise.
+        Share of excess variance explained: 1 is all of the sum of squares beyond the noise. NaN if there
+        is no excess.
     p_value : float
-        Probability that chance gives as much, over all that was tried.
-    score_behind : float
-        Twice the logarithm of how much more the data prefer what was found to this effect alone.
+        Corrected for all candidate fits.
+    log_odds_against : float
+        Twice the logarithm of the odds by which the data prefer the effects found to this one alone.
     """
 
     effect: Effect
-    lacks: str | None = None
+    missing_input: str | None = None
     candidate: Candidate | None = None
     share: float = 0.0
     p_value: float = 1.0
-    score_behind: float = np.nan
+    log_odds_against: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -107,7 +131,7 @@ class Closure:
     campaign : Campaign
         All dwells.
     searched : ndarray of bool, shape (n,)
-        Dwells that the search saw; the others are held out.
+        Dwells used by the search; the others are held out.
     verdict : str
         "clean", "explained", "ambiguous" or "unexplained".
     effects : tuple of FoundEffect
@@ -121,9 +145,9 @@ class Closure:
     noise_dph : float
         Noise of a measured bias, rms.
     noise_scale : float
-        By how much that is above the stated uncertainties.
+        Ratio of the noise to the stated uncertainties.
     error_before_dph, error_after_dph : float
-        Rms of measured minus predicted bias in the dwells held out.
+        Rms of measured minus predicted bias in the held-out dwells.
     """
 
     campaign: Campaign
@@ -140,41 +164,79 @@ class Closure:
     error_before_dph: float
     error_after_dph: float
 
+    def label(self, name: str) -> str:
+        """Label of a candidate effect."""
+        return next(
+            (each.effect.display_name for each in self.evidence if each.effect.name == name), plain_name(name)
+        )
+
+    @property
+    def separating_measurement(self) -> str | None:
+        """The next measurement, which resolves the first tie; None without ties."""
+        experiments = {each.effect.name: each.effect.experiment for each in self.evidence}
+        for found in self.effects:
+            if found.tied_with:
+                other = found.tied_with[0]
+                return (
+                    f"To distinguish {found.effect.display_name} from {self.label(other)}: "
+                    f"{found.effect.experiment}; for {self.label(other)}: {experiments[other]}."
+                )
+        return None
+
+    @property
+    def unexplained_part(self) -> str | None:
+        """Size, position, temperatures and times of an unexplained residual; None without one."""
+        if self.verdict != "unexplained":
+            return None
+        campaign, searched = self.campaign, self.searched
+        residual = (campaign.bias_dph - self.model.bias_dph)[searched]
+        squares = np.sum(residual**2, axis=1)
+        names = np.array(campaign.position)[searched]
+        position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
+        low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
+        low_h, high_h = _worst_span(campaign.middle_s[searched] / _S_PER_H, squares)
+        return (
+            f"The residual is {_rms(residual):.2g} deg/h rms, {self.after.noise_ratio:.1f} times the noise, "
+            f"and follows {self.after.follows}. It is largest in position {plain_name(position)}, "
+            f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
+        )
+
 
 def close_loop(
     campaign: Campaign, hold_out_cycles: Sequence[int] = (), effects: Sequence[Effect] | None = None
 ) -> Closure:
-    """Search a campaign for what the declared model does not explain.
+    """Search a campaign for effects that the declared model lacks.
 
     Parameters
     ----------
     campaign : Campaign
-        What was measured.
+        The measured dwells.
     hold_out_cycles : sequence of int
-        Cycles that nothing of the search sees; the last one if none is given.
+        Cycles that the search does not use; by default the last one.
     effects : sequence of Effect, optional
-        Candidates; all that the package knows if not given.
+        Candidates; by default all installed ones.
 
     Raises
     ------
     MeasurementError
         There is no such cycle, or too little is left without it.
+    DocumentError
+        An effect of another package can't be used.
     """
     candidates = all_effects() if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     problem = declared_problem(campaign, searched)
     search = Search(problem, candidates)
-    found, after = _confirmed(search)
+    found, after = _best(search)
     if _is_noise(after):
         problem = declared_problem(campaign, searched, after.noise_ratio)
         search = Search(problem, candidates)
-        found, after = _confirmed(search)
-    if _is_left(after):
-        found = _proven(search, after.noise_ratio)
+        found, after = _best(search)
+    if _lacks_fit(after):
+        found = _confirmed(search, after.noise_ratio)
         after = _test(problem, found)
-    ties = [search.rivals(found, index) for index in range(len(found.candidates))]
-    before = lack_of_fit(problem, 0)
+    ties = [search.alternatives(found, index) for index in range(len(found.candidates))]
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     error_before, error_after = (
         _rms(measured_minus(campaign, searched, each)[~searched]) for each in (declared, model)
@@ -185,7 +247,7 @@ def close_loop(
         verdict=_verdict(found, after, ties),
         effects=_found_effects(search, found, model, ties),
         evidence=_evidence(search, found),
-        before=before,
+        before=lack_of_fit(problem, 0),
         after=after,
         declared=declared,
         model=model,
@@ -206,21 +268,21 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
         )
     if len(cycles) == len(set(held_out)):
         raise MeasurementError(
-            f"with cycle {_numbers(held_out)} held out nothing is left to search; measure the profile at "
-            "least twice, better three times"
+            f"with cycle {_numbers(held_out)} held out no dwells remain to search. Measure the profile at "
+            "least twice, preferably three times"
         )
     searched: BoolArray = ~np.isin(campaign.cycle, held_out)
-    freedom = declared_problem(campaign, searched).freedom
-    if freedom < 3 * 6:
+    dof = declared_problem(campaign, searched).dof
+    if dof < 3 * 6:
         raise MeasurementError(
-            f"{searched.sum()} dwells without cycle {_numbers(held_out)} leave {freedom} values beside the "
-            "declared model; measure more dwells a cycle or more cycles"
+            f"{searched.sum()} dwells without cycle {_numbers(held_out)} leave {dof} degrees of freedom; "
+            "required: 18. Measure more dwells per cycle or more cycles"
         )
     return searched
 
 
-def _confirmed(search: Search) -> tuple[EffectSet, LackOfFit]:
-    """Best set without the effects that make cycles worse which they were not fitted to."""
+def _best(search: Search) -> tuple[Hypothesis, LackOfFit]:
+    """Best hypothesis without the effects that raise the chi2 of cycles to which they were not fitted."""
     problem, found = search.problem, search.best()
     for each in reversed(found.candidates):
         others = found.without(each)
@@ -230,61 +292,60 @@ def _confirmed(search: Search) -> tuple[EffectSet, LackOfFit]:
     return found, _test(problem, found)
 
 
-def _test(problem: Problem, found: EffectSet) -> LackOfFit:
+def _test(problem: Problem, found: Hypothesis) -> LackOfFit:
     if not found.candidates:
         return lack_of_fit(problem, 0)
     after = problem.with_columns(*stack(found.candidates, problem.campaign))
     return lack_of_fit(after, sum(len(each.values) for each in found.candidates))
 
 
-def _is_left(after: LackOfFit) -> bool:
-    return after.p_value < LEFT_OVER_P
+def _lacks_fit(after: LackOfFit) -> bool:
+    return after.p_value < LACK_OF_FIT_P
 
 
 def _is_noise(after: LackOfFit) -> bool:
-    """Whether what is left follows nothing and is little enough for the uncertainties being too small."""
+    """Whether the residual has no structure and is only slightly larger than the stated uncertainties."""
     return (
-        _is_left(after)
+        _lacks_fit(after)
         and after.p_any_structure > _NO_STRUCTURE_P
         and 1.0 < after.noise_ratio < NOISE_TOLERANCE
     )
 
 
-def _proven(of: Search, noise_ratio: float) -> EffectSet:
-    """Effects that stay although something is left, because they show in cycles left out.
+def _confirmed(of: Search, noise_ratio: float) -> Hypothesis:
+    """The hypothesis confirmed by cross-validation, where a lack of fit remains.
 
-    What is left, not the noise, is what unknowns are paid with: its size takes the place of the
-    noise. Sets grow by what they take away in cycles left out, and the one counts that takes away
-    most and of which each effect is proven beside the others.
+    The residual takes the place of the noise. Hypotheses grow by their gain in cycles left out; the one
+    with the largest gain is chosen of those of which each effect is confirmed beside the others.
     """
     scale = of.problem.noise_scale * noise_ratio
-    search = of.paid_with(declared_problem(of.problem.campaign, of.problem.searched, scale))
-    best, best_gain, beam = search.nothing, 0.0, [search.nothing]
-    for _ in range(MOST_EFFECTS):
+    search = of.with_problem(declared_problem(of.problem.campaign, of.problem.searched, scale))
+    best, best_gain, beam = search.declared, 0.0, [search.declared]
+    for _ in range(MAX_EFFECTS):
         larger = [each for one in beam for effect in search.effects if (each := search.add(one, effect))]
         gains = np.array(
             [pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values()) for each in larger]
         )
-        unknowns = [sum(one.unknowns for one in each.candidates) for each in larger]
-        order = np.lexsort((np.array(unknowns), -np.round(gains, 2)))[:PROVEN_BEAM]
-        beam = [larger[index] for index in order if gains[index] > PROMISING_SHARE]
+        parameters = [each.parameter_count for each in larger]
+        order = np.lexsort((np.array(parameters), -np.round(gains, 2)))[:EXTENDED_HYPOTHESES]
+        beam = [larger[index] for index in order if gains[index] > EXTENDED_SHARE]
         for each, gain in zip(beam, (gains[index] for index in order), strict=False):
-            proven = all(_is_proven(search.problem, each, one) for one in each.candidates)
-            if proven and gain > best_gain + _GAIN_STEP:
+            confirmed = all(_is_confirmed(search.problem, each, one) for one in each.candidates)
+            if confirmed and gain > best_gain + _GAIN_STEP:
                 best, best_gain = each, gain
-    return scored(of.problem, best.candidates)
+    return hypothesis(of.problem, best.candidates)
 
 
-def _is_proven(problem: Problem, of: EffectSet, one: Candidate) -> bool:
-    """Whether one effect takes away most of the squares of cycles left out, and of most of them."""
+def _is_confirmed(problem: Problem, of: Hypothesis, one: Candidate) -> bool:
+    """Whether one effect explains most of the chi2 of cycles left out, and lowers it in most of them."""
     cycles = leave_out_cycles(problem, of.without(one), of.candidates).values()
     better = sum(each.gain > 0.0 for each in cycles)
     share = 0.0 if one.is_at_open_end else pooled_gain(cycles)
-    return share > PROVEN_SHARE and better >= PROVEN_CYCLES * len(cycles)
+    return share > CONFIRMED_SHARE and better >= CONFIRMED_CYCLES * len(cycles)
 
 
-def _verdict(found: EffectSet, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
-    if _is_left(after):
+def _verdict(found: Hypothesis, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
+    if _lacks_fit(after):
         return "unexplained"
     if not found.candidates:
         return "clean"
@@ -292,7 +353,7 @@ def _verdict(found: EffectSet, after: LackOfFit, ties: list[tuple[str, ...]]) ->
 
 
 def _found_effects(
-    search: Search, found: EffectSet, model: Solution, ties: list[tuple[str, ...]]
+    search: Search, found: Hypothesis, model: Solution, ties: list[tuple[str, ...]]
 ) -> tuple[FoundEffect, ...]:
     problem = search.problem
     result = []
@@ -308,6 +369,7 @@ def _found_effects(
                 sizes_dph=sizes,
                 axes=tuple(axis for axis, seen in zip(AXES, shows, strict=True) if seen),
                 p_value=search.p_value(found, index),
+                candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=_rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=ties[index],
@@ -316,22 +378,39 @@ def _found_effects(
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _evidence(search: Search, found: EffectSet) -> tuple[Evidence, ...]:
+def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
     problem = search.problem
-    beyond = problem.chi2 - problem.freedom
+    excess = problem.chi2 - problem.dof
     result = []
     for effect in search.effects:
-        lacks = [form.lacks(problem.campaign) for form in effect.forms]
         alone = search.alone.get(effect.name)
-        if all(lacks):
-            result.append(Evidence(effect, lacks=lacks[0]))
+        missing = effect.missing_input(problem.campaign)
+        if missing:
+            result.append(Evidence(effect, missing))
         elif alone is None:
-            result.append(Evidence(effect, score_behind=search.nothing.score - found.score))
+            result.append(Evidence(effect, log_odds_against=search.declared.log_odds_against(found)))
         else:
-            share = (problem.chi2 - alone.chi2) / beyond if beyond > 0.0 else np.nan
-            p_value, behind = search.p_value(alone, 0), alone.score - found.score
-            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, behind))
-    return tuple(sorted(result, key=lambda each: (each.lacks is not None, each.score_behind)))
+            share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
+            p_value, odds = search.p_value(alone, 0), alone.log_odds_against(found)
+            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds))
+    return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
+
+
+def _parameter_text(name: str, value: float) -> str:
+    """Name and value of a parameter with its unit: "tau 1.5 h", "onset width 4.2 degC"."""
+    words, _, unit = name.replace("_", " ").rpartition(" ")
+    if unit == "s" and abs(value) >= _S_PER_H:
+        return f"{words} {value / _S_PER_H:.2f} h"
+    return f"{words} {value:.3g} {_UNITS.get(unit, unit)}"
+
+
+def _worst_span(values: FloatArray, squares: FloatArray) -> tuple[float, float]:
+    """Eighth of the range of values with the largest mean square."""
+    edges = np.linspace(values.min(), values.max(), 9)
+    place = np.clip(np.digitize(values, edges) - 1, 0, 7)
+    means = [float(squares[place == each].mean()) if np.any(place == each) else -1.0 for each in range(8)]
+    worst = int(np.argmax(means))
+    return float(edges[worst]), float(edges[worst + 1])
 
 
 def _numbers(cycles: Sequence[int]) -> str:
@@ -340,72 +419,3 @@ def _numbers(cycles: Sequence[int]) -> str:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-_S_PER_H = 3600.0
-_UNITS = {"c": "degC"}
-
-
-def statement(found: FoundEffect) -> str:
-    """One sentence: what the bias does, on which gyros, how much, with which parameters."""
-    parameters = ", ".join(
-        _parameter(each.name, value)
-        for each, value in zip(found.candidate.form.parameters, found.candidate.values, strict=True)
-    )
-    gyros = f"{listed(found.axes)} gyro{'s' if len(found.axes) > 1 else ''}"
-    size = f"{found.rms_dph:.2g} deg/h rms on the {gyros}"
-    sentence = found.candidate.effect.statement
-    return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
-
-
-def _parameter(name: str, value: float) -> str:
-    """Name and value of a parameter with its unit: "tau 1.5 h", "onset width 4.2 degC"."""
-    words, _, unit = name.replace("_", " ").rpartition(" ")
-    if unit == "s" and abs(value) >= _S_PER_H:
-        return f"{words} {value / _S_PER_H:.2f} h"
-    return f"{words} {value:.3g} {_UNITS.get(unit, unit)}"
-
-
-def separating_measurement(closure: Closure) -> str | None:
-    """What to measure next to split the first tie; None without ties."""
-    experiments = {each.effect.name: each.effect.experiment for each in closure.evidence}
-    for found in closure.effects:
-        if found.tied_with:
-            other = found.tied_with[0]
-            one = found.candidate.effect
-            return (
-                f"To tell {plain_name(one.name)} from {plain_name(other)}: {one.experiment}; "
-                f"for {plain_name(other)}: {experiments[other]}."
-            )
-    return None
-
-
-def whereabouts(closure: Closure) -> str | None:
-    """Where the model leaves most, if anything is left: size, position, temperatures, times."""
-    if closure.verdict != "unexplained":
-        return None
-    campaign, searched = closure.campaign, closure.searched
-    rest = (campaign.bias_dph - closure.model.bias_dph)[searched]
-    size = np.sqrt(np.mean(rest**2))
-    squares = np.sum(rest**2, axis=1)
-    names = np.array(campaign.position)[searched]
-    position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
-    low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
-    low_h, high_h = _worst_span(campaign.middle_s[searched] / 3600.0, squares)
-    return (
-        f"{size:.2g} deg/h rms is left, {closure.after.noise_ratio:.1f} times the noise; it follows "
-        f"{closure.after.follows} most clearly, and is largest in position {plain_name(position)}, "
-        f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
-    )
-
-
-def _worst_span(
-    values: np.ndarray[tuple[int], np.dtype[np.float64]],
-    squares: np.ndarray[tuple[int], np.dtype[np.float64]],
-) -> tuple[float, float]:
-    """Eighth of the range of values with the largest mean square."""
-    edges = np.linspace(values.min(), values.max(), 9)
-    place = np.clip(np.digitize(values, edges) - 1, 0, 7)
-    means = [float(squares[place == each].mean()) if np.any(place == each) else -1.0 for each in range(8)]
-    worst = int(np.argmax(means))
-    return float(edges[worst]), float(edges[worst + 1])

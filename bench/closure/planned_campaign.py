@@ -25,16 +25,16 @@ _S_PER_H = 3600.0
 
 @dataclass(frozen=True)
 class PlannedUnit:
-    """What of a unit decides how well its dwells show an effect.
+    """Properties of a unit that determine the uncertainty of its dwells.
 
     Attributes
     ----------
     angle_random_walk_deg_per_sqrt_h : float
-        Noise of each gyro.
+        Angle random walk of each gyro.
     is_noise_declared : bool
-        Whether the station declares it; else it is taken as typical.
+        Whether the station declares it; otherwise it is typical.
     has_boards, has_case : bool
-        Whether the temperatures of the gyros' electronics and of the case are measured.
+        Whether the temperatures of the electronics and of the case are measured.
     """
 
     angle_random_walk_deg_per_sqrt_h: float = TYPICAL_RANDOM_WALK
@@ -45,14 +45,14 @@ class PlannedUnit:
 
 @dataclass(frozen=True)
 class _Navigation:
-    """The navigation of one dwell, from the start of its first window to the end of its last."""
+    """The navigation of one dwell, from the start of its first window to the end of its last one."""
 
     position: str
     cycle: int
     run: int
     start_s: float
     end_s: float
-    navigates_s: float
+    navigation_s: float
     since_power_on_s: float
     set_c: float
 
@@ -60,14 +60,14 @@ class _Navigation:
 def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
     """Predict the dwells of a plan.
 
-    The biases are zero. Their uncertainty is that of the angle random walk over the time that a
-    dwell navigates. The accelerometers are left out: to the level gyros they add some 6 % in windows
-    of 10 min, and more in shorter ones.
+    The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
+    Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more
+    in shorter ones.
 
     Parameters
     ----------
     plan : Plan
-        Dwells that verify a calibration are left out.
+        Dwells of a calibration check are left out.
     unit : PlannedUnit
         The unit under test.
 
@@ -80,7 +80,7 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
     if not navigations:
         raise MeasurementError(
             f"{plan.procedure.procedure} has no dwell that measures a bias (align, navigate, turn, "
-            "navigate), so there is no effect to look for"
+            "navigate). Separability can't be evaluated"
         )
     forecast = forecast_temperatures(plan)
 
@@ -93,7 +93,7 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
         return forecast.means(values, start_s, end_s) if measured else np.full(len(start_s), math.nan)
 
     first_c, last_c = np.interp([start_s, end_s], forecast.time_s, forecast.optics_c)
-    sigma_dph = unit.angle_random_walk_deg_per_sqrt_h / np.sqrt(gather("navigates_s") / _S_PER_H)
+    sigma_dph = unit.angle_random_walk_deg_per_sqrt_h / np.sqrt(gather("navigation_s") / _S_PER_H)
     return Campaign(
         run_names=tuple(f"power-on {number + 1}" for number in range(navigations[-1].run + 1)),
         position=tuple(each.position for each in navigations),
@@ -131,40 +131,40 @@ def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
             continue
         windows = [planned for planned in members if isinstance(planned.step, Navigate)]
         bench = windows[0].before
-        if bench.position is not None and not windows[0].is_verification:
+        if bench.position is not None and not windows[0].is_calibration_check:
             yield _Navigation(
                 position=bench.position,
                 cycle=windows[0].cycle,
                 run=run,
                 start_s=windows[0].start_s,
                 end_s=windows[-1].end_s,
-                navigates_s=sum(window.duration_s for window in windows),
+                navigation_s=sum(window.duration_s for window in windows),
                 since_power_on_s=windows[0].start_s - power_on_s,
                 set_c=math.nan if bench.set_point_c is None else bench.set_point_c,
             )
 
 
 def _for_gyros(values: FloatArray) -> FloatArray:
-    """The same values (n,) for all three gyros: (n, 3)."""
+    """Values (n,) repeated for the three gyros: (n, 3)."""
     return np.repeat(values[:, np.newaxis], 3, axis=1)
 
 
 #: Share of the gyros' lag behind the air that the case takes, and of their self-heating.
 CASE_LAG_SHARE = 0.2
 CASE_HEATING_SHARE = 0.35
-#: How much warmer than the optics the electronics are in a unit that is on, and how soon.
+#: Temperature of the electronics above the optics in a powered unit, and its lag.
 ELECTRONICS_ABOVE_OPTICS_K = 12.0
 _ELECTRONICS_LAG_SHARE = 0.25
-#: Share of the case, the optics having the rest, in what the electronics give their heat to.
+#: Share of the electronics' heat that flows to the case; the rest flows to the optics.
 CASE_SHARE_OF_ELECTRONICS = 0.7
-#: Share of that which convection takes away where the optics are straight above the electronics, and
-#: the directions from the electronics to the optics of the x, y and z gyro, across its axis.
+#: Relative reduction of that temperature by convection if the optics are directly above the electronics,
+#: and the directions from electronics to optics of the x, y and z gyro, perpendicular to its axis.
 CONVECTION_SHARE = 0.08
 _TO_OPTICS_BODY = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
 _STEPS_A_LAG = 20
-_LONGEST_STEP_S = 60.0
-_MOST_STEPS = 20_000
-#: At which a mean over a dwell is taken.
+_MAX_STEP_S = 60.0
+_MAX_STEPS = 20_000
+#: Samples of a mean over a dwell.
 _INSTANTS = 21
 
 
@@ -175,9 +175,9 @@ class TemperatureForecast:
     Attributes
     ----------
     time_s : ndarray, shape (m,)
-        From the start of the plan to its end.
+        Over the whole plan.
     air_c, case_c, optics_c : ndarray, shape (m,)
-        The chamber's air, the unit's case, and the optics; all three gyros alike.
+        Chamber air, case, and optics (equal for the three gyros).
     electronics_c : ndarray, shape (m, 3)
         The electronics of each gyro.
     """
@@ -190,20 +190,27 @@ class TemperatureForecast:
 
     @property
     def step_s(self) -> float:
-        """Distance of the times."""
+        """Time step."""
         return float(self.time_s[1] - self.time_s[0])
 
     def means(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """Means of something known at all times (m,) over n stretches of time, shape (n,)."""
+        """Means of values at all times (m,) over n intervals, shape (n,)."""
         instants_s = np.linspace(start_s, end_s, _INSTANTS)
         return np.asarray(np.interp(instants_s, self.time_s, values).mean(axis=0))
 
 
 def forecast_temperatures(plan: Plan) -> TemperatureForecast:
-    """Forecast the temperatures over a plan, from the bench that its first step starts on."""
+    """Forecast the temperatures over a plan by first-order lags, from the bench state before its first step.
+
+    The chamber air follows the ramped set point, the case the air, the optics the case. Self-heating
+    raises case and optics above the air, and electronics above the optics; lag and self-heating are
+    those of ``unit.thermal`` in the station file, divided between case and optics as in a typical
+    navigation-grade unit. The dependence of convection on attitude, some tenths of a kelvin, enters
+    only the electronics.
+    """
     thermal = plan.steps[0].before.thermal
-    step_s = min(_LONGEST_STEP_S, thermal.time_constant_s / _STEPS_A_LAG)
-    time_s = np.linspace(0.0, plan.duration_s, min(_MOST_STEPS, max(2, 1 + round(plan.duration_s / step_s))))
+    step_s = min(_MAX_STEP_S, thermal.time_constant_s / _STEPS_A_LAG)
+    time_s = np.linspace(0.0, plan.duration_s, min(_MAX_STEPS, max(2, 1 + round(plan.duration_s / step_s))))
     set_c, power, up_body = _inputs(plan.steps, time_s)
     heating_c = power * thermal.self_heating_c
     case_lag_s = CASE_LAG_SHARE * thermal.time_constant_s
@@ -225,14 +232,14 @@ def forecast_temperatures(plan: Plan) -> TemperatureForecast:
 
 
 def _inputs(steps: tuple[PlannedStep, ...], time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ramped set point, 1 where the unit is on, and Up in body axes (m, 3), at all times."""
+    """Ramped set point, power (0 or 1), and Up in body axes (m, 3), at all times."""
     ends_s = np.array([planned.end_s for planned in steps])
     index = np.minimum(np.searchsorted(ends_s, time_s), len(steps) - 1)
     set_c, power, up_body = np.empty_like(time_s), np.empty_like(time_s), np.zeros((len(time_s), 3))
     for number, (step, now_s) in enumerate(zip(index.tolist(), time_s.tolist(), strict=True)):
         planned = steps[step]
         since_s = max(now_s - planned.start_s, 0.0)
-        # Before the first step the bench is at rest as that step finds it.
+        # Until the first step the bench is at rest.
         bench = planned.step.after(planned.before, since_s) if number else planned.before
         set_c[number], power[number] = bench.chamber_c, bench.powered
         if bench.position is not None:
@@ -241,7 +248,7 @@ def _inputs(steps: tuple[PlannedStep, ...], time_s: FloatArray) -> tuple[FloatAr
 
 
 def _lagged(goal: FloatArray, step_s: float, lag_s: float) -> FloatArray:
-    """First-order lag over time, along the first axis, of what was at rest before its first instant."""
+    """First-order lag along the first axis, at rest before the first instant."""
     keep = np.exp(-step_s / lag_s)
     rise: FloatArray = lfilter([1.0 - keep], [1.0, -keep], goal - goal[0], axis=0)
     return np.asarray(rise + goal[0])

@@ -10,16 +10,16 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
-#: The declared model: a cubic in each gyro's temperature over this, and one constant for each run.
+#: The declared model: a cubic in each gyro's temperature divided by this, and one constant per run.
 DEGREE = 3
 SCALE_C = 50.0
-#: A direction that keeps less than this of a term's length beside the others says nothing new.
-_LEAST_SHARE = 1e-5
+#: A direction that keeps less than this share of a term's length beside the others is not independent.
+_MIN_SHARE = 1e-5
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The dwells searched, and what the columns so far leave of them.
+    """The dwells searched, and their residuals after a fit of the columns so far.
 
     Attributes
     ----------
@@ -28,11 +28,11 @@ class Problem:
     searched : ndarray of bool, shape (n,)
         The m dwells that may influence the fit.
     noise_scale : float
-        Noise over the dwells' stated uncertainties.
+        Ratio of the noise to the stated uncertainties.
     bases : tuple of ndarray, each of shape (m, r)
         For each gyro, orthonormal directions of the columns so far, weighted by the noise.
     residuals : ndarray, shape (m, 3)
-        What they leave of the measured biases, in standard deviations.
+        Residuals of the measured biases, in standard deviations.
     """
 
     campaign: Campaign
@@ -48,17 +48,17 @@ class Problem:
 
     @property
     def chi2(self) -> float:
-        """Sum of squares that is left."""
+        """Sum of squared residuals, in units of sigma."""
         return float(np.sum(self.residuals**2))
 
     @property
-    def freedom(self) -> int:
-        """Values searched less unknowns that they determine."""
-        unknowns: int = sum(basis.shape[1] for basis in self.bases)
-        return self.residuals.size - unknowns
+    def dof(self) -> int:
+        """Degrees of freedom: measured values minus fitted parameters."""
+        fitted: int = sum(basis.shape[1] for basis in self.bases)
+        return self.residuals.size - fitted
 
     def with_columns(self, columns: FloatArray, kept: BoolArray | None = None) -> Problem:
-        """Same problem after terms have explained what they can.
+        """Same problem after a fit of more terms.
 
         Parameters
         ----------
@@ -67,51 +67,51 @@ class Problem:
         kept : ndarray of bool, shape (3, k), optional
             Which of them each gyro has.
         """
-        added = [_basis(self._beside(columns, gyro, kept)) for gyro in range(3)]
+        added = [_basis(self._independent_part(columns, gyro, kept)) for gyro in range(3)]
         bases = tuple(np.concatenate(pair, axis=1) for pair in zip(self.bases, added, strict=True))
-        rests = [_rest(basis, self.residuals[:, gyro]) for gyro, basis in enumerate(added)]
-        return replace(self, bases=bases, residuals=np.stack(rests, axis=1))
+        residuals = [_residual(basis, self.residuals[:, gyro]) for gyro, basis in enumerate(added)]
+        return replace(self, bases=bases, residuals=np.stack(residuals, axis=1))
 
-    def gain(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
-        """How much less sum of squares terms leave, and how many unknowns they determine."""
-        gain, rank = 0.0, 0
+    def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
+        """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
+        reduction, rank = 0.0, 0
         for gyro in range(3):
-            beside = self._beside(columns, gyro, kept)
-            lengths, directions = np.linalg.eigh(beside.T @ beside)
-            told = lengths > _LEAST_SHARE**2
-            parts = directions[:, told].T @ (beside.T @ self.residuals[:, gyro])
-            gain += float(np.sum(parts**2 / lengths[told]))
-            rank += int(told.sum())
-        return gain, rank
+            terms = self._independent_part(columns, gyro, kept)
+            lengths, directions = np.linalg.eigh(terms.T @ terms)
+            independent = lengths > _MIN_SHARE**2
+            parts = directions[:, independent].T @ (terms.T @ self.residuals[:, gyro])
+            reduction += float(np.sum(parts**2 / lengths[independent]))
+            rank += int(independent.sum())
+        return reduction, rank
 
-    def lengths_beside(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
-        """Length of each kept term that the columns so far don't make up, in standard deviations."""
+    def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
+        """Length of each kept term that is independent of the columns so far, in standard deviations."""
         scales = [columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis] for gyro in range(3)]
         lengths = [
-            np.linalg.norm(_rest(basis, scale[:, mine]), axis=0)
+            np.linalg.norm(_residual(basis, scale[:, mine]), axis=0)
             for basis, scale, mine in zip(self.bases, scales, kept, strict=True)
         ]
         return np.concatenate(lengths)
 
-    def share_left(self, columns: FloatArray, kept: BoolArray | None = None) -> float:
-        """Largest share of a term, beside the declared model, that the columns so far do not make up."""
+    def independent_share(self, columns: FloatArray, kept: BoolArray | None = None) -> float:
+        """Largest share of a term, beside the declared model, that is independent of the columns so far."""
         declared = declared_problem(self.campaign, self.searched, self.noise_scale)
         shares = [0.0]
         for gyro in range(3):
             new, whole = (
-                np.linalg.norm(each._beside(columns, gyro, kept), axis=0)  # noqa: SLF001
+                np.linalg.norm(each._independent_part(columns, gyro, kept), axis=0)  # noqa: SLF001
                 for each in (self, declared)
             )
-            shares += (new[whole > _LEAST_SHARE] / whole[whole > _LEAST_SHARE]).tolist()
+            shares += (new[whole > _MIN_SHARE] / whole[whole > _MIN_SHARE]).tolist()
         return max(shares)
 
-    def _beside(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
-        """Terms of one gyro scaled to length one, without what the columns so far say of them."""
+    def _independent_part(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
+        """Terms of one gyro scaled to length one, minus their projection onto the columns so far."""
         mine = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]
         if kept is not None:
             mine = mine[:, kept[gyro]]
         lengths = np.linalg.norm(mine, axis=0)
-        return _rest(self.bases[gyro], mine[:, lengths > 0.0] / lengths[lengths > 0.0])
+        return _residual(self.bases[gyro], mine[:, lengths > 0.0] / lengths[lengths > 0.0])
 
 
 def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:
@@ -121,7 +121,7 @@ def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float
     for gyro in range(3):
         weighted = declared_columns(campaign, gyro)[searched] / sigma_dph[:, gyro, np.newaxis]
         bases.append(_basis(weighted / np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)))
-        residuals.append(_rest(bases[gyro], campaign.bias_dph[searched, gyro] / sigma_dph[:, gyro]))
+        residuals.append(_residual(bases[gyro], campaign.bias_dph[searched, gyro] / sigma_dph[:, gyro]))
     return Problem(campaign, searched, noise_scale, tuple(bases), np.stack(residuals, axis=1))
 
 
@@ -151,7 +151,7 @@ class Solution:
 
 
 def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> Solution:
-    """Fit the declared model with terms, given as columns (n, 3, k) and those that each gyro keeps (3, k)."""
+    """Fit the declared model with terms: pairs of columns (n, 3, k) and terms kept per gyro (3, k)."""
     campaign, searched = problem.campaign, problem.searched
     declared = np.full((3, DEGREE + len(campaign.run_names)), np.nan)
     sizes = [np.zeros(kept.shape) for _, kept in terms]
@@ -162,7 +162,7 @@ def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> So
         weighted = np.concatenate(blocks, axis=1)[searched] / problem.sigma_dph[:, gyro, np.newaxis]
         lengths = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
         data = campaign.bias_dph[searched, gyro] / problem.sigma_dph[:, gyro]
-        values = np.linalg.lstsq(weighted / lengths, data, rcond=_LEAST_SHARE)[0] / lengths
+        values = np.linalg.lstsq(weighted / lengths, data, rcond=_MIN_SHARE)[0] / lengths
         parts = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
         declared[gyro, known] = parts[0]
         for size, part, (_, kept) in zip(sizes, parts[1:], terms, strict=True):
@@ -178,7 +178,7 @@ def predict(
     Parameters
     ----------
     campaign : Campaign
-        With the runs that the model was fitted to, and others: those have the mean constant.
+        A run that was not fitted gets the mean constant of the fitted ones.
     declared, sizes : ndarray, shape (3, DEGREE + runs), and sequence of ndarray, shape (3, k)
         As in :class:`Solution`.
     columns : sequence of ndarray, shape (n, 3, k)
@@ -198,10 +198,10 @@ def _basis(columns: FloatArray) -> FloatArray:
     if columns.shape[1] == 0:
         return columns
     left, lengths, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, lengths > _LEAST_SHARE])
+    return np.asarray(left[:, lengths > _MIN_SHARE])
 
 
-def _rest(basis: FloatArray, data: FloatArray) -> FloatArray:
-    """What a basis leaves of data; twice, against rounding."""
+def _residual(basis: FloatArray, data: FloatArray) -> FloatArray:
+    """Data minus their projection onto a basis; twice, against rounding."""
     once = data - basis @ (basis.T @ data)
     return np.asarray(once - basis @ (basis.T @ once))

@@ -1,4 +1,8 @@
-"""The smallest change of a procedure after which effects can be distinguished."""
+"""The smallest change of a procedure after which effects can be found and distinguished.
+
+A change takes the steps of a procedure as its YAML file has them and returns the changed ones, or
+None if it does not apply. The result is checked and planned like any other file.
+"""
 
 from __future__ import annotations
 
@@ -32,21 +36,21 @@ Steps = list[Entry]
 
 _REPEAT = "repeat"
 _OFF_S, _LEFT_ON_S = 3600, 43_200
-#: So wide that the step ends while the temperature still moves.
-_ANYWHERE_C = 50.0
+#: Wide enough for the step to end while the temperature still changes.
+_ANY_TEMPERATURE_C = 50.0
 _OF_A_DWELL = {kind.name for kind in (GoTo, Align, Navigate, Turn, Wait)}
 
 
 @dataclass(frozen=True)
 class ProcedureChange:
-    """A change.
+    """A change of a procedure.
 
     Attributes
     ----------
     what : tuple of str
-        What to do, for a person, each a clause: "switch the unit off ...".
+        Instructions, each a clause in the imperative: "switch the unit off ...".
     apply : callable
-        Changed steps, or None.
+        Returns the changed steps, or None.
     """
 
     what: tuple[str, ...]
@@ -54,7 +58,7 @@ class ProcedureChange:
 
 
 def _together(*changes: ProcedureChange) -> ProcedureChange:
-    """Several changes, one after the other; None if one of them can't be made."""
+    """Several changes in sequence; None if one of them does not apply."""
 
     def apply(steps: Steps) -> Steps | None:
         changed: Steps | None = steps
@@ -66,7 +70,7 @@ def _together(*changes: ProcedureChange) -> ProcedureChange:
 
 
 def _another_cycle(steps: Steps) -> Steps | None:
-    """The last cycle once more; where there are no cycles, everything after power-on twice."""
+    """Repeat the last cycle; without cycles, all measuring steps twice."""
     steps = list(_by_cycle(steps))
     cycles = [cycle for entry in steps if (cycle := _cycle(entry)) is not None]
     if cycles:
@@ -88,7 +92,7 @@ def _another_cycle(steps: Steps) -> Steps | None:
 
 
 def _power_cycle(steps: Steps) -> Steps | None:
-    """The unit off for a while and on again before each cycle but the first."""
+    """Switch the unit off and on again before each cycle but the first."""
     steps = list(_by_cycle(steps))
     power_on = next((entry for entry in steps if _name(entry) == PowerOn.name), None)
     changed: Steps = []
@@ -104,7 +108,7 @@ def _power_cycle(steps: Steps) -> Steps | None:
 
 
 def _leave_on(steps: Steps) -> Steps | None:
-    """A long wait with the unit on: a warm-up is over after it, a drift goes on."""
+    """A long wait with the unit on: a warm-up ends, a drift continues."""
     steps = list(_by_cycle(steps))
     cycles = [_cycle(entry) for entry in steps]
     known = sorted({cycle for cycle in cycles if cycle is not None})
@@ -115,16 +119,16 @@ def _leave_on(steps: Steps) -> Steps | None:
 
 
 def _measure_on_ramps(steps: Steps) -> Steps | None:
-    """Two positions more between each ramp and its soak, while the temperature moves."""
+    """Two more positions between each ramp and its soak, while the temperature changes."""
     changed = copy.deepcopy(steps)
     found = False
     for entries in [changed, *(loop["steps"] for loop in _loops(changed))]:
         for index in range(len(entries) - 3, -1, -1):
-            ramp, soak, stay = entries[index : index + 3]
-            positions = _positions(stay)
+            ramp, soak, measurement = entries[index : index + 3]
+            positions = _positions(measurement)
             if _name(ramp) == Chamber.name and _name(soak) == Soak.name and len(positions) > 1:
-                ramp[Chamber.name]["within_c"] = _ANYWHERE_C
-                moving = copy.deepcopy(stay)
+                ramp[Chamber.name]["within_c"] = _ANY_TEMPERATURE_C
+                moving = copy.deepcopy(measurement)
                 moving[_REPEAT]["over"]["position"] = positions[:2]
                 entries.insert(index + 1, moving)
                 found = True
@@ -132,12 +136,12 @@ def _measure_on_ramps(steps: Steps) -> Steps | None:
 
 
 def _return_to_first_position(steps: Steps) -> Steps | None:
-    """The first position of each stop once more at its end."""
+    """Repeat the first position of each plateau at its end."""
     return _with_positions(steps, lambda names: [*names, *(names[:1] if names[-1] != names[0] else [])])
 
 
 def _all_positions(steps: Steps) -> Steps | None:
-    """Those of the six positions that a stop lacks."""
+    """Add the positions that a plateau lacks of the six."""
     return _with_positions(steps, lambda names: [*names, *(name for name in POSITIONS if name not in names)])
 
 
@@ -150,16 +154,16 @@ def _with_positions(steps: Steps, lengthened: Callable[[list[str]], list[str]]) 
 
 
 def _middle_temperature_again(steps: Steps) -> Steps | None:
-    """The middle temperature of each cycle once more at the cycle's end, from the other side."""
+    """Repeat the middle temperature of each cycle at its end, approached from the other side."""
     changed = list(_by_cycle(copy.deepcopy(steps)))
-    stops: dict[int, list[tuple[dict[str, Any], str]]] = {}
+    loops_by_cycle: dict[int, list[tuple[dict[str, Any], str]]] = {}
     for entry in changed:
         cycle = _cycle(entry)
         variable = _temperature_variable(entry) if cycle is not None else None
         if cycle is not None and variable is not None:
-            stops.setdefault(cycle, []).append((entry[_REPEAT]["over"], variable))
+            loops_by_cycle.setdefault(cycle, []).append((entry[_REPEAT]["over"], variable))
     found = False
-    for loops in stops.values():
+    for loops in loops_by_cycle.values():
         temperatures_c = [value for over, variable in loops for value in over[variable]]
         over, variable = loops[-1]
         others_c = sorted(set(temperatures_c) - {temperatures_c[-1]})
@@ -190,19 +194,19 @@ def _half_the_ramp_rate(steps: Steps) -> Steps | None:
 
 
 _RETURN = ProcedureChange(
-    ("return to the first position at the end of each temperature",), _return_to_first_position
+    ("return to the first position at the end of each plateau",), _return_to_first_position
 )
 _ON_RAMPS = ProcedureChange(("measure two positions on each ramp",), _measure_on_ramps)
-_ALL = ProcedureChange(("take all six positions at each temperature",), _all_positions)
+_ALL = ProcedureChange(("measure all six positions at each temperature",), _all_positions)
 _POWER = ProcedureChange(("switch the unit off for an hour between cycles",), _power_cycle)
 _MIDDLE = ProcedureChange(
-    ("come back to the middle temperature at the end of each cycle",), _middle_temperature_again
+    ("return to the middle temperature at the end of each cycle",), _middle_temperature_again
 )
 _SLOWER = ProcedureChange(("run every second cycle at half the ramp rate",), _half_the_ramp_rate)
 _CYCLE = ProcedureChange(("add a cycle",), _another_cycle)
 _LEFT_ON = ProcedureChange(("leave the unit on for 12 h before the second cycle",), _leave_on)
 
-#: All changes known, alone and together.
+#: All known changes, alone and combined.
 CHANGES: tuple[ProcedureChange, ...] = (
     _RETURN,
     _ON_RAMPS,
@@ -243,13 +247,13 @@ def _measures(entry: Entry) -> bool:
 
 
 def _cycle(entry: Entry) -> int | None:
-    """Cycle of a loop that is in one cycle alone."""
+    """Cycle of a loop over a single cycle."""
     cycles = entry[_REPEAT]["over"].get("cycle", []) if _name(entry) == _REPEAT else []
     return int(cycles[0]) if len(cycles) == 1 else None
 
 
 def _by_cycle(steps: Steps) -> Iterator[Entry]:
-    """Steps with one loop for each cycle where the outermost variable of a loop is the cycle."""
+    """Steps with one loop per cycle in place of each loop whose outermost variable is the cycle."""
     for entry in steps:
         over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
         if next(iter(over), None) == "cycle":
@@ -267,7 +271,7 @@ def _positions(entry: Entry) -> list[str]:
 
 
 def _temperature_variable(entry: Entry) -> str | None:
-    """Variable of a loop that sets the chamber in it."""
+    """Variable of a loop that sets the chamber temperature."""
     for step in entry[_REPEAT]["steps"]:
         if _name(step) == Chamber.name:
             name = variable_in(step[Chamber.name]["temperature_c"])
@@ -280,7 +284,7 @@ def _ramp_variables(entries: Steps) -> set[str]:
     return {name for ramp in ramps if (name := variable_in(ramp)) is not None}
 
 
-#: Checks and plans a changed procedure on the same station.
+#: Checks and plans a changed procedure for the same station.
 Planner = Callable[[Document], Plan]
 
 _S_PER_H = 3600.0
@@ -289,21 +293,20 @@ _SENSORS = ("measure the temperature of each gyro's electronics",)
 
 @dataclass(frozen=True)
 class Advice:
-    """A change, and what it helps against.
+    """A change of a procedure and its benefit.
 
     Attributes
     ----------
     what : tuple of str
-        What to do, for a person, each a clause; empty where no change known is enough.
+        Instructions, each a clause in the imperative; empty if no known change is sufficient.
     added_h : float
-        How much longer the procedure takes.
+        Additional duration.
     found : tuple of str
-        Effects that with it are found at the target size and told from all others; without it
-        they were not found.
+        Effects that are found at the target size and distinguished from all others only with it.
     pairs : tuple of (str, str)
-        Pairs that are told apart with it at the target size and were not without it.
+        Pairs that are distinguished at the target size only with it.
     lost : tuple of (str, str)
-        Pairs that are told apart without it and are not with it.
+        Pairs that are distinguished only without it.
     """
 
     what: tuple[str, ...]
@@ -318,47 +321,51 @@ def advise(
     plan: Plan,
     planner: Planner,
     unit: PlannedUnit,
-    now: Separability,
+    present: Separability,
     target_dph: float,
 ) -> list[Advice]:
-    """Find, for each effect and pair that a plan can't tell at some size, the smallest change that helps.
+    """Find the smallest change for each effect not found and each pair not distinguished at a size.
 
     Parameters
     ----------
     document, plan : Document, Plan
         The procedure.
     planner : callable
-        Gives the plan of a changed procedure; a DocumentError says that it can't be run.
+        Plans a changed procedure; raises a DocumentError if it can't be run.
     unit : PlannedUnit
         The unit under test.
-    now : Separability
-        Of the plan as it is.
+    present : Separability
+        Of the unchanged plan.
     target_dph : float
-        Size of effect that matters, deg/h rms.
+        Target size, deg/h rms.
 
     Returns
     -------
     list of Advice
-        The least added time first; what no change known helps against is last.
+        Shortest added time first; effects and pairs that no known change resolves are last.
     """
-    effects = [each.effect for each in now.detections]
-    hidden = set(now.not_found(target_dph))
-    pairs = set(now.not_told(target_dph))
+    effects = [each.effect for each in present.detections]
+    hidden = set(present.not_found(target_dph))
+    pairs = set(present.not_distinguished(target_dph))
     advice = []
     for what, added_h, changed_plan, changed_unit in _changed(document, plan, planner, unit):
         if not (hidden or pairs):
             break
         campaign = planned_campaign(changed_plan, changed_unit)
-        if campaign.cycle.min() == campaign.cycle.max():  # a search holds one cycle out
+        if campaign.cycle.min() == campaign.cycle.max():  # a search holds out one cycle
             continue
         then = separability(searched_dwells(campaign), effects)
         found = {name for name in hidden if then.is_settled(name, target_dph)}
-        told = {pair for pair in pairs if then.told_both_ways_dph(pair) <= target_dph}
-        if found or told:
-            lost = [pair for pair in then.not_told(target_dph) if now.told_both_ways_dph(pair) <= target_dph]
-            advice.append(Advice(what, added_h, tuple(sorted(found)), tuple(sorted(told)), tuple(lost)))
+        resolved = {pair for pair in pairs if then.distinguished_both_ways_dph(pair) <= target_dph}
+        if found or resolved:
+            lost = [
+                pair
+                for pair in then.not_distinguished(target_dph)
+                if present.distinguished_both_ways_dph(pair) <= target_dph
+            ]
+            advice.append(Advice(what, added_h, tuple(sorted(found)), tuple(sorted(resolved)), tuple(lost)))
             hidden -= found
-            pairs -= told
+            pairs -= resolved
     if hidden or pairs:
         advice.append(Advice((), 0.0, tuple(sorted(hidden)), tuple(sorted(pairs))))
     return advice
@@ -367,7 +374,7 @@ def advise(
 def _changed(
     document: Document, plan: Plan, planner: Planner, unit: PlannedUnit
 ) -> list[tuple[tuple[str, ...], float, Plan, PlannedUnit]]:
-    """What each change makes of a procedure, the least added time first."""
+    """Instructions, added time, plan and unit of each change, shortest added time first."""
     result = []
     for change in CHANGES:
         steps = change.apply(document.data["steps"])
@@ -375,7 +382,7 @@ def _changed(
             continue
         try:
             changed = planner(replace(document, data=document.data | {"steps": steps}))
-        except DocumentError:  # this station can't do it
+        except DocumentError:  # the station can't run it
             continue
         result.append((change.what, (changed.duration_s - plan.duration_s) / _S_PER_H, changed, unit))
     if not unit.has_boards:

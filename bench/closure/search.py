@@ -1,4 +1,4 @@
-"""The search: which effects, if any, account for what the declared model leaves."""
+"""The search: which effects, if any, explain the residuals of the declared model."""
 
 from __future__ import annotations
 
@@ -10,32 +10,30 @@ from scipy.stats import chi2 as chi2_distribution
 
 from gyrobench.bench.closure.candidates import (
     Candidate,
-    EffectSet,
+    Hypothesis,
     best_start,
     evaluate,
+    ranked,
     refine,
     stack,
-    tried,
+    start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import Problem
 
-#: An effect is found if chance gives as much with a smaller probability, over all that was tried.
+#: An effect is found if its p-value, corrected for all candidate fits, is below this.
 SIGNIFICANCE = 1e-3
-#: Effects are tied if the data prefer one to the other by less than 100 to 1 (twice the logarithm).
-TIE_MARGIN = 2.0 * np.log(100.0)
-#: Most effects at a time.
-MOST_EFFECTS = 3
-#: Sets of effects that are carried on with at each step.
-_BEAM = 3
-#: An effect whose terms another one's can make up to this share of their length is a case of it.
+MAX_EFFECTS = 3
+#: Hypotheses that are extended in each step.
+_BEAM_WIDTH = 3
+#: An effect is a special case of another one that reproduces its terms to this share of their length.
 SAME_SHARE = 0.05
-#: One dwell may hold up to this share of what an effect explains.
-MOST_OF_ONE_DWELL = 0.5
-#: Better parameters than those it starts from let an effect explain this many times as much, at most.
-_MOST_REFINED = 3.0
-#: Times that effects of the best set are exchanged for better ones.
-_MOST_EXCHANGES = 6
+#: Largest share of an effect's reduction of chi2 in one dwell.
+MAX_SHARE_OF_ONE_DWELL = 0.5
+#: Fitted parameters reduce chi2 by at most this factor more than the best starting values.
+_MAX_REFINEMENT = 3.0
+#: Limit of exchanges of effects in the best hypothesis.
+_MAX_EXCHANGES = 6
 
 
 class Search:
@@ -47,55 +45,55 @@ class Search:
         With the declared model alone.
     effects : sequence of Effect
         All candidates.
-    alone : mapping of str to EffectSet, optional
-        Each effect alone, where that is known.
+    alone : mapping of str to Hypothesis, optional
+        Each effect alone, if known.
 
     Attributes
     ----------
-    nothing : EffectSet
+    declared : Hypothesis
         The declared model alone.
-    alone : dict of str to EffectSet
-        Each effect alone; those that the data don't show at all are not in it.
+    alone : dict of str to Hypothesis
+        Each effect alone, without those that are not significant.
     """
 
     def __init__(
-        self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, EffectSet] | None = None
+        self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
     ) -> None:
         self.problem = problem
         self.effects = tuple(effects)
-        self.nothing = evaluate(problem, ())
-        self._known: dict[tuple[object, ...], EffectSet | None] = {}
+        self.declared = evaluate(problem, ())
+        self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         if alone is None:
-            each_alone = {effect.name: self._added(self.nothing, effect) for effect in effects}
+            each_alone = {effect.name: self._added(self.declared, effect) for effect in effects}
             alone = {name: each for name, each in each_alone.items() if each is not None}
         self.alone = dict(alone)
 
-    def paid_with(self, problem: Problem) -> Search:
-        """Same search with noise of another size: parameters stay, terms are chosen anew."""
+    def with_problem(self, problem: Problem) -> Search:
+        """Same search with another noise: parameters are kept, terms selected again."""
         alone = {name: evaluate(problem, each.candidates) for name, each in self.alone.items()}
         return Search(problem, self.effects, alone)
 
-    def best(self) -> EffectSet:
-        """Find the set that explains most for its number of unknowns, each effect of it significant."""
-        best = self.nothing
+    def best(self) -> Hypothesis:
+        """The hypothesis with the smallest BIC of which each effect is significant."""
+        best = self.declared
         beam = [best]
-        for _ in range(MOST_EFFECTS):
-            grown: dict[frozenset[str], EffectSet] = {}
+        for _ in range(MAX_EFFECTS):
+            grown: dict[frozenset[str], Hypothesis] = {}
             for smaller in beam:
                 for effect in self.effects:
                     larger = self.add(smaller, effect)
                     if larger is None or not self._all_significant(larger):
                         continue
-                    if larger.names not in grown or larger.score < grown[larger.names].score:
+                    if larger.names not in grown or larger.is_better_than(grown[larger.names]):
                         grown[larger.names] = larger
-            beam = sorted(grown.values(), key=lambda each: each.score)[:_BEAM]
-            if not beam or beam[0].score >= best.score:
+            beam = ranked(grown.values())[:_BEAM_WIDTH]
+            if not beam or not beam[0].is_better_than(best):
                 break
             best = beam[0]
         return self._simplified(self._exchanged(best))
 
-    def add(self, to: EffectSet, effect: Effect) -> EffectSet | None:
-        """Add one effect in its best form, all parameters fitted anew; None if it adds nothing."""
+    def add(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
+        """Add one effect in its best form and fit all parameters; None if it is not significant."""
         if not to.candidates:
             return self.alone.get(effect.name)
         if effect.name in to.names:
@@ -105,26 +103,32 @@ class Search:
             self._known[key] = self._added(to, effect)
         return self._known[key]
 
-    def p_value(self, of: EffectSet, index: int) -> float:
-        """Probability that chance gives one effect of a set as much, over all effects and starts tried."""
-        one = of.candidates[index]
-        gain, rank = self._beside_others(of, index).gain(one.columns(self.problem.campaign))
-        trials = tried(one.effect, self.problem.campaign) * len(self.effects)
-        return min(1.0, _chance(gain, rank + len(one.values)) * trials)
+    def candidate_fits(self, effect: Effect) -> int:
+        """Number of fits that the p-value of an effect is corrected for."""
+        return start_count(effect, self.problem.campaign) * len(self.effects)
 
-    def shows(self, of: EffectSet, index: int) -> list[bool]:
-        """Which gyros by themselves show one effect of a set; at least the one that shows it most."""
+    def p_value(self, of: Hypothesis, index: int) -> float:
+        """p-value of one effect of a hypothesis, corrected for all candidate fits."""
+        one = of.candidates[index]
+        reduction, rank = self._beside_others(of, index).chi2_reduction(one.columns(self.problem.campaign))
+        return min(1.0, _p_value(reduction, rank + len(one.values)) * self.candidate_fits(one.effect))
+
+    def shows(self, of: Hypothesis, index: int) -> list[bool]:
+        """Which gyros by themselves show one effect of a hypothesis; at least the most significant."""
         one = of.candidates[index]
         beside, columns = self._beside_others(of, index), one.columns(self.problem.campaign)
-        gyros = [beside.gain(columns, one.kept & (np.arange(3) == gyro)[:, np.newaxis]) for gyro in range(3)]
-        chances = [_chance(gain, max(rank, 1)) for gain, rank in gyros]
-        return [chance < SIGNIFICANCE or chance == min(chances) for chance in chances]
+        gyros = [
+            beside.chi2_reduction(columns, one.kept & (np.arange(3) == gyro)[:, np.newaxis])
+            for gyro in range(3)
+        ]
+        p_values = [_p_value(reduction, max(rank, 1)) for reduction, rank in gyros]
+        return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
-    def rivals(self, of: EffectSet, index: int) -> tuple[str, ...]:
-        """Names of effects that do about as well in the place of one, best first.
+    def alternatives(self, of: Hypothesis, index: int) -> tuple[str, ...]:
+        """Names of the effects that fit about as well in place of one, best first.
 
-        An effect that has the one as a special case is no rival: the simpler cause is preferred. One
-        that is known to imitate it and can't be tried, for want of an input, may be in its place too.
+        An effect that contains the one as a special case is no alternative: the simpler one is preferred.
+        An effect known to be imitated by it that can't be fitted because an input is missing is one.
         """
         others = evaluate(self.problem, of.without(of.candidates[index]))
         tied = []
@@ -132,69 +136,68 @@ class Search:
             instead = None if effect.name in of.names else self.add(others, effect)
             if (
                 instead is not None
-                and instead.score < of.score + TIE_MARGIN
-                and not self._is_case_of(of, instead)
+                and instead.is_no_worse_than(of)
+                and not self._is_special_case(of, instead)
             ):
-                tied.append((instead.score, effect.name))
+                tied.append((instead.log_odds_against(of), effect.name))
         one = of.candidates[index].effect
-        untried = [
+        not_fitted = [
             effect.name
             for effect in self.effects
-            if effect.name in one.imitated_by
-            and all(form.lacks(self.problem.campaign) for form in effect.forms)
+            if effect.name in one.imitated_by and effect.missing_input(self.problem.campaign)
         ]
-        return (*(name for _, name in sorted(tied)), *untried)
+        return (*(name for _, name in sorted(tied)), *not_fitted)
 
-    def _added(self, to: EffectSet, effect: Effect) -> EffectSet | None:
+    def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
         beside = problem.with_columns(*stack(to.candidates, campaign)) if to.candidates else problem
-        sets = []
+        found = []
         for form in effect.forms:
-            if form.lacks(campaign):
+            if form.missing_input(campaign):
                 continue
             start = best_start(beside, effect, form)
-            gain, rank = beside.gain(start.columns(campaign))
-            if _chance(_MOST_REFINED * gain, rank + len(start.values)) >= SIGNIFICANCE:
+            reduction, rank = beside.chi2_reduction(start.columns(campaign))
+            if _p_value(_MAX_REFINEMENT * reduction, rank + len(start.values)) >= SIGNIFICANCE:
                 continue
             [candidate] = refine(beside, [start])
-            gain, rank = beside.gain(candidate.columns(campaign))
-            if _chance(gain, rank + len(candidate.values)) < SIGNIFICANCE:
+            reduction, rank = beside.chi2_reduction(candidate.columns(campaign))
+            if _p_value(reduction, rank + len(candidate.values)) < SIGNIFICANCE:
                 whole = [replace(each, kept=np.ones_like(each.kept)) for each in (*to.candidates, candidate)]
-                sets.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
-        return min(sets, key=lambda each: each.score, default=None)
+                found.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
+        return ranked(found)[0] if found else None
 
-    def _exchanged(self, best: EffectSet) -> EffectSet:
-        """Set in which no effect has a better one in its place: early ones may be stand-ins for several."""
-        for _ in range(_MOST_EXCHANGES if len(best.candidates) > 1 else 0):
+    def _exchanged(self, best: Hypothesis) -> Hypothesis:
+        """Exchange effects as long as that is better: an early one may stand in for several."""
+        for _ in range(_MAX_EXCHANGES if len(best.candidates) > 1 else 0):
             fewer = [evaluate(self.problem, best.without(one)) for one in best.candidates]
             others = [effect for effect in self.effects if effect.name not in best.names]
             found = [self.add(each, effect) for each in fewer for effect in others]
             better = [
                 each
                 for each in found
-                if each is not None and each.score < best.score and self._all_significant(each)
+                if each is not None and each.is_better_than(best) and self._all_significant(each)
             ]
             if not better:
                 break
-            best = min(better, key=lambda each: each.score)
+            best = ranked(better)[0]
         return best
 
-    def _simplified(self, best: EffectSet) -> EffectSet:
-        """Set in which no effect can be had by a special case of it that does about as well."""
+    def _simplified(self, best: Hypothesis) -> Hypothesis:
+        """Replace an effect by a special case of it that fits about as well."""
         for one in best.candidates:
             others = evaluate(self.problem, best.without(one))
             for effect in self.effects:
                 simpler = None if effect.name in best.names else self.add(others, effect)
                 if (
                     simpler is not None
-                    and simpler.score < best.score + TIE_MARGIN
-                    and self._is_case_of(simpler, best)
+                    and simpler.is_no_worse_than(best)
+                    and self._is_special_case(simpler, best)
                     and self._all_significant(simpler)
                 ):
                     return self._simplified(simpler)
         return best
 
-    def _all_significant(self, of: EffectSet) -> bool:
+    def _all_significant(self, of: Hypothesis) -> bool:
         return all(
             self.p_value(of, index) < SIGNIFICANCE
             and not each.is_at_open_end
@@ -202,32 +205,32 @@ class Search:
             for index, each in enumerate(of.candidates)
         )
 
-    def _rests_on_one_dwell(self, of: EffectSet, index: int) -> bool:
-        """Whether one dwell holds most of what an effect explains beside the others: an outlier may, too."""
+    def _rests_on_one_dwell(self, of: Hypothesis, index: int) -> bool:
+        """Whether one dwell, possibly an outlier, has most of an effect's reduction of chi2."""
         beside, one = self._beside_others(of, index), of.candidates[index]
         after = beside.with_columns(one.columns(self.problem.campaign))
         explained = np.sum((beside.residuals - after.residuals) ** 2, axis=1)
-        return bool(explained.max() > MOST_OF_ONE_DWELL * explained.sum())
+        return bool(explained.max() > MAX_SHARE_OF_ONE_DWELL * explained.sum())
 
-    def _beside_others(self, of: EffectSet, index: int) -> Problem:
-        """Problem without what the other effects of a set, with all their terms, explain."""
+    def _beside_others(self, of: Hypothesis, index: int) -> Problem:
+        """Problem after a fit of all terms of the other effects."""
         others = of.without(of.candidates[index])
         return self.problem.with_columns(stack(others, self.problem.campaign)[0]) if others else self.problem
 
-    def _is_case_of(self, special: EffectSet, general: EffectSet) -> bool:
-        """Whether one set makes up another with its terms as fitted, or at the lower bound of a parameter."""
-        unknowns = [sum(each.unknowns for each in of.candidates) for of in (special, general)]
-        if unknowns[1] <= unknowns[0]:
+    def _is_special_case(self, special: Hypothesis, general: Hypothesis) -> bool:
+        """Whether a hypothesis is contained in another, as fitted or with a parameter at its lower bound."""
+        if general.parameter_count <= special.parameter_count:
             return False
-        wanted = stack(special.candidates, self.problem.campaign)
+        target = stack(special.candidates, self.problem.campaign)
         return any(
-            self.problem.with_columns(*stack(each, self.problem.campaign)).share_left(*wanted) < SAME_SHARE
-            for each in (general.candidates, *_limits(general.candidates))
+            self.problem.with_columns(*stack(each, self.problem.campaign)).independent_share(*target)
+            < SAME_SHARE
+            for each in (general.candidates, *_at_lower_bounds(general.candidates))
         )
 
 
-def _limits(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-    """Candidates with one parameter at its lower bound, for each of them that has one."""
+def _at_lower_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
+    """Candidates with one parameter at its lower bound, for each that has one."""
     for place, each in enumerate(candidates):
         for index, parameter in enumerate(each.form.parameters):
             if np.isfinite(parameter.low):
@@ -235,5 +238,5 @@ def _limits(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
                 yield [*candidates[:place], replace(each, values=values), *candidates[place + 1 :]]
 
 
-def _chance(gain: float, unknowns: int) -> float:
-    return float(chi2_distribution.sf(gain, unknowns))
+def _p_value(chi2_reduction: float, parameters: int) -> float:
+    return float(chi2_distribution.sf(chi2_reduction, parameters))

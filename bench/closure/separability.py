@@ -1,4 +1,15 @@
-"""Which effects a planned campaign could find and distinguish, before it is measured."""
+"""Which effects a planned campaign could find and distinguish, before it is measured.
+
+The search (:mod:`gyrobench.bench.closure.search`) finds an effect if its reduction of chi2 is
+significant, and calls two effects tied if their BIC is nearly equal. Both follow from the times,
+temperatures and positions of the dwells: the first from the length of an effect's terms beside the
+declared model, in standard deviations (the non-centrality of a chi-square), the second from the
+residual of the alternative, in its best form and with its best parameters.
+
+All sizes are rms values over the dwells of all three gyros, without the mean of each gyro. The terms
+of an effect are made orthogonal in their order and taken in equal size with any signs, so that the
+expected square of the effect is the sum of theirs.
+"""
 
 from __future__ import annotations
 
@@ -13,38 +24,38 @@ from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import ncx2
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import price, tried
+from gyrobench.bench.closure.candidates import TIE_MARGIN, bic_penalty, start_count
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.problem import Problem, declared_problem
-from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE, TIE_MARGIN
+from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import FloatArray
 
-#: Terms below this share of their own length, or of an effect's whole, say nothing.
-NOTHING = 1e-5
-#: Values tried for a rival's parameters, all combinations together.
-_RIVAL_VALUES = 80
-#: From this ratio of its bounds on a parameter is tried at equal ratios.
+#: Terms below this share of their own length, or of an effect's length, are not independent.
+MIN_SHARE = 1e-5
+#: Values of an alternative's parameters, all combinations together.
+_ALTERNATIVE_VALUES = 80
+#: Parameters whose bounds have at least this ratio are spaced geometrically.
 _WIDE = 20.0
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What can be fitted with certain parameters of an effect's form.
+    """A form of an effect with fixed parameters, as it can be fitted.
 
     Attributes
     ----------
     parameters : int
-        How many parameters the form has.
+        Number of nonlinear parameters.
     terms : ndarray, shape (3, n, k)
-        What the declared model leaves of its terms for each gyro, each of any length.
+        The part of its terms for each gyro that is independent of the declared model, each of any length.
     """
 
     parameters: int
     terms: FloatArray
 
     @property
-    def unknowns(self) -> int:
-        """Sizes and parameters."""
+    def parameter_count(self) -> int:
+        """Number of sizes and nonlinear parameters."""
         return self.parameters + round(float(np.sum(self.basis**2)))
 
     @cached_property
@@ -54,14 +65,14 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Truth(Fit):
-    """An effect as it may be.
+class AssumedEffect(Fit):
+    """An effect assumed to be present.
 
     Attributes
     ----------
     parts : ndarray, shape (3, n, r)
-        What the declared model leaves of the parts of an effect of 1 deg/h, in standard deviations
-        of the noise; see :func:`unit_parts`.
+        Parts of an effect of 1 deg/h that are independent of the declared model, in standard
+        deviations; see :func:`unit_parts`.
     """
 
     parts: FloatArray
@@ -72,12 +83,12 @@ class Truth(Fit):
         return float(np.sum(self.parts**2))
 
     def explained_by(self, basis: FloatArray) -> float:
-        """Sum of squares of the parts that lies along directions (3, n, r) of each gyro."""
+        """Sum of squares of the projection of the parts onto a basis (3, n, r) of each gyro."""
         return float(np.sum((np.swapaxes(basis, 1, 2) @ self.parts) ** 2))
 
 
 def unit_parts(columns: FloatArray) -> FloatArray:
-    """Parts of an effect that together are 1 rms for any signs of theirs.
+    """Orthogonal parts of an effect whose sum with any signs is 1 rms.
 
     Parameters
     ----------
@@ -87,66 +98,66 @@ def unit_parts(columns: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3, r)
-        Each term without its means and without what the terms before it say, all of one size.
+        Each term without its means and orthogonal to the terms before it, all of one size.
     """
     count, gyros, _ = columns.shape
     centred = (columns - columns.mean(axis=0)).reshape(count * gyros, -1)
     lengths = np.linalg.norm(centred, axis=0)
-    varies = lengths > NOTHING * np.linalg.norm(columns)
-    freed, rest = np.linalg.qr(centred[:, varies] / lengths[varies])
-    freed = freed[:, np.abs(np.diag(rest)) > NOTHING]
-    parts = freed * np.sqrt(count * gyros / max(freed.shape[1], 1))
-    return np.asarray(parts.reshape(count, gyros, freed.shape[1]))
+    varies = lengths > MIN_SHARE * np.linalg.norm(columns)
+    orthogonal, upper = np.linalg.qr(centred[:, varies] / lengths[varies])
+    orthogonal = orthogonal[:, np.abs(np.diag(upper)) > MIN_SHARE]
+    parts = orthogonal * np.sqrt(count * gyros / max(orthogonal.shape[1], 1))
+    return np.asarray(parts.reshape(count, gyros, orthogonal.shape[1]))
 
 
-def _beside(problem: Problem, columns: FloatArray) -> FloatArray:
-    """What the declared model leaves of columns (n, 3, k), weighted; zero for next to nothing: (3, n, k)."""
+def _independent_part(problem: Problem, columns: FloatArray) -> FloatArray:
+    """Weighted columns (n, 3, k) minus their projection onto the declared model, or zero: (3, n, k)."""
     weighted = np.moveaxis(columns / problem.sigma_dph[:, :, np.newaxis], 1, 0)
-    left = np.stack(
+    rest = np.stack(
         [mine - basis @ (basis.T @ mine) for basis, mine in zip(problem.bases, weighted, strict=True)]
     )
-    says = np.linalg.norm(left, axis=1) > NOTHING * np.linalg.norm(weighted, axis=1)
-    return np.asarray(left * says[:, np.newaxis, :])
+    is_independent = np.linalg.norm(rest, axis=1) > MIN_SHARE * np.linalg.norm(weighted, axis=1)
+    return np.asarray(rest * is_independent[:, np.newaxis, :])
 
 
 def basis_of(columns: FloatArray) -> FloatArray:
-    """For each gyro, orthonormal directions of columns (3, n, k); zero where there are fewer than k."""
+    """Orthonormal basis of columns (3, n, k) for each gyro; zero columns if the rank is below k."""
     lengths = np.linalg.norm(columns, axis=1, keepdims=True)
     left, values, _ = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False)
-    return np.asarray(left * (values > NOTHING)[:, np.newaxis, :])
+    return np.asarray(left * (values > MIN_SHARE)[:, np.newaxis, :])
 
 
-def truths(problem: Problem, effect: Effect) -> list[Truth]:
-    """An effect with all values that the search starts from, as far as the dwells show it; typical first."""
+def assumed_effects(problem: Problem, effect: Effect) -> list[AssumedEffect]:
+    """An effect at all starting values at which the dwells show it, the typical ones first."""
     campaign = problem.campaign
     found = []
     for form in effect.forms:
-        for values in () if form.lacks(campaign) else _from_the_middle(form, campaign):
+        for values in () if form.missing_input(campaign) else _from_the_middle(form, campaign):
             columns = form.columns(campaign, values)
-            parts = _beside(problem, unit_parts(columns))
+            parts = _independent_part(problem, unit_parts(columns))
             if np.any(parts):
-                found.append(Truth(len(values), _beside(problem, columns), parts))
+                found.append(AssumedEffect(len(values), _independent_part(problem, columns), parts))
     return found
 
 
 def _from_the_middle(form: Form, campaign: Campaign) -> Iterator[tuple[float, ...]]:
-    """Values that a form starts from, after the middle one of each parameter."""
+    """The middle starting value of each parameter, then all starting values."""
     grids = [np.sort(parameter.starts(campaign)).tolist() for parameter in form.parameters]
     if all(grids):
         yield tuple(grid[len(grid) // 2] for grid in grids)
         yield from itertools.product(*grids)
 
 
-def rivals(problem: Problem, effect: Effect) -> list[Fit]:
-    """Fits by which an effect could look like another one: its parameters all over their bounds."""
+def alternative_fits(problem: Problem, effect: Effect) -> list[Fit]:
+    """Fits of an effect at parameters spaced over their bounds."""
     campaign = problem.campaign
     fits = []
     for form in effect.forms:
-        if form.lacks(campaign) is None:
-            count = round(_RIVAL_VALUES ** (1.0 / max(len(form.parameters), 1)))
+        if form.missing_input(campaign) is None:
+            count = round(_ALTERNATIVE_VALUES ** (1.0 / max(len(form.parameters), 1)))
             grids = [_grid(parameter, campaign, count) for parameter in form.parameters]
             fits += [
-                Fit(len(values), _beside(problem, form.columns(campaign, values)))
+                Fit(len(values), _independent_part(problem, form.columns(campaign, values)))
                 for values in itertools.product(*grids)
             ]
     return fits
@@ -161,32 +172,32 @@ def _grid(parameter: Parameter, campaign: Campaign, count: int) -> list[float]:
     return sorted({*begun, *spread(low, high, count).tolist()})
 
 
-#: Probability with which an effect of the smallest size told is found.
+#: Probability of finding an effect of the smallest size stated.
 POWER = 0.9
-_DIFFERENT_DWELLS = "dwells that differ more in what the effect follows"
-#: Sizes between which the smallest one is looked for, deg/h.
+_DIFFERENT_DWELLS = "dwells with a larger variation of what the effect follows"
+#: Sizes evaluated, deg/h.
 _SIZES_DPH = np.geomspace(1e-6, 10.0, 1401)
 
 
 @dataclass(frozen=True)
 class Detection:
-    """How large an effect has to be to be found.
+    """Size at which an effect is found.
 
     Attributes
     ----------
     effect : Effect
-        Which one.
-    lacks : str or None
-        Why the campaign can't show it at all; then the rest is infinite.
+        The effect.
+    missing_input : str or None
+        The input without which the campaign can't show it; then the rest is infinite.
     typical_dph, largest_dph : float
-        Smallest size found with probability :data:`POWER`: in the middle of the values that its
-        parameters start from, and for the worst of them.
+        Smallest size found with probability :data:`POWER`, for the middle starting values of its
+        parameters and for the worst ones.
     inflation : float
-        By how much the other effects, all fitted beside it, enlarge the variance of its size.
+        Variance inflation factor of its size if all other effects are fitted beside it.
     """
 
     effect: Effect
-    lacks: str | None = None
+    missing_input: str | None = None
     typical_dph: float = np.inf
     largest_dph: float = np.inf
     inflation: float = np.inf
@@ -194,132 +205,133 @@ class Detection:
 
 @dataclass(frozen=True)
 class Separability:
-    """What a campaign could tell.
+    """Which effects a campaign could find and distinguish.
 
     Attributes
     ----------
     campaign : Campaign
-        The dwells that the search sees.
+        The dwells searched.
     detections : tuple of Detection
         One for each effect, by name.
-    told_dph : dict of (str, str) to float
-        Smallest size at which the first effect, being the true one, is found and not mistaken
-        for the second; for all pairs of effects that the campaign can show.
+    distinguished_dph : dict of (str, str) to float
+        Smallest size at which the first effect, if present, is found and not mistaken for the
+        second; for all pairs of effects that the campaign can show.
     correlation : dict of (str, str) to float
         Largest canonical correlation of the terms of two effects for any gyro, typical values.
     """
 
     campaign: Campaign
     detections: tuple[Detection, ...]
-    told_dph: Mapping[tuple[str, str], float]
+    distinguished_dph: Mapping[tuple[str, str], float]
     correlation: Mapping[tuple[str, str], float]
 
-    def hardest_rival(self, name: str) -> tuple[str, float] | None:
-        """Effect that is hardest to tell from one, and the size from which it is told; None without any."""
-        sizes = {rival: size for (true, rival), size in self.told_dph.items() if true == name}
+    def nearest_alternative(self, name: str) -> tuple[str, float] | None:
+        """Effect hardest to distinguish from one, and the smallest size at which it is; None without any."""
+        sizes = {other: size for (present, other), size in self.distinguished_dph.items() if present == name}
         if not sizes:
             return None
-        rival = max(sizes, key=lambda each: (sizes[each], self.correlation[name, each]))
-        return rival, sizes[rival]
+        nearest = max(sizes, key=lambda each: (sizes[each], self.correlation[name, each]))
+        return nearest, sizes[nearest]
 
     def not_found(self, target_dph: float) -> list[str]:
-        """Effects that are not found at some size."""
+        """Effects that are not found at a size."""
         return [each.effect.name for each in self.detections if each.typical_dph > target_dph]
 
-    def not_told(self, target_dph: float) -> list[tuple[str, str]]:
-        """Pairs of effects, each once, of which one is found at some size but mistaken for the other."""
+    def not_distinguished(self, target_dph: float) -> list[tuple[str, str]]:
+        """Pairs of effects, each once, of which one is found at a size but mistaken for the other."""
         hidden = self.not_found(target_dph)
         return sorted(
             {
-                (min(true, rival), max(true, rival))
-                for (true, rival), size in self.told_dph.items()
-                if size > target_dph and true not in hidden
+                (min(present, other), max(present, other))
+                for (present, other), size in self.distinguished_dph.items()
+                if size > target_dph and present not in hidden
             }
         )
 
     def is_settled(self, name: str, target_dph: float) -> bool:
-        """Whether an effect is found at some size and told from all others."""
+        """Whether an effect of a size is found and distinguished from all others."""
         return name not in self.not_found(target_dph) and all(
-            size <= target_dph for (true, _), size in self.told_dph.items() if true == name
+            size <= target_dph for (present, _), size in self.distinguished_dph.items() if present == name
         )
 
-    def told_both_ways_dph(self, pair: tuple[str, str]) -> float:
+    def distinguished_both_ways_dph(self, pair: tuple[str, str]) -> float:
         """Smallest size at which neither effect of a pair is mistaken for the other."""
         one, other = pair
-        return max(self.told_dph.get((one, other), np.inf), self.told_dph.get((other, one), np.inf))
+        sizes = self.distinguished_dph
+        return max(sizes.get((one, other), np.inf), sizes.get((other, one), np.inf))
 
 
 def searched_dwells(campaign: Campaign) -> Campaign:
-    """The dwells that a search sees: all but those of the last cycle, or all where there is one cycle."""
+    """The dwells that a search uses: all but those of the last cycle, or all of a single cycle."""
     searched = campaign.cycle < campaign.cycle.max()
     return campaign.part(searched) if searched.any() else campaign
 
 
 def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
-    """Work out what a campaign could tell.
+    """Evaluate which effects a campaign could find and distinguish.
 
     Parameters
     ----------
     campaign : Campaign
-        All of its dwells are searched; its biases do not matter.
+        All of its dwells are searched; its biases are not used.
     effects : sequence of Effect
         Candidates of the search.
     """
     problem = declared_problem(campaign, np.ones(len(campaign), dtype=bool))
-    may_be = {effect.name: truths(problem, effect) for effect in effects}
-    typical = {name: each[0] for name, each in may_be.items() if each}
-    detections = {each.name: _detection(problem, each, may_be[each.name], effects) for each in effects}
-    fits = {effect.name: rivals(problem, effect) for effect in effects if effect.name in typical}
-    told, correlation = {}, {}
-    for one, true in typical.items():
-        own = _score(true, true, price(problem))
+    assumed = {effect.name: assumed_effects(problem, effect) for effect in effects}
+    typical = {name: each[0] for name, each in assumed.items() if each}
+    detections = {each.name: _detection(problem, each, assumed[each.name], effects) for each in effects}
+    fits = {effect.name: alternative_fits(problem, effect) for effect in effects if effect.name in typical}
+    distinguished, correlation = {}, {}
+    for one, present in typical.items():
+        own = _expected_bic(present, present, bic_penalty(problem))
         for other in typical.keys() - {one}:
-            size_dph = _told_dph(problem, true, own, fits[other])
-            told[one, other] = max(detections[one].typical_dph, size_dph)
-            correlation[one, other] = _correlation(true, typical[other])
+            size_dph = _distinguished_dph(problem, present, own, fits[other])
+            distinguished[one, other] = max(detections[one].typical_dph, size_dph)
+            correlation[one, other] = _correlation(present, typical[other])
     return Separability(
         campaign,
         tuple(
             replace(each, inflation=_inflation(typical, name)) if name in typical else each
             for name, each in sorted(detections.items())
         ),
-        told,
+        distinguished,
         correlation,
     )
 
 
 def _detection(
-    problem: Problem, effect: Effect, may_be: Sequence[Truth], effects: Sequence[Effect]
+    problem: Problem, effect: Effect, assumed: Sequence[AssumedEffect], effects: Sequence[Effect]
 ) -> Detection:
     campaign = problem.campaign
-    if not may_be:
-        lacks = [form.lacks(campaign) for form in effect.forms]
-        return Detection(effect, next((each for each in lacks if each), _DIFFERENT_DWELLS))
-    trials = len(effects) * tried(effect, campaign)
-    sizes = [_found_dph(each, trials) for each in may_be]
+    if not assumed:
+        missing = [form.missing_input(campaign) for form in effect.forms]
+        return Detection(effect, next((each for each in missing if each), _DIFFERENT_DWELLS))
+    candidate_fits = len(effects) * start_count(effect, campaign)
+    sizes = [_found_dph(each, candidate_fits) for each in assumed]
     return Detection(effect, None, sizes[0], max(sizes))
 
 
-def _found_dph(true: Truth, trials: int) -> float:
-    """Smallest size that is beyond chance with probability :data:`POWER`."""
-    return float(np.sqrt(_noncentrality(true.unknowns, trials) / true.information))
+def _found_dph(present: AssumedEffect, candidate_fits: int) -> float:
+    """Smallest size that is significant with probability :data:`POWER`."""
+    return float(np.sqrt(_noncentrality(present.parameter_count, candidate_fits) / present.information))
 
 
 @cache
-def _noncentrality(unknowns: int, trials: int) -> float:
-    """Of a sum of squares that the search takes for an effect; see its p_value."""
-    limit = float(chi2_distribution.isf(SIGNIFICANCE / trials, unknowns))
+def _noncentrality(parameters: int, candidate_fits: int) -> float:
+    """Non-centrality of a reduction of chi2 that the search finds significant; see its p_value."""
+    limit = float(chi2_distribution.isf(SIGNIFICANCE / candidate_fits, parameters))
     highest = 4.0 * limit + 100.0
-    return float(brentq(lambda value: float(ncx2.sf(limit, unknowns, value)) - POWER, 1e-3, highest))
+    return float(brentq(lambda value: float(ncx2.sf(limit, parameters, value)) - POWER, 1e-3, highest))
 
 
-def _inflation(typical: Mapping[str, Truth], name: str) -> float:
+def _inflation(typical: Mapping[str, AssumedEffect], name: str) -> float:
     own = typical[name]
     others = [each.terms for other, each in typical.items() if other != name]
     if not others:
         return 1.0
-    left = own.information - own.explained_by(basis_of(np.concatenate(others, axis=2)))
-    return own.information / left if left > NOTHING**2 * own.information else np.inf
+    rest = own.information - own.explained_by(basis_of(np.concatenate(others, axis=2)))
+    return own.information / rest if rest > MIN_SHARE**2 * own.information else np.inf
 
 
 def _correlation(one: Fit, other: Fit) -> float:
@@ -327,54 +339,56 @@ def _correlation(one: Fit, other: Fit) -> float:
     return min(1.0, float(cosines.max()))
 
 
-def _told_dph(problem: Problem, true: Truth, own: FloatArray, fits: Sequence[Fit]) -> float:
-    """Smallest size from which on the rival's expected score is behind by the margin of a tie.
+def _distinguished_dph(
+    problem: Problem, present: AssumedEffect, own: FloatArray, fits: Sequence[Fit]
+) -> float:
+    """Smallest size above which the expected BIC of the best alternative is larger by the margin of a tie.
 
-    ``own`` is the expected score of the true effect at all sizes.
+    ``own`` is the expected BIC of the effect present at all sizes.
     """
-    rival = max(fits, key=lambda each: true.explained_by(each.basis))
-    if _is_case_of(true, rival):
+    alternative = max(fits, key=lambda each: present.explained_by(each.basis))
+    if _is_special_case(present, alternative):
         return 0.0
-    behind = _score(true, rival, price(problem)) - own
+    behind = _expected_bic(present, alternative, bic_penalty(problem)) - own
     tied = np.flatnonzero(behind < TIE_MARGIN)
     first = tied[-1] + 1 if len(tied) else 0
     return float(_SIZES_DPH[first]) if first < len(_SIZES_DPH) else np.inf
 
 
-def _is_case_of(special: Fit, general: Fit) -> bool:
-    if special.unknowns >= general.unknowns:
+def _is_special_case(special: Fit, general: Fit) -> bool:
+    if special.parameter_count >= general.parameter_count:
         return False
-    made_up = general.basis @ (np.swapaxes(general.basis, 1, 2) @ special.terms)
-    left, whole = (np.linalg.norm(each, axis=1) for each in (special.terms - made_up, special.terms))
-    return bool(np.all(left <= SAME_SHARE * whole))
+    fitted = general.basis @ (np.swapaxes(general.basis, 1, 2) @ special.terms)
+    rest, whole = (np.linalg.norm(each, axis=1) for each in (special.terms - fitted, special.terms))
+    return bool(np.all(rest <= SAME_SHARE * whole))
 
 
-def _score(true: Truth, fitted: Fit, price_of_unknown: float) -> FloatArray:
-    """Expected score of a fit to a true effect of all sizes, terms dropped where they don't pay."""
-    # What is fitted to noise alone takes away its own square, which is one.
-    cost = price_of_unknown - 1.0
-    score = np.full(len(_SIZES_DPH), cost * fitted.parameters)
-    for mine, terms in zip(true.parts, fitted.terms, strict=True):
-        lines = [left * _SIZES_DPH**2 + cost * count for count, left in _fewer_and_fewer(mine, terms)]
-        score += np.min(lines, axis=0)
-    return score
+def _expected_bic(present: AssumedEffect, fitted: Fit, penalty: float) -> FloatArray:
+    """Expected BIC of a fit to an effect of all sizes, without the terms that do not lower it."""
+    # A parameter fitted to noise alone reduces chi2 by one.
+    net_penalty = penalty - 1.0
+    bic = np.full(len(_SIZES_DPH), net_penalty * fitted.parameters)
+    for mine, terms in zip(present.parts, fitted.terms, strict=True):
+        lines = [chi2 * _SIZES_DPH**2 + net_penalty * count for count, chi2 in _eliminated(mine, terms)]
+        bic += np.min(lines, axis=0)
+    return bic
 
 
-def _fewer_and_fewer(true: FloatArray, terms: FloatArray) -> list[tuple[int, float]]:
-    """Numbers of terms, and the squares that they leave, the least one dropped each time."""
+def _eliminated(parts: FloatArray, terms: FloatArray) -> list[tuple[int, float]]:
+    """Numbers of terms and chi2 of the fit to parts, by backward elimination."""
     lengths = np.linalg.norm(terms, axis=0)
     terms = terms[:, lengths > 0.0] / lengths[lengths > 0.0]
-    gram, along, whole = terms.T @ terms, terms.T @ true, float(np.sum(true**2))
+    gram, along, whole = terms.T @ terms, terms.T @ parts, float(np.sum(parts**2))
 
-    def left(kept: list[int]) -> float:
-        inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=NOTHING**2, hermitian=True)
+    def chi2(kept: list[int]) -> float:
+        inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=MIN_SHARE**2, hermitian=True)
         return max(whole - float(np.sum(along[kept] * (inverse @ along[kept]))), 0.0)
 
     kept = list(range(terms.shape[1]))
-    result = [(len(kept), left(kept))]
+    result = [(len(kept), chi2(kept))]
     while len(kept) > 1:
         trials = [[each for each in kept if each != dropped] for dropped in kept]
-        values = [left(each) for each in trials]
+        values = [chi2(each) for each in trials]
         kept = trials[int(np.argmin(values))]
         result.append((len(kept), min(values)))
     return result

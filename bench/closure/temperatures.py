@@ -11,10 +11,10 @@ from scipy.interpolate import CubicHermiteSpline
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _STEPS_A_DWELL = 6
-_MOST_STEPS = 20_000
+_MAX_STEPS = 20_000
 _S_PER_H = 3600.0
-#: Corrections of a smooth course until its means are the measured ones.
-_ROUNDS = 3
+#: Iterations that match the means of the smooth course to the measured ones.
+_ITERATIONS = 3
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class TemperatureRecord:
     gyro_c : ndarray, shape (m, 3)
         Temperature of each gyro's optics.
     is_of_dwells : bool
-        Whether it was made from the dwells' means and slopes.
+        Whether it was interpolated from the dwells' means and slopes.
     """
 
     time_s: FloatArray
@@ -37,11 +37,11 @@ class TemperatureRecord:
 
     @property
     def step_s(self) -> float:
-        """Distance of the times."""
+        """Time step."""
         return float(self.time_s[1] - self.time_s[0])
 
     def mean_over(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """Mean of something known at the record's times (m, 3) from each start to each end, shape (n, 3)."""
+        """Mean of values at the record's times (m, 3) from each start to each end, shape (n, 3)."""
         area = np.zeros_like(values)
         area[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * self.step_s, axis=0)
         spans = np.maximum(end_s - start_s, 1e-9)
@@ -61,7 +61,7 @@ def record_of_dwells(
     rate_c_per_h: FloatArray,
     held_out: BoolArray | None = None,
 ) -> TemperatureRecord:
-    """Record with the dwells' mean temperatures and, in their middles, the dwells' slopes.
+    """Record with the mean temperatures of the dwells and their slopes at mid-dwell.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def record_of_dwells(
     middle_s, index = np.unique(0.5 * (start_s + end_s), return_index=True)
     first_s, last_s = float(start_s.min()), float(end_s.max())
     length_s = max(last_s - first_s, 1.0)
-    step_s = max(float(np.median(end_s - start_s)) / _STEPS_A_DWELL, length_s / _MOST_STEPS, 1e-3)
-    # Steps are counted from the begin, so that dwells added at the end do not move them.
+    step_s = max(float(np.median(end_s - start_s)) / _STEPS_A_DWELL, length_s / _MAX_STEPS, 1e-3)
+    # Steps are counted from the start, so that dwells added at the end do not shift them.
     steps = np.arange(max(2, math.ceil(length_s / step_s) + 1), dtype=np.float64)
     time_s = first_s + step_s * steps
     if len(middle_s) == 1:
@@ -86,7 +86,7 @@ def record_of_dwells(
     rates = rate_c_per_h[index] / _S_PER_H
     nodes_c, means_c = gyro_c[index].copy(), gyro_c[index]
     record = _through(time_s, middle_s, nodes_c, rates)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         nodes_c += means_c - record.mean_over(record.gyro_c, start_s[index], end_s[index])
         record = _through(time_s, middle_s, nodes_c, rates)
     return record
@@ -95,20 +95,20 @@ def record_of_dwells(
 def _without_influence(
     start_s: FloatArray, end_s: FloatArray, gyro_c: FloatArray, rate_c_per_h: FloatArray, held_out: BoolArray
 ) -> TemperatureRecord:
-    """Record of all dwells, but within those not held out the record of these alone."""
-    every = record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h)
+    """Record of all dwells; within those not held out, the record of these alone."""
+    all_dwells = record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h)
     seen = ~held_out
     alone = record_of_dwells(start_s[seen], end_s[seen], gyro_c[seen], rate_c_per_h[seen])
-    dwell = np.clip(np.searchsorted(start_s, every.time_s, side="right") - 1, 0, len(start_s) - 1)
-    inside = seen[dwell] & (every.time_s <= end_s[dwell])
-    own_c = np.stack([np.interp(every.time_s, alone.time_s, each) for each in alone.gyro_c.T], axis=1)
-    return replace(every, gyro_c=np.where(inside[:, np.newaxis], own_c, every.gyro_c))
+    dwell = np.clip(np.searchsorted(start_s, all_dwells.time_s, side="right") - 1, 0, len(start_s) - 1)
+    inside = seen[dwell] & (all_dwells.time_s <= end_s[dwell])
+    own_c = np.stack([np.interp(all_dwells.time_s, alone.time_s, each) for each in alone.gyro_c.T], axis=1)
+    return replace(all_dwells, gyro_c=np.where(inside[:, np.newaxis], own_c, all_dwells.gyro_c))
 
 
 def _through(
     time_s: FloatArray, middle_s: FloatArray, nodes_c: FloatArray, rates: FloatArray
 ) -> TemperatureRecord:
-    """Record through nodes (k, 3) at times (k,) with slopes in K/s, straight beyond them."""
+    """Record through nodes (k, 3) at times (k,) with slopes in K/s, linear beyond them."""
     inside_s = np.clip(time_s, middle_s[0], middle_s[-1])
     before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * rates[0]
     after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * rates[-1]
@@ -116,15 +116,15 @@ def _through(
     return TemperatureRecord(time_s, curve_c + before + after, is_of_dwells=True)
 
 
-#: Samples of the course in each dwell.
+#: Samples of the set point in each dwell.
 SAMPLES = 60
-#: Two means of one hold differ by less; the air of a hold is nearer than this to its set point.
+#: Maximum difference of the means of one hold, and of the air from the set point of a hold.
 _SAME_C = 0.02
 _AT_SET_POINT_C = 0.1
-#: Farther than an air lags behind a set point that ramps.
+#: More than the lag of the air behind a ramped set point.
 _FAR_FROM_SET_POINT_C = 6.0
-#: Dwells follow one another if the pause between them is a smaller share of the dwell.
-_LONGEST_PAUSE = 0.05
+#: Largest pause between consecutive dwells, as a share of the dwell.
+_MAX_PAUSE = 0.05
 
 
 def set_point_path(
@@ -132,17 +132,17 @@ def set_point_path(
 ) -> FloatArray:
     """Set point at :data:`SAMPLES` equally spaced instants of each dwell, shape (n, SAMPLES), degC.
 
-    Dwells that share their mean with a neighbour, or whose air is at the set point, hold it. What
-    lies between two holds is a ramp of one rate; it begins and ends at instants which the means of
-    the dwells at its ends tell. A ramp within a single dwell takes the rate of the nearest other one.
-    Where a chamber ramps by itself its set point is the ramp's end; the air then tells the ramp.
+    A dwell holds the set point if its mean equals that of a neighbour or its air is at the set point.
+    Between two holds is a ramp of constant rate; the means of the dwells at its ends determine when it
+    begins and ends. A ramp within a single dwell gets the rate of the nearest other one. The set point
+    of a chamber that ramps by itself is the end of the ramp; the ramp is then taken from the air.
 
     Parameters
     ----------
     start_s, end_s : ndarray, shape (n,)
         Times of the dwells, in order.
     set_c, air_c : ndarray, shape (n,)
-        Means of set point and air over each dwell; the air may be NaN.
+        Means of set point and air over each dwell; NaN allowed for the air.
     """
     count = len(set_c)
     length_s = np.maximum(end_s - start_s, 1e-9)
@@ -168,22 +168,22 @@ def set_point_path(
 
 
 def _ramps(holds: BoolArray) -> list[tuple[int, int]]:
-    """First and last dwell of each stretch that does not hold."""
+    """First and last dwell of each interval without a hold."""
     edges = np.diff(np.concatenate([[1], holds.astype(int), [1]]))
     return list(zip(np.flatnonzero(edges == -1), np.flatnonzero(edges == 1) - 1, strict=True))
 
 
 def _rate(start_s: FloatArray, end_s: FloatArray, set_c: FloatArray, first: int, last: int) -> float:
-    """Rate of a ramp, K/s, from the means of its dwells; 0 where they don't tell it."""
+    """Rate of a ramp, K/s, from the means of its dwells; 0 if they do not determine it."""
     if first == last:
         return 0.0
     stretch = slice(max(first - 1, 0), last + 2)
     lengths_s = end_s[stretch] - start_s[stretch]
     pauses_s = start_s[stretch][1:] - end_s[stretch][:-1]
-    if first == 0 or last == len(set_c) - 1 or np.any(pauses_s > _LONGEST_PAUSE * lengths_s[1:]):
+    if first == 0 or last == len(set_c) - 1 or np.any(pauses_s > _MAX_PAUSE * lengths_s[1:]):
         middles_s = 0.5 * (start_s + end_s)[first : last + 1]
         return float(np.abs(np.diff(set_c[first : last + 1]) / np.diff(middles_s)).max())
-    # At each end the ramp takes the part f of a dwell and moves its mean by rate * f**2 / 2.
+    # At each end the ramp occupies the fraction f of a dwell and changes its mean by rate * f**2 / 2.
     total = abs(set_c[last + 1] - set_c[first - 1])
     ends = np.sqrt(2.0 * abs(set_c[first] - set_c[first - 1])) + np.sqrt(
         2.0 * abs(set_c[last + 1] - set_c[last])
@@ -196,9 +196,9 @@ def _rate(start_s: FloatArray, end_s: FloatArray, set_c: FloatArray, first: int,
 
 
 def _course(mean_c: float, from_c: float | None, to_c: float | None, change_c: float) -> FloatArray:
-    """Course within one dwell of a ramp that changes by ``change_c`` in a whole one.
+    """Set point within one dwell of a ramp that changes by ``change_c`` per dwell.
 
-    A hold before it, or after it, is given by its temperature.
+    ``from_c`` and ``to_c`` are the temperatures of a hold before and after it.
     """
     instants = (np.arange(SAMPLES) + 0.5) / SAMPLES
     if from_c is not None and to_c is not None:

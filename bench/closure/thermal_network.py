@@ -1,4 +1,4 @@
-"""A small thermal network of each gyro, fitted to the temperatures that the dwells hold.
+"""A small thermal network of each gyro, fitted to the temperatures of the dwells.
 
 Optics at T are warmed by the electronics at B and lose heat to the case; convection makes the flow
 from the electronics depend on the direction of gravity below an onset temperature::
@@ -7,9 +7,9 @@ from the electronics depend on the direction of gravity below an onset temperatu
     dT/dt = k q + h (case - T) + c
     dB/dt = p - e q + f (case - B)
 
-The case's temperature drives it. The network says what the electronics' temperature above the
-optics was with less noise than the sensors have, and also where there is no sensor at the
-electronics. Between dwells nothing is known of the attitude, so it starts anew after each pause.
+It is driven by the temperature of the case. It gives the temperature of the electronics above the
+optics with less noise than the sensors, and also without a sensor at the electronics. The attitude
+between dwells is unknown, so the network is initialized again after each pause.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _STEPS_A_DWELL = 10
 _SPLINE_DEGREE = 5
-#: Longer pauses, as a share of the dwell after them, break a stretch; in the mean one has so many dwells.
-_LONGEST_PAUSE = 0.05
-_SHORTEST_STRETCH = 10
+#: Longer pauses, as a share of the next dwell, separate segments; minimum mean number of dwells in one.
+_MAX_PAUSE = 0.05
+_MIN_DWELLS = 10
 _S_PER_H = 3600.0
 #: Parameters, each with the lower bound, start, upper bound and scale of its fit; hours and kelvin.
 _PARAMETERS = (
@@ -45,10 +45,10 @@ _PARAMETERS = (
     ("onset_width_c", 1.0, 4.0, 15.0, 2.0),
 )
 _START_ABOVE_OPTICS_C = 8.0
-#: What sensors are believed to, and how far off a network may be that is used: optics, slope, electronics.
-_SENSORS = np.array([0.02, 0.06, 0.02])
-_MOST_OFF = np.array([0.1, 0.3, 0.1])
-_MOST_EVALUATIONS = 60
+#: Uncertainty of the sensors and largest rms residual of a valid network: optics, slope, electronics.
+_SENSOR_SIGMAS = np.array([0.02, 0.06, 0.02])
+_MAX_RMS = np.array([0.1, 0.3, 0.1])
+_MAX_EVALUATIONS = 60
 
 
 def electronics_above_optics(
@@ -61,8 +61,8 @@ def electronics_above_optics(
 ) -> FloatArray | None:
     """Mean temperature of each gyro's electronics above its optics in each dwell, (n, 3), by the network.
 
-    None where the network does not describe the temperatures, or where there are many pauses: after
-    a pause, and in dwells that the fit must not see, it starts anew.
+    None if the network does not describe the temperatures or there are too many pauses: it is
+    initialized again after a pause and in held-out dwells.
 
     Parameters
     ----------
@@ -74,32 +74,32 @@ def electronics_above_optics(
     up_body : ndarray, shape (n, 3)
         Unit vector Up in body axes.
     fitted : ndarray of bool, shape (n,)
-        Dwells whose temperatures the network's parameters are fitted to.
+        Dwells to which the parameters are fitted.
     """
     if not np.isfinite(case_c).all() or np.any(end_s <= start_s):
         return None
-    stretches = [
-        _Stretch.of(start_s[part], end_s[part], case_c[part], up_body[part], bool(fitted[part][0]), part)
+    segments = [
+        _Segment.of(start_s[part], end_s[part], case_c[part], up_body[part], bool(fitted[part][0]), part)
         for part in _without_pauses(start_s, end_s, fitted)
     ]
-    seen = [each for each in stretches if each.is_fitted]
+    seen = [each for each in segments if each.is_fitted]
     dwells = sum(len(each.step_h) for each in seen)
-    if dwells <= 2 * len(_PARAMETERS) or dwells < _SHORTEST_STRETCH * len(seen):
+    if dwells <= 2 * len(_PARAMETERS) or dwells < _MIN_DWELLS * len(seen):
         return None
     above_c = np.empty((len(case_c), 3))
     for gyro in range(3):
         parameters = _fit(seen, readings[:, gyro])
         if parameters is None:
             return None
-        for each in stretches:
+        for each in segments:
             mine = readings[each.part, gyro]
             above_c[each.part, gyro] = _above(_with_start(parameters, each, mine), each)
     return above_c
 
 
 @dataclass(frozen=True)
-class _Stretch:
-    """Dwells that follow one another: their part of the table, and what drives the network in them."""
+class _Segment:
+    """Consecutive dwells: their part of the table, and the inputs of the network."""
 
     part: slice
     is_fitted: bool
@@ -116,8 +116,8 @@ class _Stretch:
         up_body: FloatArray,
         is_fitted: bool,
         part: slice,
-    ) -> _Stretch:
-        """Take the case's temperature between the dwells' means from a spline of its integral."""
+    ) -> _Segment:
+        """Interpolate the case temperature by a spline of its integral, which keeps the dwells' means."""
         edges_h = np.append(start_s, end_s[-1]) / _S_PER_H
         lengths_h = np.diff(edges_h)
         sums = np.concatenate([[0.0], np.cumsum(case_c * lengths_h)])
@@ -128,76 +128,76 @@ class _Stretch:
         return cls(part, is_fitted, up_body, driven_c, step_h)
 
     def start(self, readings: FloatArray) -> FloatArray:
-        """First temperatures of optics and electronics by the readings of one gyro (m, 3)."""
+        """Initial temperatures of optics and electronics from the readings of one gyro (m, 3)."""
         optics_c = readings[0, 0] - 0.5 * _STEPS_A_DWELL * self.step_h[0] * readings[0, 1]
         board_c = readings[0, 2]
         return np.array([optics_c, board_c if np.isfinite(board_c) else optics_c + _START_ABOVE_OPTICS_C])
 
-    def off(self, values: FloatArray, readings: FloatArray) -> FloatArray:
-        """Differences from the readings (m, 3): optics, slopes, electronics; NaN where not read."""
+    def residuals(self, values: FloatArray, readings: FloatArray) -> FloatArray:
+        """Model minus readings (m, 3): optics, slopes, electronics; NaN without a reading."""
         return np.stack(_run(values, self.up_body, self.driven_c, self.step_h), axis=1) - readings
 
 
 def _without_pauses(start_s: FloatArray, end_s: FloatArray, fitted: BoolArray) -> list[slice]:
-    """Parts of the table without pauses in them, either all fitted or not at all."""
-    pauses = np.abs(start_s[1:] - end_s[:-1]) > _LONGEST_PAUSE * (end_s - start_s)[1:]
+    """Parts of the table without pauses, each either fitted or not."""
+    pauses = np.abs(start_s[1:] - end_s[:-1]) > _MAX_PAUSE * (end_s - start_s)[1:]
     cuts = np.flatnonzero(pauses | (fitted[1:] != fitted[:-1])) + 1
     return [slice(*pair) for pair in itertools.pairwise([0, *cuts.tolist(), len(start_s)])]
 
 
-def _fit(stretches: list[_Stretch], readings: FloatArray) -> FloatArray | None:
-    """Parameters of one gyro's network; None where it does not describe the readings (n, 3)."""
+def _fit(segments: list[_Segment], readings: FloatArray) -> FloatArray | None:
+    """Parameters of one gyro's network; None if it does not describe the readings (n, 3)."""
     count = len(_PARAMETERS)
 
-    def off(values: FloatArray) -> FloatArray:
+    def residuals(values: FloatArray) -> FloatArray:
         parts = [
-            each.off(np.append(values[:count], values[count + 2 * index :][:2]), readings[each.part])
-            for index, each in enumerate(stretches)
+            each.residuals(np.append(values[:count], values[count + 2 * index :][:2]), readings[each.part])
+            for index, each in enumerate(segments)
         ]
         return np.concatenate(parts)
 
     def weighted(values: FloatArray) -> FloatArray:
-        return _weighted(off(values))
+        return _weighted(residuals(values))
 
     lows, starts, highs, scales = np.array([each[1:] for each in _PARAMETERS]).T
-    begun = [each.start(readings[each.part]) for each in stretches]
+    initial = [each.start(readings[each.part]) for each in segments]
     fitted = least_squares(
         weighted,
-        np.concatenate([starts, *begun]),
+        np.concatenate([starts, *initial]),
         bounds=(
-            np.append(lows, [-100.0, -100.0] * len(begun)),
-            np.append(highs, [150.0, 250.0] * len(begun)),
+            np.append(lows, [-100.0, -100.0] * len(initial)),
+            np.append(highs, [150.0, 250.0] * len(initial)),
         ),
-        x_scale=np.append(scales, [1.0, 3.0] * len(begun)),
-        max_nfev=_MOST_EVALUATIONS,
+        x_scale=np.append(scales, [1.0, 3.0] * len(initial)),
+        max_nfev=_MAX_EVALUATIONS,
     ).x
-    read = 3 if np.isfinite(readings[:, 2]).all() else 2
-    rms = np.sqrt(np.mean(off(fitted)[:, :read] ** 2, axis=0))
-    return None if np.any(rms > _MOST_OFF[:read]) else np.asarray(fitted[:count])
+    sensors = 3 if np.isfinite(readings[:, 2]).all() else 2
+    rms = np.sqrt(np.mean(residuals(fitted)[:, :sensors] ** 2, axis=0))
+    return None if np.any(rms > _MAX_RMS[:sensors]) else np.asarray(fitted[:count])
 
 
-def _with_start(parameters: FloatArray, stretch: _Stretch, readings: FloatArray) -> FloatArray:
-    """Parameters with the first temperatures that fit one stretch best."""
+def _with_start(parameters: FloatArray, segment: _Segment, readings: FloatArray) -> FloatArray:
+    """Parameters with the initial temperatures that fit one segment best."""
 
     def weighted(values: FloatArray) -> FloatArray:
-        return _weighted(stretch.off(np.append(parameters, values), readings))
+        return _weighted(segment.residuals(np.append(parameters, values), readings))
 
     start = least_squares(
         weighted,
-        stretch.start(readings),
-        max_nfev=_MOST_EVALUATIONS,
+        segment.start(readings),
+        max_nfev=_MAX_EVALUATIONS,
     ).x
     return np.append(parameters, start)
 
 
-def _above(values: FloatArray, stretch: _Stretch) -> FloatArray:
-    optics_c, _, electronics_c = _run(values, stretch.up_body, stretch.driven_c, stretch.step_h)
+def _above(values: FloatArray, segment: _Segment) -> FloatArray:
+    optics_c, _, electronics_c = _run(values, segment.up_body, segment.driven_c, segment.step_h)
     return np.asarray(electronics_c - optics_c)
 
 
-def _weighted(off: FloatArray) -> FloatArray:
-    """Differences in standard deviations of the sensors, in one row; what was not read counts nothing."""
-    weighted: FloatArray = np.nan_to_num(off / _SENSORS, nan=0.0).ravel()
+def _weighted(residuals: FloatArray) -> FloatArray:
+    """Residuals in standard deviations of the sensors, flat; zero without a reading."""
+    weighted: FloatArray = np.nan_to_num(residuals / _SENSOR_SIGMAS, nan=0.0).ravel()
     return weighted
 
 
@@ -205,7 +205,7 @@ def _weighted(off: FloatArray) -> FloatArray:
 def _run(
     values: FloatArray, up_body: FloatArray, driven_c: FloatArray, step_h: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Dwells' means of the optics, their slopes, and means of the electronics, by the midpoint rule."""
+    """Means of the optics, their slopes, and means of the electronics per dwell, by the midpoint rule."""
     flow, to_case, own, power, back, loss = values[:6]
     along = up_body @ values[6:9]
     onset, width, optics, electronics = values[9:]

@@ -1,4 +1,9 @@
-"""Is a model adequate? Lack-of-fit tests, and cross-validation by cycles."""
+"""Is a model adequate? Lack-of-fit tests of its residuals, and cross-validation by cycles.
+
+The sum of squares is tested against the stated uncertainties; F-tests for structure compare what the
+residuals follow with what is left after that (the repeat error). All tests are made within runs: the
+constant of each run is in the model.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +22,9 @@ from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _DWELLS_A_TIME_KNOT = 6
-_MOST_TIME_KNOTS = 40
+_MAX_TIME_KNOTS = 40
 _TEMPERATURE_KNOT_C = 4.0
-_MOST_TEMPERATURE_KNOTS = 24
+_MAX_TEMPERATURE_KNOTS = 24
 
 
 @dataclass(frozen=True)
@@ -29,11 +34,11 @@ class LackOfFit:
     Attributes
     ----------
     p_noise : float
-        Probability of at least this sum of squares if the stated uncertainties are true.
+        p-value of chi2, given the stated uncertainties.
     p_structure : dict of str to float
-        Probability, for each thing that residuals might follow, of following it this much by chance.
+        p-value of each test for structure, by what the residuals may follow.
     noise_ratio : float
-        Root of the mean square of the residuals over the stated uncertainty, for the freedom left.
+        Square root of chi2 over the degrees of freedom.
     """
 
     p_noise: float
@@ -42,45 +47,44 @@ class LackOfFit:
 
     @property
     def p_value(self) -> float:
-        """Smallest probability, over the number of tests made."""
+        """Smallest p-value, corrected for the number of tests."""
         return min(1.0, min(self.p_noise, *self.p_structure.values()) * (1 + len(self.p_structure)))
 
     @property
     def p_any_structure(self) -> float:
-        """The same of the tests for structure alone."""
+        """Smallest p-value of the tests for structure, corrected for their number."""
         return min(1.0, min(self.p_structure.values()) * len(self.p_structure))
 
     @property
     def follows(self) -> str:
-        """What the residuals follow most clearly."""
+        """What the residuals follow most significantly."""
         return min(self.p_structure, key=lambda name: self.p_structure[name])
 
 
-def lack_of_fit(problem: Problem, unknowns: int) -> LackOfFit:
-    """Test what a problem's columns leave.
+def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
+    """Test the residuals of a problem.
 
     Parameters
     ----------
     problem : Problem
         With the declared model and the terms of all effects as columns.
-    unknowns : int
-        Parameters of effects that were fitted beside the sizes of their terms.
+    parameters : int
+        Nonlinear parameters of the effects.
     """
-    freedom = problem.freedom - unknowns
-    # Knots and levels come from the dwells searched alone.
+    dof = problem.dof - parameters
+    # Knots and levels are those of the dwells searched.
     seen = problem.campaign.part(problem.searched)
     structure = {}
     for name, columns in _STRUCTURES.items():
-        gain, rank = problem.gain(_in_all_dwells(columns(seen), problem))
-        rest = freedom - rank
-        if rank and rest > 0:
-            ratio = (gain / rank) / max((problem.chi2 - gain) / rest, 1e-300)
-            structure[name] = float(f_distribution.sf(ratio, rank, rest))
-    structure["the dwell before"] = _serial_correlation(problem)
+        reduction, rank = problem.chi2_reduction(_in_all_dwells(columns(seen), problem))
+        if rank and dof > rank:
+            ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), 1e-300)
+            structure[name] = float(f_distribution.sf(ratio, rank, dof - rank))
+    structure["the previous dwell"] = _serial_correlation(problem)
     return LackOfFit(
-        p_noise=float(chi2_distribution.sf(problem.chi2, freedom)),
+        p_noise=float(chi2_distribution.sf(problem.chi2, dof)),
         p_structure=structure,
-        noise_ratio=float(np.sqrt(problem.chi2 / freedom)),
+        noise_ratio=float(np.sqrt(problem.chi2 / dof)),
     )
 
 
@@ -93,13 +97,13 @@ def _spline(values: FloatArray, knots: int) -> FloatArray:
 
 
 def _time(campaign: Campaign) -> FloatArray:
-    knots = min(max(len(campaign) // _DWELLS_A_TIME_KNOT, 4), _MOST_TIME_KNOTS)
+    knots = min(max(len(campaign) // _DWELLS_A_TIME_KNOT, 4), _MAX_TIME_KNOTS)
     return np.repeat(_spline(campaign.middle_s, knots)[:, None, :], 3, axis=1)
 
 
 def _temperature(campaign: Campaign) -> FloatArray:
     span_c = float(np.ptp(campaign.gyro_c))
-    knots = min(max(round(span_c / _TEMPERATURE_KNOT_C), 4), _MOST_TEMPERATURE_KNOTS)
+    knots = min(max(round(span_c / _TEMPERATURE_KNOT_C), 4), _MAX_TEMPERATURE_KNOTS)
     return np.stack([_spline(each, knots) for each in campaign.gyro_c.T], axis=1)
 
 
@@ -116,20 +120,20 @@ def _rate(campaign: Campaign) -> FloatArray:
 
 
 def _in_all_dwells(known: FloatArray, problem: Problem) -> FloatArray:
-    """Columns of the dwells searched (m, 3, k) as columns of all (n, 3, k); zero in the others."""
+    """Columns of the dwells searched (m, 3, k) as columns of all dwells (n, 3, k), zero in the others."""
     every = np.zeros((len(problem.campaign), *known.shape[1:]))
     every[problem.searched] = known
     return every
 
 
 def _serial_correlation(problem: Problem) -> float:
-    """Probability that neighbours are this alike, or this unlike, by chance.
+    """p-value of the correlation of consecutive residuals, two-sided.
 
-    A fit makes neighbours a little unlike: what it leaves has the covariance ``1 - Q Q'``.
+    A fit makes neighbours slightly anticorrelated: residuals have the covariance ``1 - Q Q'``.
     """
     products = np.sum(problem.residuals[1:] * problem.residuals[:-1])
     expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
-    scale = problem.chi2 / problem.freedom
+    scale = problem.chi2 / problem.dof
     spread = scale * np.sqrt(problem.residuals.size)
     return float(2.0 * norm.sf(abs(products - scale * expected) / max(spread, 1e-300)))
 
@@ -142,36 +146,35 @@ _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {
 }
 
 
-#: The other cycles tell a term's size if they hold at least this share of its length in the one left out.
-_LEAST_LENGTH = 0.1
+#: The other cycles determine a term's size if they have this share of its length in the one left out.
+_MIN_LENGTH = 0.1
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Sums of squares of one cycle, in standard deviations, by two models fitted to the others."""
+    """chi2 of one cycle by two models fitted to the other cycles."""
 
-    fewer: float
-    more: float
+    chi2_fewer: float
+    chi2_more: float
 
     @property
     def gain(self) -> float:
-        """Share of the squares that the larger model takes away: 1 is all; below 0 it makes them more."""
-        return 1.0 - self.more / self.fewer
+        """Share of chi2 that the larger model explains: 1 is all, negative if chi2 rises."""
+        return 1.0 - self.chi2_more / self.chi2_fewer
 
 
 def pooled_gain(cycles: Collection[LeftOut]) -> float:
-    """Share of the squares of all cycles that the larger model takes away; 0 without cycles."""
-    fewer = sum(each.fewer for each in cycles)
-    return 1.0 - sum(each.more for each in cycles) / fewer if cycles else 0.0
+    """Share of the chi2 of all cycles that the larger model explains; 0 without cycles."""
+    fewer = sum(each.chi2_fewer for each in cycles)
+    return 1.0 - sum(each.chi2_more for each in cycles) / fewer if cycles else 0.0
 
 
 def leave_out_cycles(
     problem: Problem, fewer: Sequence[Candidate], more: Sequence[Candidate]
 ) -> dict[int, LeftOut]:
-    """Squares of each cycle with fewer and with more effects, their sizes taken from the other cycles.
+    """chi2 of each cycle with fewer and with more effects, their sizes fitted to the other cycles.
 
-    Cycles whose others can't tell the sizes (a warm-up where the one power-on is left out) are not
-    in the answer.
+    A cycle is omitted if the others do not determine the sizes: a warm-up if they have no power-on.
 
     Parameters
     ----------
@@ -181,30 +184,30 @@ def leave_out_cycles(
         The effects of the two models.
     """
     campaign = problem.campaign
-    answer = {}
+    result = {}
     cycles = np.unique(campaign.cycle[problem.searched])
     for cycle in cycles if len(cycles) > 1 else ():
         left_out = problem.searched & (campaign.cycle == cycle)
         rest = declared_problem(campaign, problem.searched & ~left_out, problem.noise_scale)
-        if all(_can_tell(rest, each, left_out) for each in more):
+        if all(_is_determined(rest, each, left_out) for each in more):
             errors = (
                 measured_minus(campaign, rest.searched, solve_with(rest, each)) for each in (fewer, more)
             )
             squares = (np.sum((each[left_out] / campaign.sigma_dph[left_out]) ** 2) for each in errors)
-            answer[int(cycle)] = LeftOut(*map(float, squares))
-    return answer
+            result[int(cycle)] = LeftOut(*map(float, squares))
+    return result
 
 
 def measured_minus(campaign: Campaign, searched: BoolArray, model: Solution) -> FloatArray:
     """Measured bias minus a model in all dwells (n, 3), deg/h.
 
-    A run that was not searched has its own mean removed.
+    The mean of each run that was not searched is removed.
     """
     return without_unseen_constants(campaign, searched, campaign.bias_dph - model.bias_dph)
 
 
 def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph: FloatArray) -> FloatArray:
-    """Take the mean of each run that was not searched out of errors (n, 3)."""
+    """Remove the mean of each run that was not searched from errors (n, 3)."""
     centred = errors_dph.copy()
     for run in np.unique(campaign.run[~searched]):
         if not np.any(campaign.run[searched] == run):
@@ -213,21 +216,21 @@ def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph
     return centred
 
 
-def _can_tell(rest: Problem, candidate: Candidate, left_out: BoolArray) -> bool:
-    """Whether the terms are long enough in the rest, beside the declared model, for the cycle left out."""
+def _is_determined(rest: Problem, candidate: Candidate, left_out: BoolArray) -> bool:
+    """Whether the rest determines the sizes of the terms for the cycle left out."""
     campaign = rest.campaign
     columns = candidate.columns(campaign)
-    asked = columns - _known_constants(campaign, columns, rest.searched, left_out)
-    weighted = (asked / (campaign.sigma_dph * rest.noise_scale)[:, :, np.newaxis])[left_out]
+    varying = columns - _known_constants(campaign, columns, rest.searched, left_out)
+    weighted = (varying / (campaign.sigma_dph * rest.noise_scale)[:, :, np.newaxis])[left_out]
     lengths = [np.linalg.norm(weighted[:, gyro, candidate.kept[gyro]], axis=0) for gyro in range(3)]
-    told = rest.lengths_beside(columns, candidate.kept)
-    return bool(np.all(told >= _LEAST_LENGTH * np.concatenate(lengths)))
+    in_rest = rest.independent_lengths(columns, candidate.kept)
+    return bool(np.all(in_rest >= _MIN_LENGTH * np.concatenate(lengths)))
 
 
 def _known_constants(
     campaign: Campaign, columns: FloatArray, rest: BoolArray, left_out: BoolArray
 ) -> FloatArray:
-    """What the constant of each run takes up of terms: their mean in the rest, or in the cycle itself."""
+    """Part of the terms absorbed by the constant of each run: their mean in the rest, or in the cycle."""
     constants = np.zeros_like(columns)
     for run in np.unique(campaign.run):
         mine = campaign.run == run

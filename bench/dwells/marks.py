@@ -17,6 +17,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.positions import POSITIONS
 
+#: What the journal calls :attr:`DwellMarks.is_calibration_check`.
+_CHECK_IN_JOURNAL = "is_verification"
 _AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -61,7 +63,7 @@ class DwellMarks:
         Part of the raw CAN log that began with its alignment; frame 0 is that part's first.
     windows : tuple of WindowMark
         In the order of time; the paper's method has two.
-    is_verification : bool
+    is_calibration_check : bool
         Whether it checks a calibration: one window straight from the alignment.
     align_s : float
         How long the alignment took.
@@ -88,7 +90,7 @@ class DwellMarks:
     since_power_on_s: float
     chamber_set_c: float | None
     chamber_c: float | None
-    is_verification: bool = False
+    is_calibration_check: bool = False
     align_s: float = 0.0
     disturbances: tuple[str, ...] = ()
 
@@ -99,7 +101,9 @@ class DwellMarks:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the journal."""
-        return asdict(self)
+        data = asdict(self)
+        data[_CHECK_IN_JOURNAL] = data.pop("is_calibration_check")
+        return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> DwellMarks:
@@ -111,19 +115,26 @@ class DwellMarks:
             The data are not those of a dwell.
         """
         try:
-            marks = _adapter().validate_json(json.dumps(data))
+            marks = _adapter().validate_json(json.dumps(_named(data)))
         except ValidationError as error:
             problems = "; ".join(
                 f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
             )
             raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
-        lacking = [each.name for each in fields(cls) if each.name not in data]
+        lacking = [each.name for each in fields(cls) if each.name not in _named(data)]
         ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
         if lacking or marks.position not in POSITIONS or not ends or ends[0] < 0 or ends != sorted(ends):
             raise RunFolderError(
                 "damaged marks of a dwell: keys, position or windows are not those of a dwell"
             )
         return marks
+
+
+def _named(data: Any) -> Any:
+    """Marks by the names of their attributes; what is no mapping is left to the validation."""
+    if not isinstance(data, Mapping):
+        return data
+    return {"is_calibration_check" if name == _CHECK_IN_JOURNAL else name: data[name] for name in data}
 
 
 @cache

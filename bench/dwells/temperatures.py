@@ -1,6 +1,6 @@
 """Temperatures of the unit in a dwell, and the sensors that are not valid.
 
-A sensor at the end of its signal's range gives no number (:mod:`gyrobench.drivers.ins.bound_signals`). What
+A sensor at the end of its signal's range gives no number (:mod:`gyrobench.drivers.ins.signal_map`). What
 remains is what no part of a gyro can do: be hotter than its electronics survive, change faster than its
 mass allows, or stay constant to the last bit while its neighbours change. Soaked gyros hardly change in one
 dwell, but from dwell to dwell the whole INS follows the chamber: a sensor that is constant to the last bit

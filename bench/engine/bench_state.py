@@ -73,7 +73,7 @@ class RunPosition:
         Numbers in the plan; 0 outside.
     cycle : int
         Temperature cycle.
-    is_verification : bool
+    is_calibration_check : bool
         Whether the dwell checks a calibration.
     unit : str
         Serial number of the INS; empty before it is known.
@@ -90,7 +90,7 @@ class RunPosition:
     step: int = 0
     dwell: int = 0
     cycle: int = 1
-    is_verification: bool = False
+    is_calibration_check: bool = False
     unit: str = ""
     power_ons: int = 0
     powered_s: float = 0.0
@@ -148,7 +148,7 @@ class BenchState:
             step=planned.number,
             dwell=planned.dwell or 0,
             cycle=planned.cycle,
-            is_verification=planned.is_verification,
+            is_calibration_check=planned.is_calibration_check,
         )
 
     # chamber

@@ -132,7 +132,7 @@ class DwellRecorder:
             since_power_on_s=round(self._start_s - at.powered_s, 6),
             chamber_set_c=self._bench.state.commanded_c,
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
-            is_verification=at.is_verification,
+            is_calibration_check=at.is_calibration_check,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )
@@ -170,7 +170,7 @@ class DwellLedger:
         run = self._run
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
-        measure = measure_check_dwell if marks.is_verification else measure_dwell
+        measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, run.setup)
         if measured.is_disturbed and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, measured.flags, counts=True)
@@ -185,7 +185,7 @@ class DwellLedger:
             write_dwells(run.folder.dwells, [each.row for each in dwells])
             run.observers.dwell_measured(dwells[-1].row)
         else:
-            run.outcome.verifications.append(measured)
+            run.outcome.check_dwells.append(measured)
             text = measured.flags or "measured for the calibration check"
             run.observers.noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
         return True

@@ -8,8 +8,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.results import RunResults, evaluate, planned_dwells, write_results
-from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.dwells.run_dwells import RunResults, evaluate, planned_dwells, replay, write_results
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder

@@ -84,10 +84,10 @@ def prepare_job(
     bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
     plan = bench.plan(document, model)
-    if calibration and not any(planned.is_verification for planned in plan.steps):
+    if calibration and not any(planned.is_calibration_check for planned in plan.steps):
         raise DocumentError(
             f"{document.path}: checks no calibration, so {calibration} is not used. Leave --calibration out, "
-            "or choose a procedure with `purpose: verification`"
+            "or choose a procedure with `purpose: calibration_check`"
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
     if compensation is not None:
@@ -113,7 +113,7 @@ def _check_compensation(station: Station, compensation: Compensation) -> None:
             f"{station.path}: ins.commands lacks load_compensation or apply_compensation, so no compensation "
             "can be loaded into the INS. Map both commands, or run without --compensation"
         )
-    refused = load.refuses(compensation)
+    refused = load.unsupported(compensation)
     if refused:
         raise DocumentError(
             f"{station.path}: ins.commands.load_compensation does not accept {', '.join(refused)}. "

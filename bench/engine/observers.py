@@ -9,7 +9,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell
-from gyrobench.bench.dwells.results import RunResults
+from gyrobench.bench.dwells.run_dwells import RunResults
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
@@ -29,7 +29,7 @@ class RunOutcome:
         Why it did not finish; empty where it did.
     dwells : list of MeasuredDwell
         Measured dwells.
-    verifications : list of CheckDwell
+    check_dwells : list of CheckDwell
         Dwells that check a calibration.
     results : RunResults
         Results of all dwells together.
@@ -44,7 +44,7 @@ class RunOutcome:
     ended: str = "finished"
     reason: str = ""
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    verifications: list[CheckDwell] = field(default_factory=list)
+    check_dwells: list[CheckDwell] = field(default_factory=list)
     results: RunResults = field(default_factory=RunResults)
     duration_s: float = 0.0
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)

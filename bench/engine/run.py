@@ -123,8 +123,8 @@ class _ResumedRun:
             if self.job.is_virtual
             else WallClock.resumed(started_utc(folder), last_s, self.job.station.file.speed)
         )
-        dwells, verifications = replay(folder, measurement_setup(self.job.station))
-        self.outcome = RunOutcome(dwells=dwells, verifications=verifications)
+        dwells, check_dwells = replay(folder, measurement_setup(self.job.station))
+        self.outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
 
     def open_folder(self) -> RunFolder:
         return self._resumption.folder
@@ -221,7 +221,7 @@ def _evaluate(run: RunContext) -> None:
     outcome = run.outcome
     try:
         outcome.results = evaluate_run(
-            run.folder, run.plan, run.setup, outcome.dwells, outcome.verifications, run.job.calibration
+            run.folder, run.plan, run.setup, outcome.dwells, outcome.check_dwells, run.job.calibration
         )
     except GyrobenchError as error:
         outcome.fail(str(error))

@@ -25,7 +25,13 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.verification.comparison import DECLARED, EFFECT, NONE, Comparison, leftover
+from gyrobench.bench.verification.compensation_verification import (
+    DECLARED,
+    EFFECT,
+    NONE,
+    VerificationResult,
+    compensation_result,
+)
 from gyrobench.drivers.ins.command_map import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
@@ -36,7 +42,7 @@ class _Measured:
     """Dwells of the run with one compensation."""
 
     dwells: Sequence[DwellRow]
-    verifications: Sequence[CheckDwell]
+    check_dwells: Sequence[CheckDwell]
 
 
 class VerificationRuns:
@@ -145,11 +151,11 @@ class VerificationRuns:
         folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
             rows = [dwell.row for dwell in outcome.dwells]
-            self._measured[name] = _Measured(rows, outcome.verifications)
+            self._measured[name] = _Measured(rows, outcome.check_dwells)
         return folder, outcome
 
-    def comparison(self) -> Comparison:
-        """Compare all finished runs.
+    def result(self) -> VerificationResult:
+        """Evaluate all finished runs.
 
         Raises
         ------
@@ -161,12 +167,12 @@ class VerificationRuns:
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
         first = measured[names[0]].dwells
         site = self._job.station.site
-        return Comparison(
+        return VerificationResult(
             source=str(self._run.path),
             closure=self._closure,
             models=self.models,
-            leftovers=tuple(
-                leftover(name, each.dwells, each.verifications, site, fitted_c)
+            results=tuple(
+                compensation_result(name, each.dwells, each.check_dwells, site, fitted_c)
                 for name, each in measured.items()
             ),
             new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
@@ -176,10 +182,10 @@ class VerificationRuns:
         )
 
     def _read(self, name: str) -> _Measured:
-        dwells, verifications = replay(
+        dwells, check_dwells = replay(
             RunFolder(self.folder / name), measurement_setup(self.jobs[name].station)
         )
-        return _Measured([dwell.row for dwell in dwells], verifications)
+        return _Measured([dwell.row for dwell in dwells], check_dwells)
 
     def _notes(self, measured: Mapping[str, _Measured]) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}

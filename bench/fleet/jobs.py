@@ -21,7 +21,6 @@ from gyrobench.bench.foundations.errors import (
     RunFolderError,
 )
 from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
-from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.station.locks import RunLock
 
@@ -115,7 +114,7 @@ def _measured(folder: RunFolder) -> str:
 def _closed(folder: RunFolder) -> str:
     from gyrobench.bench.closure.loop import close_loop
     from gyrobench.bench.dwells.closure_inputs import read_campaign
-    from gyrobench.bench.report.closure.search_files import write_search
+    from gyrobench.bench.report.closure.closure_page import write_search
 
     try:
         closure = close_loop(read_campaign(folder.path))
@@ -123,7 +122,7 @@ def _closed(folder: RunFolder) -> str:
         return f"not searched: {error}"  # one cycle only, for instance: not a failure
     with _DRAWING:
         write_search(closure, folder.path)
-    effects = [plain_name(each.candidate.effect.name) for each in closure.effects]
+    effects = [each.effect.display_name for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 
 

@@ -5,6 +5,7 @@ They are in the top folder of the repository, and inside the package ``gyrobench
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,8 +14,14 @@ from gyrobench.bench.foundations.text import did_you_mean
 
 #: Shipped procedures that new ones are started from, by what they are for.
 TEMPLATES = MappingProxyType(
-    {"check": "ten_minute_check", "six_position": "six_position_fig7", "verification": "verification"}
+    {
+        "check": "ten_minute_check",
+        "six_position": "six_position_fig7",
+        "calibration_check": "calibration_check",
+    }
 )
+#: New names of shipped files by their old ones, which are accepted too.
+_RENAMED = MappingProxyType({"procedures": {"verification": "calibration_check"}})
 
 
 def shipped_folders(kind: str) -> list[Path]:
@@ -49,8 +56,11 @@ def find_document(kind: str, name: str) -> Path:
         if path.is_file():
             return path
         raise DocumentError(f"{name}: there is no such file{_suggestion(kind, path.stem)}")
+    renamed = _RENAMED.get(kind, {}).get(name)
+    if renamed is not None:
+        logging.getLogger("gyrobench").warning(f"{name}: this {kind.removesuffix('s')} is called {renamed}")
     for folder in shipped_folders(kind):
-        candidate = folder / f"{name}.yaml"
+        candidate = folder / f"{renamed or name}.yaml"
         if candidate.is_file():
             return candidate
     raise DocumentError(f"{name}: neither a file nor shipped{_suggestion(kind, name)}")

@@ -1,1 +1,1 @@
-"""The bench by hand: moves, set points and looks, one command at a time, within the station's limits."""
+"""Manual control of the bench: moves, set points and readings, one command at a time, within the limits."""

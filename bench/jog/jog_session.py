@@ -1,4 +1,4 @@
-"""A session by hand, from the name of a station to the safe state at its end."""
+"""A session of manual control, from the name of a station to the safe state at its end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.jog.manual_control import ManualControl
 from gyrobench.bench.jog.manual_limits import manual_limits
-from gyrobench.bench.jog.shell import Shell
+from gyrobench.bench.jog.shell import END_COMMANDS, Shell
 from gyrobench.bench.jog.terminal import (
     Display,
     EndSessionError,
@@ -32,51 +32,50 @@ from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
 
 _PROMPT = "jog> "
-_LISTEN_TICKS = 2
-_QUIT, _LEAVE = ("quit", "exit", "q"), ("leave",)
+_TICKS_TO_FIRST_FRAME = 2
 
 
-class _Unrecorded:
-    """Nothing of a session by hand is kept."""
+class _NoRecord:
+    """Discards frames and readings: manual control keeps no data."""
 
     next_part = 1
 
     def write(self, messages: Iterable[can.Message]) -> None:
-        """Forget frames."""
+        """Discard frames."""
 
     def cut(self) -> None:
         """Do nothing."""
 
     def add(self, row: tuple[float, ...]) -> None:
-        """Forget readings."""
+        """Discard readings."""
 
     def flush(self) -> None:
         """Do nothing."""
 
 
 def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: bool) -> bool:
-    """Open a bench, carry commands out, and leave it safe.
+    """Open a bench, execute commands, and leave it in its safe state.
 
     Parameters
     ----------
     name : str
         Station file, or the name of a shipped one.
     commands : sequence of str
-        What to do; without any, lines of standard input.
+        Commands; if empty, lines of standard input.
     leave : bool
-        Whether chamber, unit and servos stay as they are at the end.
+        Whether chamber, INS power and servos stay as they are at the end.
 
     Returns
     -------
     bool
-        Whether all commands were carried out and the bench was left as it should be.
+        Whether all commands succeeded and the bench was left as intended.
 
     Raises
     ------
     DocumentError
         The station file is wrong.
     BenchInUseError
-        A run, or somebody else by hand, holds the bench.
+        Another process holds the bench.
     InstrumentError
         An instrument can't be reached when the bench is opened.
     """
@@ -84,16 +83,20 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     station.check_dbc()
     clock = station.new_clock()
     display = Display(sys.stdout, clock)
+
+    def report(instrument: str, error: InstrumentError | None) -> None:
+        display.print(str(error) if error is not None else f"{instrument}: replies again")
+
     folder = Path(tempfile.mkdtemp(prefix="gyrobench-jog-"))
     with ExitStack() as held:
         interruptions = held.enter_context(Interruptions())
         lock = held.enter_context(BenchLock(station, folder, clock, JOG_COMMAND))
         instruments = held.enter_context(Instruments(station, clock, emulation))
         for text in lock.taken_over:
-            display.tell(text)
-        bench = LiveBench(station, instruments, clock, _Unrecorded(), _Unrecorded(), _failure_teller(display))
+            display.print(text)
+        bench = LiveBench(station, instruments, clock, _NoRecord(), _NoRecord(), report)
         bench.start()
-        _listen(bench)
+        _await_first_frame(bench)
         limits = manual_limits(station, instruments.table, instruments.chamber)
         guard = held.enter_context(guard_for(station, folder, clock))
         control = ManualControl(bench, limits, display, guard.beat, interruptions)
@@ -107,16 +110,9 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     return all_done and is_safe
 
 
-def _failure_teller(display: Display) -> Callable[[str, InstrumentError | None], None]:
-    def tell(instrument: str, error: InstrumentError | None) -> None:
-        display.tell(str(error) if error is not None else f"{instrument}: answers again")
-
-    return tell
-
-
-def _listen(bench: LiveBench) -> None:
-    """Let an INS that is on be heard before anybody asks for it."""
-    for _ in range(_LISTEN_TICKS):
+def _await_first_frame(bench: LiveBench) -> None:
+    """Give an INS that is on the time to send before the first command."""
+    for _ in range(_TICKS_TO_FIRST_FRAME):
         bench.tick()
         bench.read_instruments()
         if math.isfinite(bench.readings.ins.age_s):
@@ -124,7 +120,7 @@ def _listen(bench: LiveBench) -> None:
 
 
 class _Session:
-    """Takes commands until there are no more, or one says to end."""
+    """Executes commands until the last one, or one that ends the session."""
 
     def __init__(
         self, control: ManualControl, display: Display, commands: Sequence[str], leave: bool
@@ -137,25 +133,23 @@ class _Session:
         self._lines = iter(commands) if commands else self._typed_lines()
 
     def run(self) -> bool:
-        """Carry out command by command; one that fails is the last unless a person types them."""
-        station = self._control.bench.station
+        """Execute the commands; the first failure ends the session unless an operator types them."""
         if self._is_typed:
-            self._display.tell(f"{station.file.station} by hand. `help` lists the commands, `quit` ends.")
+            name = self._control.bench.station.file.station
+            self._display.print(f"Manual control of {name}. `help` lists the commands, `quit` ends.")
         all_done = True
         while True:
             try:
-                self._control.idle()  # commands that come without a pause are watched over all the same
+                self._control.idle()  # interlocks are checked between commands that follow each other at once
                 line = next(self._lines, None)
-                if line is None or line.lower() in _QUIT:
-                    return all_done
-                if line.lower() in _LEAVE:
-                    self._leave = True
+                if line is None or line.lower() in END_COMMANDS:
+                    self._leave = self._leave or (line or "").lower() == "leave"
                     return all_done
                 if not self._is_typed and line and not line.startswith("#"):
-                    self._display.tell(f"{_PROMPT}{line}")
-                self._shell.carry_out(line.partition("#")[0])
+                    self._display.print(f"{_PROMPT}{line}")
+                self._shell.execute(line.partition("#")[0])
             except EndSessionError as error:
-                self._display.tell(str(error))
+                self._display.print(str(error))
                 return False
             except StoppedByOperatorError:
                 self._stop()
@@ -163,26 +157,26 @@ class _Session:
                     return False
             except GyrobenchError as error:
                 all_done = self._is_typed
-                self._display.tell(_told(error))
+                self._display.print(_error_text(error))
                 if not self._is_typed:
                     return False
 
     def end(self) -> bool:
-        """Leave the bench in its safe state, or as it is; tells whether that was done."""
+        """Leave the bench in its safe state, or as it is; returns whether that succeeded."""
         if self._leave:
             self._stop()
-            self._display.tell("Chamber, unit and servos are left as they are.")
+            self._display.print("Chamber, INS power and servos are left as they are.")
             return True
         actions = self._control.make_safe()
         for action in actions:
-            self._display.tell(action.text)
+            self._display.print(action.text)
         return not any(action.problem for action in actions)
 
     def _stop(self) -> None:
         try:
             self._control.stop()
         except GyrobenchError as error:
-            self._display.tell(f"The table could not be stopped: {error}")
+            self._display.print(f"The table could not be stopped: {error}")
 
     def _typed_lines(self) -> Iterator[str]:
         lines = TypedLines(sys.stdin.fileno(), self._control.idle)
@@ -192,11 +186,11 @@ class _Session:
                 self._display.prompt(_PROMPT)
             return lines.next()
 
-        # Unlike a generator, it goes on after what is raised while a line is waited for.
+        # Unlike a generator, this iterator continues after an exception raised while it waits for a line.
         return iter(typed, None)
 
 
-def _told(error: GyrobenchError) -> str:
+def _error_text(error: GyrobenchError) -> str:
     if isinstance(error, TrippedError):
         return "\n".join(f"Interlock {trip.name}: {trip.text}" for trip in error.trips)
     return str(error)

@@ -1,4 +1,4 @@
-"""Hands on the bench: what each command does, watched by the interlocks all the while."""
+"""Manual control of a bench: what each command does, with the interlocks checked at every tick."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
 from gyrobench.bench.station.safe_state import SafeAction
 from gyrobench.drivers.ins.readout import InsMode
 
-#: Usual rate of a move by hand, deg/s, where the station allows it.
-_USUAL_RATE_DPS = 10.0
+#: Rate of a move without a given rate, deg/s, where the limits allow it.
+_DEFAULT_RATE_DPS = 10.0
 _MOVE_FACTOR, _MOVE_MARGIN_S = 1.5, 30.0
-_LONGEST_START_S = 180.0
+_MAX_START_S = 180.0
 _TRIES = 3
 _FRESH_S = 2.0
-_MOST_EVENTS = 16
-#: Ticks in which a table comes to rest, and what counts as rest.
+_MAX_EVENTS = 16
+#: Ticks allowed for the table to come to rest, and the rate below which it rests.
 _STOP_TICKS, _REST_DPS = 60, 0.01
-#: Nothing moves or heats where one of these is tripped.
+#: Interlocks that forbid motion, and those that forbid chamber commands, while tripped.
 _TABLE_TRIPS = {"table_silence", "table_rate", "table_acceleration"}
 _CHAMBER_TRIPS = {"chamber_silence", "chamber_alarm"}
 
@@ -32,20 +32,19 @@ T = TypeVar("T")
 
 
 class ManualControl:
-    """Carries out one command at a time; what fails or is stopped leaves the table stopped.
+    """Executes one command at a time; a command that fails or is interrupted leaves the table stopped.
 
     Parameters
     ----------
     bench : LiveBench
         Started.
-    limits : ManualLimits
-        What may be asked for.
-    display : Display
-        Where courses and notes go.
     beat_guard : callable
-        Gives the guard a sign of life; returns what is to be noted, if anything.
-    interruptions : Interruptions
-        Ctrl-C and the like.
+        Sends the guard its heartbeat; returns a note to print, or None.
+
+    Attributes
+    ----------
+    tripped : list of str
+        Names of the interlocks that are tripped.
     """
 
     def __init__(
@@ -63,28 +62,27 @@ class ManualControl:
         self._interruptions = interruptions
         self._turning: dict[str, float] = {}
         self._ticked_s = bench.clock.now()
-        if _talks(bench):
+        if _sends_frames(bench):
             bench.state.ins_seen_on()
-        #: Interlocks that are tripped now.
         self.tripped: list[str] = []
         for trip in bench.trips():
             self.tripped.append(trip.name)
-            display.tell(f"Interlock {trip.name}: {trip.text}")
+            display.print(f"Interlock {trip.name}: {trip.text}")
 
     def tick(self, follow: bool = False) -> None:
-        """Let one tick pass: poll the bench, look at the interlocks, take signals.
+        """Poll the bench for one tick, check interlocks and signals.
 
         Parameters
         ----------
         follow : bool
-            Whether all instruments are read in any case, not only when it is their time.
+            Whether to read all instruments at this tick, also before their period is over.
 
         Raises
         ------
         TrippedError
-            An interlock has tripped; the bench is in its safe state.
+            An interlock tripped; the bench is in its safe state.
         StoppedByOperatorError, EndSessionError
-            A signal came.
+            A signal arrived.
         """
         self.bench.tick()
         self._ticked_s = self.bench.clock.now()
@@ -92,40 +90,39 @@ class ManualControl:
             self.bench.read_instruments()
         self._beat()
         self.bench.check_set_point_reached()
-        self._look_at_interlocks()
-        self._keep_within_limits()
+        self._check_interlocks()
+        self._stop_before_limits()
         self._interruptions.check()
 
     def idle(self) -> None:
-        """Be there while nothing is asked for: time of a real bench passes, a virtual one waits."""
+        """Keep a bench in real time polled between commands; virtual time stands still."""
         self._interruptions.check()
         bench = self.bench
         if bench.clock.is_virtual:
             return
         bench.poll_ins()
         tick_s = bench.station.tick_s
-        # A tick ends with the bench's next one: begun too early it keeps commands waiting, too late it
-        # leaves one out.
+        # A tick lasts until the bench's next one: begun too early it delays commands, too late it skips one.
         if bench.clock.now() >= self._ticked_s + tick_s - min(bench.station.poll_period_s, tick_s / 2.0):
             self.tick()
 
     def move(self, angles_deg: Mapping[str, float], rate_dps: float | None) -> None:
-        """Move axes to angles, and wait until they are there."""
-        rate_dps = self._usual_rate_dps() if rate_dps is None else rate_dps
+        """Move axes to angles and wait until they are in position."""
+        rate_dps = self._default_rate_dps() if rate_dps is None else rate_dps
         if rate_dps <= 0.0:
-            raise CommandError("the rate of a move is above 0 deg/s. Nothing was moved.")
+            raise CommandError("the rate of a move must be above 0 deg/s. Nothing was moved.")
         for axis, angle_deg in angles_deg.items():
             self.limits.check_angle(axis, angle_deg)
             self.limits.check_rate(axis, rate_dps)
         self.servo_on()
         with self._stopped_on_failure():
             self._turning.clear()
-            self._insist(lambda: self.bench.instruments.table.move_to(self._by_number(angles_deg), rate_dps))
-            self._follow(angles_deg, rate_dps)
-        self._display.tell(self._where())
+            self._retry(lambda: self.bench.instruments.table.move_to(self._by_number(angles_deg), rate_dps))
+            self._await_position(angles_deg, rate_dps)
+        self._display.print(self._angles_text())
 
     def turn_at(self, axis: str, rate_dps: float) -> None:
-        """Turn an axis at a constant rate; it is stopped before its limit."""
+        """Turn an axis at a constant rate until `stop` or shortly before its limit."""
         if rate_dps == 0.0:
             self.stop()
             return
@@ -134,21 +131,21 @@ class ManualControl:
         room_deg = self.limits.room_deg(axis, self._angle_deg(axis), rate_dps)
         if room_deg <= 0.0:
             raise CommandError(
-                f"the {axis} axis is too near to its limit to turn at {rate_dps:g} deg/s. Nothing was moved."
+                f"the {axis} axis is too close to its limit to turn at {rate_dps:g} deg/s. Nothing was moved."
             )
         self.servo_on()
         with self._stopped_on_failure():
             number = next(iter(self._by_number({axis: 0.0})))
-            self._insist(lambda: self.bench.instruments.table.turn_at(number, rate_dps))
+            self._retry(lambda: self.bench.instruments.table.turn_at(number, rate_dps))
         self._turning[axis] = rate_dps
-        self._display.tell(
-            f"{axis} turns at {rate_dps:g} deg/s, for at most {room_deg:.0f} deg; `stop` ends it"
+        self._display.print(
+            f"{axis} axis turns at {rate_dps:g} deg/s for at most {room_deg:.0f} deg; `stop` stops it"
         )
 
     def stop(self) -> None:
-        """Stop the table, and wait until it rests."""
+        """Stop the table and wait until it rests."""
         self._turning.clear()
-        self._insist(lambda: self.bench.instruments.table.stop())
+        self._retry(lambda: self.bench.instruments.table.stop())
         self.bench.read_instruments()
         for _ in range(_STOP_TICKS):
             if self._is_at_rest():
@@ -156,92 +153,97 @@ class ManualControl:
             self.bench.tick()
             self.bench.read_instruments()
             self._beat()
-        self._display.tell(f"table stopped: {self._where()}")
+        self._display.print(f"table stopped: {self._angles_text()}")
 
     def servo_on(self) -> None:
-        """Bound the table's motions, clear its latched faults and close its servos, unless that is done."""
+        """Set the table's limits, clear latched faults and close its servos, if that is still to do."""
         self._refuse_while(_TABLE_TRIPS)
         if not self.bench.state.expected.table_prepared:
             self.bench.prepare_table()
-            self._display.tell("servos closed")
+            self._display.print("servos closed")
 
     def servo_off(self) -> None:
         """Stop the table and open its servos."""
         self._turning.clear()
         self.bench.state.table_released()
-        self._insist(lambda: self.bench.instruments.table.release())
-        self._display.tell("table stopped, servos open")
+        self._retry(lambda: self.bench.instruments.table.release())
+        self._display.print("table stopped, servos open")
 
     def chamber_to(self, temperature_c: float, ramp_c_per_min: float | None) -> None:
         """Set the chamber's temperature and switch it on; does not wait."""
         ramp = self.limits.ramp_c_per_min if ramp_c_per_min is None else ramp_c_per_min
         self.limits.check_chamber(temperature_c, ramp)
         self._refuse_while(_CHAMBER_TRIPS)
-        # The driver is looked up when it is used: a port that went away gives a new one.
-        self._insist(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
-        self._insist(lambda: self.bench.instruments.chamber.switch(True))
+        # Look the driver up at each use: a port that is reopened has a new one.
+        self._retry(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
+        self._retry(lambda: self.bench.instruments.chamber.switch(True))
         self.bench.state.chamber_commanded(temperature_c)
-        self._display.tell(f"chamber goes to {temperature_c:g} degC at {ramp:g} degC/min; `watch` follows it")
+        self._display.print(
+            f"chamber set to {temperature_c:g} degC at {ramp:g} degC/min; `watch` shows its progress"
+        )
 
     def chamber_switch(self, on: bool) -> None:
         """Switch the chamber's temperature control."""
         if on:
             self._refuse_while(_CHAMBER_TRIPS)
-        self._insist(lambda: self.bench.instruments.chamber.switch(on))
+        self._retry(lambda: self.bench.instruments.chamber.switch(on))
         self.bench.state.chamber_switched(on)
-        self._display.tell(f"chamber {'on' if on else 'off'}")
+        self._display.print(f"chamber {'on' if on else 'off'}")
 
     def unit_switch(self, on: bool) -> None:
-        """Switch the INS where the bench can; where a person does, say so. On waits until it sends."""
+        """Switch the INS, or ask the operator to; after power-on wait for its first frames."""
         power = self.bench.station.unit.power
         if power == "always_on":
-            raise CommandError("the INS of this bench is always on (unit.power of the station file)")
+            raise CommandError("the INS of this bench is always on (station file: unit.power)")
         self.bench.state.ins_state_unknown()
         if power == "operator":
-            self._display.tell(f"Switch the INS {'on' if on else 'off'} by hand now.")
+            self._display.print(f"Switch the INS {'on' if on else 'off'} by hand now.")
         else:
-            self._insist(lambda: self.bench.instruments.power_unit(on))
+            self._retry(lambda: self.bench.instruments.power_unit(on))
         if not on:
-            self._display.tell("INS off")
+            self._display.print("INS off")
             return
         begin_s = self.bench.clock.now()
-        while not _talks(self.bench):
+        while not _sends_frames(self.bench):
             passed_s = self.bench.clock.now() - begin_s
-            if passed_s > _LONGEST_START_S:
-                raise InstrumentError("INS", f"sends nothing {passed_s:.0f} s after it was switched on")
-            self._display.course(f"INS starts, {passed_s:.0f} s")
+            if passed_s > _MAX_START_S:
+                raise InstrumentError(
+                    "INS",
+                    f"sends no frames {passed_s:.0f} s after power-on. Check its power and the CAN bus.",
+                )
+            self._display.progress(f"INS starts, {passed_s:.0f} s")
             self.tick()
         self.bench.read_instruments()
         self.bench.state.ins_seen_on()
-        self._display.tell(f"INS on: {mode_words(self.bench.readings.ins)}")
+        self._display.print(f"INS on: {mode_words(self.bench.readings.ins)}")
 
     def ins(self, command: str) -> None:
-        """Have the INS ``align``, ``navigate`` or stand by."""
+        """Command the INS: ``align``, ``navigate`` or ``standby``."""
         getattr(self.bench.instruments.ins, command)()
         self.bench.read_instruments()
-        self._display.tell(f"INS: {mode_words(self.bench.readings.ins)}")
+        self._display.print(f"INS: {mode_words(self.bench.readings.ins)}")
 
     def watch(self, duration_s: float) -> None:
-        """Follow the readings for a time."""
+        """Print the readings for a time."""
         end_s = self.bench.clock.now() + duration_s
         while self.bench.clock.now() < end_s - 1e-6:
             self.tick(follow=True)
-            self._display.course(watch_line(self.bench))
-        self._display.tell(watch_line(self.bench))
+            self._display.progress(watch_line(self.bench))
+        self._display.print(watch_line(self.bench))
 
     def clear(self) -> None:
-        """Clear the chamber's latched alarms; those of the table are cleared with its servos."""
-        self._insist(lambda: self.bench.instruments.chamber.clear_alarms())
+        """Clear the chamber's latched alarms; `servo on` clears those of the table."""
+        self._retry(lambda: self.bench.instruments.chamber.clear_alarms())
         self.bench.read_instruments()
         left = ", ".join(self.bench.readings.chamber_alarms)
-        self._display.tell(
-            f"chamber's alarms cleared; left: {left or 'none'}. The table's are cleared by `servo on`."
+        self._display.print(
+            f"chamber alarms cleared; still active: {left or 'none'}. `servo on` clears table faults."
         )
 
     def events(self) -> list[str]:
-        """State of each of the chamber's event outputs."""
+        """Describe each of the chamber's event outputs."""
         found = []
-        for number in range(1, _MOST_EVENTS + 1):
+        for number in range(1, _MAX_EVENTS + 1):
             try:
                 on = self.bench.instruments.chamber.is_event_on(number)
             except RefusedError:
@@ -256,43 +258,45 @@ class ManualControl:
         self._turning.clear()
         return self.bench.make_safe(meanwhile=self._beat_guard)
 
-    def _follow(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
-        """Until the axes are where they were sent."""
+    def _await_position(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
         self.bench.read_instruments()
         way_deg = max(abs(angle - self._angle_deg(axis)) for axis, angle in angles_deg.items())
-        end_s = self.bench.clock.now() + _MOVE_FACTOR * way_deg / rate_dps + _MOVE_MARGIN_S
-        while not self._insist(lambda: self.bench.instruments.table.in_position()):
+        limit_s = _MOVE_FACTOR * way_deg / rate_dps + _MOVE_MARGIN_S
+        end_s = self.bench.clock.now() + limit_s
+        while not self._retry(lambda: self.bench.instruments.table.in_position()):
             self.tick(follow=True)
-            self._display.course(self._where())
+            self._display.progress(self._angles_text())
             if self.bench.clock.now() > end_s:
-                raise FaultError("rate table", f"is not in position in time: {self._where()}")
+                raise FaultError(
+                    "rate table", f"not in position after {limit_s:.0f} s: {self._angles_text()}"
+                )
         self.bench.read_instruments()
 
     def _beat(self) -> None:
         if note := self._beat_guard():
-            self._display.tell(note)
+            self._display.print(note)
 
-    def _look_at_interlocks(self) -> None:
+    def _check_interlocks(self) -> None:
         trips = self.bench.trips()
         names = [trip.name for trip in trips]
         for name in self.tripped:
             if name not in names:
-                self._display.tell(f"Interlock {name}: good again")
+                self._display.print(f"Interlock {name}: cleared")
         new = [trip for trip in trips if trip.name not in self.tripped]
         self.tripped = names
         if new:
             self._turning.clear()
             for action in self.bench.make_safe(release_table=False, meanwhile=self._beat_guard):
-                self._display.tell(action.text)
+                self._display.print(action.text)
             raise TrippedError(new)
 
-    def _keep_within_limits(self) -> None:
+    def _stop_before_limits(self) -> None:
         for axis, rate_dps in list(self._turning.items()):
             if (
                 self.limits.room_deg(axis, self._angle_deg(axis), rate_dps)
                 <= abs(rate_dps) * self.bench.station.tick_s
             ):
-                self._display.tell(f"the {axis} axis comes near to its limit")
+                self._display.print(f"{axis} axis is close to its limit and is stopped")
                 self.stop()
 
     def _refuse_while(self, names: set[str]) -> None:
@@ -309,8 +313,8 @@ class ManualControl:
                 self.bench.instruments.table.stop()
             raise
 
-    def _insist(self, exchange: Callable[[], T]) -> T:
-        """Exchange something with an instrument; what gets lost on the line is tried again."""
+    def _retry(self, exchange: Callable[[], T]) -> T:
+        """Repeat an exchange with an instrument that is lost on the line."""
         for _ in range(_TRIES - 1):
             try:
                 return exchange()
@@ -320,8 +324,8 @@ class ManualControl:
                 self.bench.tick()
         return exchange()
 
-    def _usual_rate_dps(self) -> float:
-        return min(_USUAL_RATE_DPS, *(axis.rate_dps for axis in self.limits.axes.values()))
+    def _default_rate_dps(self) -> float:
+        return min(_DEFAULT_RATE_DPS, *(axis.rate_dps for axis in self.limits.axes.values()))
 
     def _angle_deg(self, axis: str) -> float:
         return self.bench.table_angles()[AXES.index(axis)]
@@ -331,13 +335,13 @@ class ManualControl:
         numbers = {"outer": section.outer_axis_number, "inner": section.inner_axis_number}
         return {numbers[axis]: angle for axis, angle in angles_deg.items()}
 
-    def _where(self) -> str:
+    def _angles_text(self) -> str:
         return ", ".join(f"{axis} {self._angle_deg(axis):.4f} deg" for axis in self.limits.axes)
 
     def _is_at_rest(self) -> bool:
         return all(abs(rate) < _REST_DPS for rate in self.bench.readings.table.rate_dps)
 
 
-def _talks(bench: LiveBench) -> bool:
+def _sends_frames(bench: LiveBench) -> bool:
     status = bench.instruments.ins.status()
     return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT

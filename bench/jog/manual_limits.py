@@ -1,4 +1,4 @@
-"""What a command by hand may ask for: the station's limits, and those of the controllers themselves."""
+"""Limits of manual control: the narrower of the station's and the controllers'."""
 
 from __future__ import annotations
 
@@ -12,21 +12,13 @@ from gyrobench.drivers.rate_table import RateTable
 
 #: The axes of the table, in the order of their angles.
 AXES = ("outer", "inner")
-#: Time until a stop takes effect: ticks and exchanges in between.
-_LATE_S = 1.0
+#: Time until a stop takes effect, for ticks and exchanges.
+_STOP_DELAY_S = 1.0
 
 
 @dataclass(frozen=True)
 class AxisRange:
-    """What one axis may do.
-
-    Attributes
-    ----------
-    low_deg, high_deg : float
-        Range of its angle.
-    rate_dps : float
-        Fastest turn.
-    """
+    """Range of an axis's angle, and its highest rate."""
 
     low_deg: float
     high_deg: float
@@ -42,11 +34,11 @@ class ManualLimits:
     axes : dict
         Range of each axis by its name.
     acceleration_dps2 : float
-        How fast the table stops.
+        Deceleration of a stop.
     low_c, high_c : float
         Range of the chamber's set point.
     ramp_c_per_min : float
-        Fastest ramp.
+        Highest ramp.
     """
 
     axes: dict[str, AxisRange]
@@ -56,7 +48,7 @@ class ManualLimits:
     ramp_c_per_min: float
 
     def check_angle(self, axis: str, angle_deg: float) -> None:
-        """Refuse an angle that is out of range."""
+        """Raise CommandError for an angle that is out of range."""
         limit = self._of(axis)
         if not limit.low_deg <= angle_deg <= limit.high_deg:
             raise CommandError(
@@ -65,16 +57,16 @@ class ManualLimits:
             )
 
     def check_rate(self, axis: str, rate_dps: float) -> None:
-        """Refuse a rate that is too fast."""
+        """Raise CommandError for a rate that is too high."""
         limit = self._of(axis)
         if not abs(rate_dps) <= limit.rate_dps:
             raise CommandError(
-                f"{rate_dps:g} deg/s is beyond the limit of {limit.rate_dps:g} deg/s of the {axis} axis. "
+                f"{rate_dps:g} deg/s exceeds the limit of {limit.rate_dps:g} deg/s of the {axis} axis. "
                 "Nothing was moved."
             )
 
     def check_chamber(self, temperature_c: float, ramp_c_per_min: float) -> None:
-        """Refuse a set point that is out of range, or a ramp that is too fast."""
+        """Raise CommandError for a set point that is out of range, or a ramp that is too high."""
         if not self.low_c <= temperature_c <= self.high_c:
             raise CommandError(
                 f"{temperature_c:g} degC is outside the chamber's limits of {self.low_c:g} to "
@@ -82,16 +74,16 @@ class ManualLimits:
             )
         if not 0.0 < ramp_c_per_min <= self.ramp_c_per_min:
             raise CommandError(
-                f"a ramp of {ramp_c_per_min:g} degC/min can't be; it is above 0 and at most "
-                f"{self.ramp_c_per_min:g} degC/min. Nothing was set."
+                f"a ramp must be above 0 and at most {self.ramp_c_per_min:g} degC/min, not "
+                f"{ramp_c_per_min:g} degC/min. Nothing was set."
             )
 
     def room_deg(self, axis: str, angle_deg: float, rate_dps: float) -> float:
-        """How far an axis may still turn at a rate before it has to stop; below zero where it is too late."""
+        """Angle that an axis may still turn at a rate before it must stop; negative when it is too late."""
         limit = self._of(axis)
         left_deg = limit.high_deg - angle_deg if rate_dps > 0.0 else angle_deg - limit.low_deg
         speed_dps = abs(rate_dps)
-        return left_deg - speed_dps * _LATE_S - speed_dps**2 / self.acceleration_dps2
+        return left_deg - speed_dps * _STOP_DELAY_S - speed_dps**2 / self.acceleration_dps2
 
     def _of(self, axis: str) -> AxisRange:
         if axis not in self.axes:
@@ -100,12 +92,12 @@ class ManualLimits:
 
 
 def manual_limits(station: Station, table: RateTable, chamber: Chamber) -> ManualLimits:
-    """Ask the controllers for their own limits and take the narrower ones.
+    """Query the controllers' limits and combine them with the station's.
 
     Raises
     ------
     InstrumentError
-        A controller does not answer; one that tells no limits leaves the station's.
+        A controller does not reply. A controller without such a query leaves the station's limits.
     """
     section, air = station.file.rate_table, station.file.chamber.limits
     limits = section.limits

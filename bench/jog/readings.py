@@ -1,4 +1,4 @@
-"""All readings of the bench on one screen, or on one line."""
+"""The readings of the bench as text: on one screen, or on one line."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
-#: The unit stands in a position where each of its axes is this near.
-_NEAR = math.cos(math.radians(0.1))
+#: Cosine of the largest tilt at which the unit counts as in a position.
+_MIN_COSINE = math.cos(math.radians(0.1))
 
 
 def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
-    """All that the instruments say, in lines of at most 80 columns."""
+    """All readings of the instruments, in lines of at most 80 columns."""
     now = bench.readings
     angles, rates = bench.table_angles(), bench.station.table_axes_of(now.table.rate_dps)
     servo = "servos closed" if now.table.is_servoed else "servos open"
@@ -29,28 +29,26 @@ def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
         for name, angle, rate in zip(("outer", "inner"), angles, rates, strict=True)
         if not (single and name == "outer")
     ]
-    lines.append(f"           {servo}; the unit is {standing(bench)}")
+    lines.append(f"           {servo}; the unit is {_position(bench)}")
     chamber = now.chamber
     lines.append(
         f"Chamber    air {chamber.temperature_c:.1f} degC, set point {_known(chamber.set_point_c, '.1f')}"
         f"{_switched(chamber.is_on)}"
     )
-    lines += ins_lines(now.ins)
-    said = [*now.table_faults, *now.chamber_alarms] or ["none"]
-    lines.append(f"Faults     {'; '.join(said)}")
+    lines += _ins_lines(now.ins)
+    lines.append(f"Faults     {'; '.join([*now.table_faults, *now.chamber_alarms]) or 'none'}")
     lines.append(f"Interlocks {', '.join(tripped) or 'none tripped'}")
     return lines
 
 
-def ins_lines(ins: InsStatus) -> list[str]:
-    """What the INS sends."""
+def _ins_lines(ins: InsStatus) -> list[str]:
     if not math.isfinite(ins.age_s):
-        return ["INS        sends nothing"]
+        return ["INS        sends no frames"]
     velocity = (
         f"{name} {_known(each, '+.4f')}" for name, each in zip("ENU", ins.velocity_enu_mps, strict=True)
     )
     return [
-        f"INS        {mode_words(ins)}, heard {ins.age_s:.1f} s ago",
+        f"INS        {mode_words(ins)}, last frame {ins.age_s:.1f} s ago",
         f"           velocity   {'  '.join(velocity)} m/s",
         f"           gyros      {_xyz(ins.optics_c)} degC, case {_known(ins.case_c, '.1f')} degC",
         f"           boards     {_xyz(ins.electronics_c)} degC",
@@ -69,17 +67,16 @@ def watch_line(bench: LiveBench) -> str:
     )
 
 
-def standing(bench: LiveBench) -> str:
-    """In which position the unit is, by the table's angles."""
+def _position(bench: LiveBench) -> str:
     C_nb = bench.station.table.attitude(*bench.table_angles())
     for name, position in POSITIONS.items():
-        if C_nb[2, position.up_axis] * position.up_sign > _NEAR:
+        if C_nb[2, position.up_axis] * position.up_sign > _MIN_COSINE:
             return f"in {name}, azimuth {_azimuth_deg(C_nb, position.C_nb()):.2f} deg"
     return "in none of the six positions"
 
 
 def limit_lines(limits: ManualLimits) -> list[str]:
-    """What commands may ask for: the narrower of station file and controller."""
+    """The limits of commands, one line an axis and one for the chamber."""
     lines = [
         f"{name:8} {axis.low_deg:g} to {axis.high_deg:g} deg, at most {axis.rate_dps:g} deg/s"
         for name, axis in limits.axes.items()
@@ -89,9 +86,9 @@ def limit_lines(limits: ManualLimits) -> list[str]:
 
 
 def mode_words(ins: InsStatus) -> str:
-    """What the INS is doing, in words."""
+    """Mode and alignment of the INS, in words."""
     if ins.mode is InsMode.UNKNOWN:
-        return "mode not known"
+        return "mode unknown"
     aligned = {
         Alignment.NONE: ", not aligned",
         Alignment.COARSE: ", coarsely aligned",

@@ -1,4 +1,4 @@
-"""The commands, and what is typed for each."""
+"""The commands of manual control, as they are typed."""
 
 from __future__ import annotations
 
@@ -15,106 +15,104 @@ from gyrobench.bench.jog.terminal import CommandError, Display
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _WATCH_S = 60.0
-_LONGEST_WATCH_S = 604_800.0
-_ENDS = {
-    "quit": "leave the bench in its safe state",
-    "leave": "leave it as it is, the table stopped",
+_MAX_WATCH_S = 604_800.0
+_END_USAGES = {
+    "quit": "end; the bench goes to its safe state",
+    "leave": "end; only the table is stopped",
 }
+#: Commands that end a session; "leave" without the safe state.
+END_COMMANDS = ("quit", "exit", "q", "leave")
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command: how it is typed with what that does, and who does it."""
+    """One command: each way to type it with its meaning, and the function that executes it."""
 
     usages: Mapping[str, str]
-    carry_out: Callable[[list[str]], None]
+    execute: Callable[[list[str]], None]
 
 
 class Shell:
-    """Understands commands and has them carried out.
-
-    Parameters
-    ----------
-    control, display
-        Who carries them out, and where answers go.
-    """
+    """Parses commands and executes them."""
 
     def __init__(self, control: ManualControl, display: Display) -> None:
         self._control = control
         self._display = display
         self._commands: Mapping[str, Command] = {
             "show": Command({"show": "all readings"}, self._show),
-            "watch": Command({"watch [S]": "follow the readings, for S or 60 s"}, self._watch),
+            "watch": Command({"watch [S]": "follow the readings for S (60) s"}, self._watch),
             "table": Command(
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
                     "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
-                    "table rate outer|inner RATE": "turn on and on, up to the limits",
+                    "table rate outer|inner RATE": "turn at a constant rate",
                 },
                 self._table,
             ),
-            "stop": Command({"stop": "stop the table"}, lambda words: self._alone(words, control.stop)),
+            "stop": Command(
+                {"stop": "stop the table"}, lambda words: _without_arguments(words, control.stop)
+            ),
             "home": Command({"home [at RATE]": "all axes to zero"}, self._home),
             "servo": Command({"servo on|off": "close or open the table's servos"}, self._servo),
             "chamber": Command(
                 {
-                    "chamber TEMPERATURE [at RAMP]": "set point and on; degC, degC/min",
-                    "chamber on|off": "switch its temperature control",
+                    "chamber TEMPERATURE [at RAMP]": "set point; degC, degC/min",
+                    "chamber on|off": "switch temperature control",
                 },
                 self._chamber,
             ),
-            "unit": Command({"unit on|off": "switch the INS"}, self._unit),
+            "unit": Command({"unit on|off": "switch the power of the INS"}, self._unit),
             "ins": Command({"ins align|navigate|standby": "command the INS"}, self._ins),
-            "faults": Command({"faults": "what is reported to be wrong"}, self._faults),
+            "faults": Command({"faults": "faults, alarms, tripped interlocks"}, self._faults),
             "clear": Command(
-                {"clear": "clear the chamber's alarms"}, lambda words: self._alone(words, control.clear)
+                {"clear": "clear the chamber's alarms"},
+                lambda words: _without_arguments(words, control.clear),
             ),
             "events": Command({"events": "the chamber's event outputs"}, self._events),
-            "limits": Command({"limits": "what may be asked for"}, self._limits),
+            "limits": Command({"limits": "limits of angle, rate, temperature"}, self._limits),
             "help": Command({"help": "this list"}, self._help),
         }
 
-    def carry_out(self, line: str) -> None:
-        """Understand a line and carry it out.
+    def execute(self, line: str) -> None:
+        """Parse a line and execute it.
 
         Raises
         ------
         CommandError
-            It can't be understood, or a limit forbids it.
+            It is not understood, or a limit forbids it.
         GyrobenchError
-            It failed on the way.
+            It failed during execution.
         """
         words = line.replace(",", " ").lower().split()
         if not words:
             return
         command = self._commands.get(words[0])
         if command is None:
-            known = [*self._commands, *_ENDS]
+            known = [*self._commands, *_END_USAGES]
             raise CommandError(
-                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists them"
+                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists the commands"
             )
         try:
-            command.carry_out(words[1:])
+            command.execute(words[1:])
         except _UsageError as error:
-            usage = "  or  ".join(command.usages)
-            raise CommandError(f"{error or 'not understood'}. It is typed: {usage}") from None
+            raise CommandError(f"{error}. Usage: {'  or  '.join(command.usages)}") from None
 
     def _show(self, words: list[str]) -> None:
-        self._alone(words, self._control.bench.read_instruments)
-        self._tell(readings(self._control.bench, self._control.tripped))
+        _without_arguments(words, self._control.bench.read_instruments)
+        self._print(readings(self._control.bench, self._control.tripped))
 
     def _watch(self, words: list[str]) -> None:
         duration_s = _number(words.pop(0), "a time in s") if words else _WATCH_S
-        _nothing_left(words)
-        if not 0.0 < duration_s <= _LONGEST_WATCH_S:
-            raise _UsageError("a time is above 0 s and at most a week")
+        _no_more(words)
+        if not 0.0 < duration_s <= _MAX_WATCH_S:
+            raise _UsageError("the time must be above 0 s and at most a week")
         self._control.watch(duration_s)
 
     def _table(self, words: list[str]) -> None:
         what = words.pop(0) if words else ""
         if what == "rate":
             axis, rate = _axis(words), _number(_next(words), "a rate in deg/s")
-            _nothing_left(words)
+            _no_more(words)
             self._control.turn_at(axis, rate)
             return
         if what == "to":
@@ -128,7 +126,7 @@ class Shell:
         name = _next(words)
         if name not in POSITIONS:
             raise _UsageError(
-                f"no such position{did_you_mean(name, POSITIONS)}; they are {', '.join(POSITIONS)}"
+                f"no position '{name}'{did_you_mean(name, POSITIONS)}; known: {', '.join(POSITIONS)}"
             )
         azimuth_deg = 0.0
         if words and words[0] != "at":
@@ -156,7 +154,7 @@ class Shell:
         if words and words[0] == "at":
             words.pop(0)
         ramp = _number(words.pop(0), "a ramp in degC/min") if words else None
-        _nothing_left(words)
+        _no_more(words)
         self._control.chamber_to(temperature_c, ramp)
 
     def _unit(self, words: list[str]) -> None:
@@ -164,54 +162,55 @@ class Shell:
 
     def _ins(self, words: list[str]) -> None:
         command = _next(words)
-        _nothing_left(words)
+        _no_more(words)
         if command not in ("align", "navigate", "standby"):
-            raise _UsageError(f"the INS has no command '{command}' here")
+            raise _UsageError(f"the INS has no command '{command}'")
         self._control.ins(command)
 
     def _faults(self, words: list[str]) -> None:
-        self._alone(words, self._control.bench.read_instruments)
+        _without_arguments(words, self._control.bench.read_instruments)
         now = self._control.bench.readings
-        told = [f"rate table: {each}" for each in now.table_faults]
-        told += [f"chamber: {each}" for each in now.chamber_alarms]
-        told += [f"interlock tripped: {each}" for each in self._control.tripped]
-        self._tell(told or ["none"])
+        lines = [f"rate table: {each}" for each in now.table_faults]
+        lines += [f"chamber: {each}" for each in now.chamber_alarms]
+        lines += [f"interlock tripped: {each}" for each in self._control.tripped]
+        self._print(lines or ["none"])
 
     def _events(self, words: list[str]) -> None:
-        _nothing_left(words)
-        self._tell(self._control.events())
+        _no_more(words)
+        self._print(self._control.events())
 
     def _limits(self, words: list[str]) -> None:
-        _nothing_left(words)
-        self._tell(limit_lines(self._control.limits))
+        _no_more(words)
+        self._print(limit_lines(self._control.limits))
 
     def _help(self, words: list[str]) -> None:  # noqa: ARG002 - one help for all
         usages = [usage for command in self._commands.values() for usage in command.usages.items()]
-        self._tell([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_ENDS.items())])
-        self._tell(["Ctrl-C stops the table."])
+        self._print([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())])
+        self._print(["Ctrl-C stops the table."])
 
-    def _alone(self, words: list[str], carry_out: Callable[[], None]) -> None:
-        _nothing_left(words)
-        carry_out()
-
-    def _tell(self, lines: list[str]) -> None:
+    def _print(self, lines: list[str]) -> None:
         for line in lines:
-            self._display.tell(line)
+            self._display.print(line)
 
 
 class _UsageError(Exception):
-    """Words that do not fit the command."""
+    """Arguments that do not fit the command."""
+
+
+def _without_arguments(words: list[str], execute: Callable[[], None]) -> None:
+    _no_more(words)
+    execute()
 
 
 def _next(words: list[str]) -> str:
     if not words:
-        raise _UsageError("something is missing")
+        raise _UsageError("an argument is missing")
     return words.pop(0)
 
 
-def _nothing_left(words: list[str]) -> None:
+def _no_more(words: list[str]) -> None:
     if words:
-        raise _UsageError(f"'{' '.join(words)}' is too much")
+        raise _UsageError(f"unexpected argument '{' '.join(words)}'")
 
 
 def _number(word: str, what: str) -> float:
@@ -227,24 +226,24 @@ def _number(word: str, what: str) -> float:
 def _axis(words: list[str]) -> str:
     axis = _next(words)
     if axis not in AXES:
-        raise _UsageError(f"'{axis}' is no axis")
+        raise _UsageError(f"'{axis}' is not an axis; the axes are outer and inner")
     return axis
 
 
 def _rate(words: list[str]) -> float | None:
-    """``at RATE``, or nothing."""
+    """Rate of ``at RATE``, None without it."""
     if not words:
         return None
     if words.pop(0) != "at":
-        raise _UsageError("a rate is typed 'at RATE'")
+        raise _UsageError("expected 'at RATE'")
     rate_dps = _number(_next(words), "a rate in deg/s")
-    _nothing_left(words)
+    _no_more(words)
     return rate_dps
 
 
 def _on(words: list[str]) -> bool:
     word = _next(words)
-    _nothing_left(words)
+    _no_more(words)
     if word not in ("on", "off"):
         raise _UsageError(f"'{word}' is neither on nor off")
     return word == "on"

@@ -1,4 +1,4 @@
-"""The terminal of manual control: what is typed, what is printed, Ctrl-C."""
+"""The terminal of manual control: lines typed, lines printed, Ctrl-C, and the errors of a command."""
 
 from __future__ import annotations
 
@@ -13,45 +13,52 @@ from typing import Any, Self, TextIO
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError
 
-#: Where lines can't be written over, one comes this often.
-_EVERY_S = 5.0
+#: Period of progress lines where a line can't be overwritten.
+_PROGRESS_PERIOD_S = 5.0
 _ERASE = "\r\x1b[K"
+_INPUT_WAIT_S = 0.1
+_CHUNK = 4096
+_MAX_COMMAND_BYTES = 1000
+
+
+class CommandError(GyrobenchError):
+    """A command is not understood or a limit forbids it; nothing was moved."""
+
+
+class StoppedByOperatorError(GyrobenchError):
+    """The operator pressed Ctrl-C."""
+
+
+class EndSessionError(GyrobenchError):
+    """The terminal closed, or a signal ends the program."""
 
 
 class Display:
-    """Writes to a terminal, a file or a pipe; one that has gone away is not written to any more.
-
-    Parameters
-    ----------
-    stream : TextIO
-        Where to.
-    clock : Clock
-        The bench's.
-    """
+    """Prints to a terminal, a file or a pipe; ignores a stream that has closed."""
 
     def __init__(self, stream: TextIO, clock: Clock) -> None:
         self._stream = stream
         self._clock = clock
         self._can_erase = stream.isatty() and not clock.is_virtual
         self._open_line = False
-        self._next_course_s = 0.0
+        self._next_progress_s = 0.0
 
-    def tell(self, text: str) -> None:
-        """Write lines."""
+    def print(self, text: str) -> None:
+        """Print lines."""
         self._end_line()
         self._write(f"{text}\n")
 
-    def course(self, text: str) -> None:
-        """Show how far something is; on a terminal in place of the last time."""
+    def progress(self, text: str) -> None:
+        """Print a progress line; on a terminal it overwrites the one before."""
         if self._can_erase:
             self._open_line = True
             self._write(f"{_ERASE}{text}")
-        elif self._clock.now() >= self._next_course_s:
-            self._next_course_s = self._clock.now() + _EVERY_S
+        elif self._clock.now() >= self._next_progress_s:
+            self._next_progress_s = self._clock.now() + _PROGRESS_PERIOD_S
             self._write(f"{text}\n")
 
     def prompt(self, text: str) -> None:
-        """Write what stands before a command that is typed."""
+        """Print the prompt."""
         self._end_line()
         self._write(text)
 
@@ -61,28 +68,21 @@ class Display:
             self._write("\n")
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(
-            OSError, ValueError
-        ):  # the terminal has gone; the bench is still to be made safe
+        # A closed terminal must not keep the bench from reaching its safe state.
+        with contextlib.suppress(OSError, ValueError):
             self._stream.write(text)
             self._stream.flush()
 
 
-_LOOK_S = 0.1
-_CHUNK = 4096
-#: No command is longer.
-_LONGEST_LINE_BYTES = 1000
-
-
 class TypedLines:
-    """Lines of standard input.
+    """Lines of standard input, read while the bench is polled.
 
     Parameters
     ----------
     descriptor : int
-        To read from.
+        Descriptor to read from.
     meanwhile : callable
-        Called before every look for input, and returns soon.
+        Called before every wait for input; returns soon.
     """
 
     def __init__(self, descriptor: int, meanwhile: Callable[[], None]) -> None:
@@ -93,22 +93,22 @@ class TypedLines:
         self._skips = False
 
     def next(self) -> str | None:
-        """Wait for a line; None once there are no more.
+        """Wait for a line; None at the end of the input.
 
         Raises
         ------
         CommandError
-            A line is longer than any command; what is left of it is passed over.
+            A line is too long; its rest is skipped.
         """
-        while b"\n" not in self._text and len(self._text) <= _LONGEST_LINE_BYTES and not self._ended:
+        while b"\n" not in self._text and len(self._text) <= _MAX_COMMAND_BYTES and not self._ended:
             self._meanwhile()
-            ready, _, _ = select.select([self._descriptor], [], [], _LOOK_S)
+            ready, _, _ = select.select([self._descriptor], [], [], _INPUT_WAIT_S)
             if ready:
                 self._read()
         line, newline, self._text = self._text.partition(b"\n")
-        if len(line) > _LONGEST_LINE_BYTES:
+        if len(line) > _MAX_COMMAND_BYTES:
             self._skips = not newline
-            raise CommandError(f"a command is at most {_LONGEST_LINE_BYTES} bytes long. Nothing was done.")
+            raise CommandError(f"a command is at most {_MAX_COMMAND_BYTES} bytes long. Nothing was done.")
         if not line and not newline:
             return None
         return line.decode(errors="replace").strip()
@@ -116,7 +116,7 @@ class TypedLines:
     def _read(self) -> None:
         try:
             data = os.read(self._descriptor, _CHUNK)
-        except OSError:  # the terminal has gone
+        except OSError:  # the terminal closed
             data = b""
         self._ended = not data
         if self._skips:
@@ -125,18 +125,15 @@ class TypedLines:
         self._text += data
 
 
-_LEAVES = (signal.SIGTERM, signal.SIGHUP)
-
-
 class Interruptions:
-    """Remembers signals until somebody asks; a context manager."""
+    """Keeps Ctrl-C and end signals until they are checked for, so that no exchange is cut."""
 
     def __init__(self) -> None:
-        self._stop = self._leave = False
+        self._stop = self._end = False
         self._former: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGINT, *_LEAVES):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             self._former[number] = signal.signal(number, self._received)
         return self
 
@@ -147,17 +144,17 @@ class Interruptions:
             signal.signal(number, handler)
 
     def check(self) -> None:
-        """Raise what has come since the last call.
+        """Raise what has arrived since the last call.
 
         Raises
         ------
         StoppedByOperatorError
             Ctrl-C was pressed.
         EndSessionError
-            The program is to end.
+            SIGTERM or SIGHUP arrived; raised by every later call too.
         """
-        if self._leave:
-            raise EndSessionError("told to end")
+        if self._end:
+            raise EndSessionError("the session ends: its terminal closed or it was terminated.")
         if self._stop:
             self._stop = False
             raise StoppedByOperatorError("stopped by Ctrl-C")
@@ -166,16 +163,4 @@ class Interruptions:
         if number == signal.SIGINT:
             self._stop = True
         else:
-            self._leave = True
-
-
-class CommandError(GyrobenchError):
-    """A command that can't be understood, or that a limit forbids; nothing was moved."""
-
-
-class StoppedByOperatorError(GyrobenchError):
-    """Somebody pressed Ctrl-C."""
-
-
-class EndSessionError(GyrobenchError):
-    """The program is told to end: its terminal closed, or a signal came."""
+            self._end = True

@@ -191,7 +191,8 @@ def _message_of(entry: Mapping[str, Any]) -> str:
 RECORDS = {
     "report.html": "Report",
     "closure/closure.html": "Search for effects",
-    "verify/comparison.html": "Proof of the compensation",
+    "verify/verification.html": "Verification",
+    "verify/comparison.html": "Verification",  # of a run folder made before 2.0
 }
 
 

@@ -144,7 +144,7 @@ def _degrees(value_c: float) -> str:
 
 def _old(age_s: float) -> str:
     if math.isnan(age_s):
-        return " (not heard)"
+        return " (no data)"
     return f" ({age_s:.0f} s old)" if age_s > _STALE_S else ""
 
 

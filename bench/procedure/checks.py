@@ -174,12 +174,12 @@ def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
             yield from _stray(windows)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
-        kind_problems = _turned_verification if group[0].is_verification else _one_sided
+        kind_problems = _turned_check if group[0].is_calibration_check else _one_sided
         yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
         yield from _early_until(windows)
         yield from _not_turned_between(group)
         yield from _turned_to_the_same(windows, turns)
-    yield from find_unpaired_verifications(plan)
+    yield from find_unpaired_checks(plan)
 
 
 def _navigation_time_problems(window: PlannedStep) -> Iterator[Problem]:
@@ -209,15 +209,15 @@ def _turn_that_follows(plan: Plan, last: PlannedStep) -> list[PlannedStep]:
     return [planned for planned in itertools.islice(following, 1) if isinstance(planned.step, Turn)]
 
 
-def _turned_verification(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _turned_check(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
     if not turns:
         return
     for window in windows:
-        if isinstance(window.step, Navigate) and window.step.purpose == "verification":
+        if isinstance(window.step, Navigate) and window.step.purpose == "calibration_check":
             yield Problem(
                 window.place_of("purpose"),
-                "a verification is one navigation directly after the alignment, without a turn before or "
-                "after it. Leave purpose out, or replace the turn by go_to and align",
+                "a calibration check is one navigation directly after the alignment, without a turn before "
+                "or after it. Leave purpose out, or replace the turn by go_to and align",
             )
 
 
@@ -229,7 +229,9 @@ def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> 
             f"navigation on one side of the turn only: {_INSEPARABLE}. Navigate before and after the turn"
         )
     else:
-        message = f"no turn: {_INSEPARABLE}. Add a turn and a second navigation, or set purpose: verification"
+        message = (
+            f"no turn: {_INSEPARABLE}. Add a turn and a second navigation, or set purpose: calibration_check"
+        )
     yield Problem(windows[0].location, message)
 
 
@@ -251,9 +253,9 @@ def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
 
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
-    """What to do about two navigations in succession: one alone gives a bias only in a verification."""
-    if moves[0].is_verification:
-        return "a verification has a single one. Make it longer, or put go_to and align between them"
+    """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
+    if moves[0].is_calibration_check:
+        return "a calibration check has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
     return "Put a turn between them" + (", or make one longer" if has_turn else "")
 
@@ -271,8 +273,8 @@ def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedS
 _TOLERANCE_DEG = 0.5
 
 
-def find_unpaired_verifications(plan: Plan) -> Iterator[Problem]:
-    """Verifications that have no partner half a turn away, in their position and at their temperature.
+def find_unpaired_checks(plan: Plan) -> Iterator[Problem]:
+    """Calibration checks that have no partner half a turn away, in their position and at their temperature.
 
     A gyro bias turns the heading of one alignment against the other; an error of the table's
     azimuth turns both alike.
@@ -301,12 +303,12 @@ def _stops(plan: Plan) -> Iterator[list[PlannedStep]]:
 
 
 def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
-    """Navigations of verification dwells; those with several or with turns are another problem."""
+    """Navigations of check dwells; those with several or with turns are another problem."""
     for dwell, members in itertools.groupby(steps, key=lambda planned: planned.dwell):
         group = list(members)
         windows = [planned for planned in group if isinstance(planned.step, Navigate)]
         turned = any(isinstance(planned.step, Turn) for planned in group)
-        if dwell is not None and group[0].is_verification and len(windows) == 1 and not turned:
+        if dwell is not None and group[0].is_calibration_check and len(windows) == 1 and not turned:
             yield windows[0]
 
 

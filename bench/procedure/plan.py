@@ -58,7 +58,7 @@ class PlannedStep:
         Role in the dwell.
     window : int or None
         Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
-    is_verification : bool
+    is_calibration_check : bool
         Whether its dwell verifies a calibration: one navigation straight from the alignment.
     value_places : mapping
         Where the values stand that came from loop variables, by the keys that lead to them.
@@ -76,7 +76,7 @@ class PlannedStep:
     dwell: int | None = None
     phase: Phase | None = None
     window: int | None = None
-    is_verification: bool = False
+    is_calibration_check: bool = False
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
 
     @property
@@ -203,14 +203,14 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
 def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
     windows = itertools.count()
     steps = [planned.step for planned in group]
-    verifies = any(isinstance(step, Navigate) and step.purpose == "verification" for step in steps)
+    verifies = any(isinstance(step, Navigate) and step.purpose == "calibration_check" for step in steps)
     for planned in group:
         yield replace(
             planned,
             dwell=dwell,
             phase=_PHASES[type(planned.step)],
             window=next(windows) if isinstance(planned.step, Navigate) else None,
-            is_verification=verifies,
+            is_calibration_check=verifies,
         )
 
 

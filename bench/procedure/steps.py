@@ -261,6 +261,9 @@ class Navigate(Step):
             "dependentRequired": {"until": ["at_most_s"]},
         }
     )
+    renamed_values: ClassVar[Mapping[str, Mapping[str, str]]] = {
+        "purpose": {"verification": "calibration_check"}
+    }
     name = "navigate"
     at_position = True
     duration_s: Duration | None = Field(default=None, description="navigation time, s")
@@ -273,9 +276,9 @@ class Navigate(Step):
     at_most_s: Duration | None = Field(
         default=None, description="with until: go on after this time in any case, s"
     )
-    purpose: Literal["calibration", "verification"] = Field(
+    purpose: Literal["calibration", "calibration_check"] = Field(
         default="calibration",
-        description="verification: one navigation straight from the alignment, without a turn",
+        description="calibration_check: one navigation straight from the alignment, without a turn",
     )
 
     @model_validator(mode="after")
@@ -320,7 +323,7 @@ class Navigate(Step):
         if self.until:
             sigma = f"{self.until.bias_sigma_below_dph:g} deg/h"
             time = f"navigate until bias sigma below {sigma}, {span(self.longest_s)} at most"
-        return time if self.purpose == "calibration" else f"{time} for {self.purpose}"
+        return time if self.purpose == "calibration" else f"{time} for a calibration check"
 
 
 class Turn(Step):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import can
+import serial
 
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.documents import StrictModel
@@ -35,9 +36,9 @@ from gyrobench.drivers.recording.recording_file import (
     RecordingHeader,
     joined,
     read_recording,
+    recording_lines,
     recording_text,
 )
-from gyrobench.drivers.recording.tap import LinePort, recording_lines
 from gyrobench.drivers.serial_line import open_port
 from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 
@@ -209,7 +210,7 @@ class Recorder:
 class Proxy:
     """Passes everything between a served port and the open port of an instrument, and records it."""
 
-    def __init__(self, served: Port, instrument: LinePort, file: RecordingFile, clock: Clock) -> None:
+    def __init__(self, served: Port, instrument: serial.Serial, file: RecordingFile, clock: Clock) -> None:
         self._served = served
         self._instrument = instrument
         self._file = file

@@ -76,8 +76,13 @@ def p_text(p_value: float) -> str:
     if math.isnan(p_value):
         return ""
     if p_value < _SMALLEST_P:
-        return f"<{_SMALLEST_P:.0e}"
-    return f"{p_value:.3f}" if p_value >= _PLAIN_P else f"{p_value:.0e}"
+        return f"<{_exponential(_SMALLEST_P)}"
+    return f"{p_value:.3f}" if p_value >= _PLAIN_P else _exponential(p_value)
+
+
+def _exponential(value: float) -> str:
+    """One digit and an exponent without leading zeros: "1e-9"."""
+    return f"{value:.0e}".replace("e-0", "e-")
 
 
 def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, list[BiasBin]]]:

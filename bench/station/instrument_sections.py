@@ -220,7 +220,7 @@ class RateTableSection(DialectSection):
             raise ValueError("limits.outer_deg is missing: the range of the outer axis")
         if self.outer_axis_number == self.inner_axis_number:
             raise ValueError("outer_axis_number and inner_axis_number must differ")
-        if len(self.axis_numbers) > getattr(self.installed_dialect, "most_axes"):  # noqa: B009
+        if len(self.axis_numbers) > getattr(self.installed_dialect, "max_axes"):  # noqa: B009
             raise ValueError(
                 f"a table of the dialect {self.dialect} has a single axis: leave out outer_axis, "
                 "outer_axis_number and limits.outer_deg"

@@ -1,4 +1,4 @@
-"""Thermal chambers: what the bench asks of one, whatever its controller."""
+"""Thermal chambers: the interface that the bench uses; each other module is one dialect."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from typing import Generic, Protocol, TypeVar
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
+OptionsT = TypeVar("OptionsT", bound=StrictModel)
+
 
 @dataclass(frozen=True)
 class ChamberReading:
-    """What one poll of a chamber gives.
+    """One poll of a chamber.
 
     Attributes
     ----------
     temperature_c : float
-        The air.
+        Air temperature.
     set_point_c : float or None
-        Where the controller says it is to go; None if it does not tell.
+        The controller's set point; None if it can't be read.
     is_on : bool or None
-        Whether the temperature is controlled at all; None if it does not tell.
+        Whether the temperature is controlled; None if it can't be read.
     """
 
     temperature_c: float
@@ -30,17 +32,14 @@ class ChamberReading:
 
 
 class Chamber(Protocol):
-    """A thermal chamber.
-
-    Every method may raise an :class:`~gyrobench.bench.foundations.errors.InstrumentError`.
-    """
+    """A thermal chamber; every method may raise an InstrumentError of the bench."""
 
     def identify(self) -> str:
         """Name of the controller, for the run's provenance."""
         ...
 
     def read(self) -> ChamberReading:
-        """Measure the air, and read set point and on or off back from the controller.
+        """Measure the air; read set point and on or off back from the controller.
 
         Raises
         ------
@@ -50,14 +49,11 @@ class Chamber(Protocol):
         ...
 
     def alarms(self) -> list[str]:
-        """Active alarms and sensor errors, in words; empty when all is well."""
+        """Active alarms and sensor errors, in words."""
         ...
 
     def clear_alarms(self) -> None:
-        """Clear alarms and sensor errors that are latched; those whose cause is still there stay.
-
-        Does nothing where the controller latches none.
-        """
+        """Clear latched alarms and sensor errors, if there are any; those with a present cause stay."""
         ...
 
     def limits_c(self) -> tuple[float, float]:
@@ -66,7 +62,7 @@ class Chamber(Protocol):
         Raises
         ------
         RefusedError
-            The controller does not tell them.
+            They can't be read.
         """
         ...
 
@@ -78,8 +74,8 @@ class Chamber(Protocol):
         Raises
         ------
         RefusedError
-            A value is outside the controller's limits or no finite number (nothing has been
-            sent then), or the controller does not hold what was written.
+            A value is not finite or outside the controller's limits (nothing is sent then), or the
+            controller does not keep what was written.
         """
         ...
 
@@ -96,15 +92,12 @@ class Chamber(Protocol):
         ...
 
     def is_event_on(self, number: int) -> bool:
-        """Whether one of the controller's event outputs is switched on."""
+        """Whether one of the controller's event outputs is on."""
         ...
 
     def close(self) -> None:
-        """Close the line to the controller; the chamber goes on as it is."""
+        """Close the line to the controller; the chamber continues unchanged."""
         ...
-
-
-OptionsT = TypeVar("OptionsT", bound=StrictModel)
 
 
 @dataclass(frozen=True)
@@ -116,9 +109,9 @@ class ChamberDialect(Generic[OptionsT]):
     open : callable
         Makes the driver from the line to the controller and the options; the driver closes the line.
     options : type of StrictModel
-        The keys of its own in the station file's section ``chamber``.
+        Additional keys in the station file's section ``chamber``.
     line : LineDefaults
-        How such a controller is usually reached.
+        Usual settings of such a controller's line.
     """
 
     open: Callable[[SerialLine, OptionsT], Chamber]

@@ -1,7 +1,7 @@
 """Driver of the Watlow F4 (F4S, F4D, F4P) chamber controller over Modbus RTU.
 
 Registers: Watlow F4P user's manual 0600-0032-0013. Temperatures and ramp rates are 16-bit numbers
-with an implied decimal point, whose place the controller tells.
+with an implied decimal point, whose position is read from the controller.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from gyrobench.drivers.serial_line import SerialLine
 
 _RAMP_OFF, _RAMP_AT_EVERY_CHANGE = 0, 2
 _PER_MINUTE, _PER_HOUR = 0, 1
-_FASTEST_RAMP = 999
-_MOST_DECIMALS = 3
+_MAX_RAMP = 999
+_MAX_DECIMALS = 3
 _FAHRENHEIT = 0
 _INT16_MIN, _INT16_MAX = -32768, 32767
 
 
 class Register(IntEnum):
-    """Holding registers in use; their names appear in error messages."""
+    """Holding registers; their names appear in error messages."""
 
     MODEL_NUMBER = 0
     PROCESS_VALUE_1 = 100
@@ -66,25 +66,21 @@ def from_register(number: int, decimals: int) -> float:
 
 
 class WatlowF4:
-    """A chamber behind a Watlow F4.
+    """A chamber behind a Watlow F4; raises InstrumentError where it can't be reached.
 
     Parameters
     ----------
     line : SerialLine
-        The line to the controller; closed by :meth:`close`.
+        Closed by :meth:`close`.
     address : int
         The controller's Modbus address.
     chamber_event : int
         Event output that switches the chamber's machinery on.
-    reply_timeout_s : float
-        Longest wait for each reply.
 
     Raises
     ------
     RefusedError
         The controller works in degrees Fahrenheit.
-    InstrumentError
-        It can't be talked to.
     """
 
     def __init__(
@@ -95,16 +91,16 @@ class WatlowF4:
         self._chamber_event = chamber_event
         self._modbus = ModbusRtu(line, address, reply_timeout_s)
         (self._decimals,) = self._modbus.read(Register.INPUT_1_DECIMALS)
-        if not 0 <= self._decimals <= _MOST_DECIMALS:
+        if not 0 <= self._decimals <= _MAX_DECIMALS:
             raise ReplyError(
-                line.instrument, f"register 606 claims {self._decimals} decimals; is it a Watlow F4?"
+                line.instrument, f"register 606 reads {self._decimals} decimals; is it a Watlow F4?"
             )
         if self._optional(Register.TEMPERATURE_UNIT) == _FAHRENHEIT:
             raise self._refused("the controller works in °F; set it to °C in its setup menu")
         self._can_ramp = self._optional(Register.RAMP_MODE) is not None
 
     def identify(self) -> str:
-        """Model number and what distinguishes this controller."""
+        """Model number, Modbus address and kind of ramps."""
         (model,) = self._modbus.read(Register.MODEL_NUMBER)
         ramps = "ramps to set points" if self._can_ramp else "ramps by profiles only"
         return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
@@ -150,7 +146,7 @@ class WatlowF4:
         ------
         RefusedError
             A value is outside the controller's limits, the controller ramps by profiles only, or
-            it does not hold what was written.
+            it does not keep what was written.
         """
         set_point = to_register(temperature_c, self._decimals)
         if set_point is None:
@@ -177,41 +173,38 @@ class WatlowF4:
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an event output, 1 to 8 (registers 2000, 2010, ...).
 
-        Raises
-        ------
-        RefusedError
-            There is no such output, or it does not keep its state.
+        Raises RefusedError where there is no such output, or it does not keep its state.
         """
         self._write(self._event(number), int(on))
 
     def is_event_on(self, number: int) -> bool:
-        """Whether an event output, 1 to 8, is switched on; raises RefusedError where there is none."""
+        """Whether an event output, 1 to 8, is on; raises RefusedError where there is none."""
         (state,) = self._modbus.read(self._event(number))
         return bool(state)
 
     def close(self) -> None:
-        """Close the line; the controller goes on as it is."""
+        """Close the line; the controller continues unchanged."""
         self._line.close()
 
     def _ramp_settings(self, rate_c_per_min: float | None) -> list[tuple[Register, int]]:
-        """Values of the ramp registers, in the scale that comes closer to the rate."""
+        """Values of the ramp registers, in the scale that is closer to the rate."""
         if rate_c_per_min is None:
             return [(Register.RAMP_MODE, _RAMP_OFF)] if self._can_ramp else []
         if not self._can_ramp:
             raise self._refused(
-                f"no ramp of {rate_c_per_min} °C/min: this controller ramps only by profiles; "
+                f"no ramp of {rate_c_per_min} °C/min: this controller ramps by profiles only; "
                 "command the set point without a rate"
             )
         settings = []
         for scale, minutes in ((_PER_MINUTE, 1), (_PER_HOUR, 60)):
             number = to_register(rate_c_per_min * minutes, self._decimals)
-            if number is not None and 1 <= number <= _FASTEST_RAMP * 10**self._decimals:
+            if number is not None and 1 <= number <= _MAX_RAMP * 10**self._decimals:
                 error = abs(from_register(number, self._decimals) / minutes - rate_c_per_min)
                 settings.append((error, scale, number))
         if not settings:
             raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be written to register 1101")
         _, scale, number = min(settings)
-        # The mode comes last, so that no ramp starts with an old rate.
+        # The mode is last, so that no ramp starts at an old rate.
         return [
             (Register.RAMP_RATE, number),
             (Register.RAMP_SCALE, scale),
@@ -248,7 +241,7 @@ def _sensor_error(code: int) -> str:
 
 
 class WatlowF4Options(StrictModel):
-    """Keys of its own in the station file."""
+    """Additional keys in the station file."""
 
     address: int = Field(default=1, ge=1, le=247, description="Modbus address")
     chamber_event: int = Field(

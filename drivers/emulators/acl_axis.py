@@ -50,6 +50,12 @@ class AclError(Exception):
         self.code = code
 
 
+def refuse_if(condition: bool, code: ErrorCode = ErrorCode.PARAMETER_OUT_OF_RANGE) -> None:
+    """Raise AclError with this code if the condition is true."""
+    if condition:
+        raise AclError(code)
+
+
 class Mode(IntEnum):
     """What the servo follows."""
 
@@ -62,7 +68,6 @@ class Mode(IntEnum):
 
 
 _RATE_MODES = (Mode.RATE, Mode.ARATE)
-#: Modes without a motion in this emulator.
 _MODES_NOT_EMULATED = (Mode.SYNTHESIS, Mode.TRACK)
 
 
@@ -140,8 +145,6 @@ class AclAxis:
         """Encoder minus commanded profile in this frame."""
         return self.physics.following_error_deg(self._now_s)
 
-    # servo and interlock
-
     @property
     def faulted(self) -> bool:
         """Whether a fault is latched or an interlock open."""
@@ -154,8 +157,7 @@ class AclAxis:
 
     def close(self) -> None:
         """Close the servo; the axis holds its position in mode Off."""
-        if self.faulted:
-            raise AclError(ErrorCode.CANNOT_SERVO)
+        refuse_if(self.faulted, ErrorCode.CANNOT_SERVO)
         if not self.closed:
             self.closed = True
             self.mode = Mode.OFF
@@ -195,15 +197,11 @@ class AclAxis:
         self.open()
         self._set_defaults()
 
-    # modes and demands
-
     def set_mode(self, mode: Mode) -> None:
         """Change the mode and execute the demand that waits for it; without one, stop."""
-        if mode in _MODES_NOT_EMULATED:
-            raise AclError(ErrorCode.NOT_AVAILABLE)
+        refuse_if(mode in _MODES_NOT_EMULATED, ErrorCode.NOT_AVAILABLE)
         if not self.closed:
-            if mode is not Mode.OFF:
-                raise AclError(ErrorCode.NOT_SERVOED)
+            refuse_if(mode is not Mode.OFF, ErrorCode.NOT_SERVOED)
             return
         if mode is self.mode and mode is not Mode.OFF:
             return
@@ -217,16 +215,14 @@ class AclAxis:
 
     def home(self) -> None:
         """Move to zero in position mode."""
-        if not self.closed:
-            raise AclError(ErrorCode.NOT_SERVOED)
+        refuse_if(not self.closed, ErrorCode.NOT_SERVOED)
         self.demand_position(0.0)
         self.set_mode(Mode.POSITION)
 
     def demand_position(self, position_deg: float) -> None:
         """Move there in position mode; in another mode, store the demand."""
         limits = self.limits[Mode.POSITION]
-        if not limits.low_deg <= position_deg <= limits.high_deg:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(not limits.low_deg <= position_deg <= limits.high_deg)
         self.demands.position_deg = position_deg
         self.demands.position_waits = True
         if self.closed and self.mode is Mode.POSITION:
@@ -234,16 +230,14 @@ class AclAxis:
 
     def demand_delta(self, delta_deg: float) -> None:
         """Change the position demand by a delta; in a rate mode, start from the present position."""
-        if abs(delta_deg) > _MAX_DELTA_DEG:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(abs(delta_deg) > _MAX_DELTA_DEG)
         turning = self.mode in _RATE_MODES and not self.demands.position_waits
         base_deg = self.state.position_deg if turning else self.demands.position_deg
         self.demand_position(base_deg + delta_deg)
 
     def demand_rate(self, rate_dps: float) -> None:
         """Turn in a rate mode; in another mode, store the demand."""
-        if abs(rate_dps) > self.absolute_limits.rate_dps:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(abs(rate_dps) > self.absolute_limits.rate_dps)
         self.demands.rate_dps = rate_dps
         self.demands.rate_waits = True
         if self.closed and self.mode in _RATE_MODES:
@@ -251,8 +245,7 @@ class AclAxis:
 
     def demand_acceleration(self, acceleration_dps2: float) -> None:
         """Store the demand: the modes that follow an acceleration are not emulated."""
-        if abs(acceleration_dps2) > self.absolute_limits.acceleration_dps2:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(abs(acceleration_dps2) > self.absolute_limits.acceleration_dps2)
         self.demands.acceleration_dps2 = acceleration_dps2
 
     def _move(self) -> None:
@@ -274,27 +267,22 @@ class AclAxis:
     def _apply_limits(self, mode: Mode) -> None:
         self.physics.limits = self.limits[mode]
 
-    # limits
-
     def set_limits(self, mode: Mode, **bounds: float) -> None:
         """Change limits of one mode, within the absolute ones; ``bounds`` are fields of AxisLimits."""
         limits, absolute = replace(self.limits[mode], **bounds), self.absolute_limits
-        if not (
+        allowed = (
             0.0 < limits.rate_dps <= absolute.rate_dps
             and 0.0 < limits.acceleration_dps2 <= absolute.acceleration_dps2
             and 0.0 < limits.jerk_dps3 <= absolute.jerk_dps3
             and absolute.low_deg <= limits.low_deg < limits.high_deg <= absolute.high_deg
-        ):
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        )
+        refuse_if(not allowed)
         self.limits[mode] = limits
 
     def set_trip_rate(self, mode: Mode, rate_dps: float) -> None:
         """Change the rate at which the axis trips in one mode."""
-        if rate_dps <= 0.0:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(rate_dps <= 0.0)
         self.trip_rates_dps[mode] = rate_dps
-
-    # status registers
 
     def state_register(self) -> int:
         """``AnSTATE``: mode, servo, reason for an open servo, and whether that is latched."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode, refuse_if
 
 MAX_MESSAGE_CHARACTERS = 32768
 _MAX_NUMBER_CHARACTERS = 28
@@ -111,13 +111,11 @@ def find_keyword(word: str, known: tuple[str, ...]) -> str | None:
 
 def _parse_argument(word: str) -> Argument:
     if _NUMBER.fullmatch(word):
-        if len(word) >= _MAX_NUMBER_CHARACTERS:
-            raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
+        refuse_if(len(word) >= _MAX_NUMBER_CHARACTERS, ErrorCode.WRONG_PARAMETER_TYPE)
         if not math.isfinite(value := float(word)):
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         return value
-    if not word:
-        raise AclError(ErrorCode.SYNTAX)
+    refuse_if(not word, ErrorCode.SYNTAX)
     return word.upper()
 
 
@@ -136,15 +134,13 @@ def number(argument: Argument) -> float:
 def whole_number(argument: Argument) -> int:
     """Take an argument as a whole number."""
     value = number(argument)
-    if not value.is_integer():
-        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    refuse_if(not value.is_integer())
     return int(value)
 
 
 def expect(arguments: Arguments, *counts: int) -> None:
     """Refuse another number of arguments."""
-    if len(arguments) not in counts:
-        raise AclError(ErrorCode.WRONG_PARAMETER_COUNT)
+    refuse_if(len(arguments) not in counts, ErrorCode.WRONG_PARAMETER_COUNT)
 
 
 class AxisCommands:
@@ -156,76 +152,58 @@ class AxisCommands:
 
     def handlers(self) -> Handlers:
         """All commands and queries of the axes."""
-        return {
-            **self._interlock_and_mode(),
-            **self._demands(),
-            **self._limits(),
-            **self._reads(),
-            (("STATUS", "CSR"), True): self._status_register,
-            (("STATUS", "ECP"), True): self._legacy_status,
-            (("STATUS", "ECP"), False): self._legacy_status,
+        commands: dict[str, Handler] = {
+            "INTERLOCK CLOSE": self._each(0, AclAxis.close),
+            "INTERLOCK OPEN": self._each(0, AclAxis.open),
+            "INTERLOCK RESET": self._reset,
+            "MODE": self._set_mode,
+            "MODE HOME": self._each(0, AclAxis.home),
+            **{f"MODE {mode.name}": self._each(0, partial(AclAxis.set_mode, mode=mode)) for mode in Mode},
+            "DEMAND POSITION": self._each(1, AclAxis.demand_position),
+            "DEMAND RATE": self._each(1, AclAxis.demand_rate),
+            "DEMAND ACCELERATION": self._each(1, AclAxis.demand_acceleration),
+            "DEMAND DELTAPOSITION": self._each(1, AclAxis.demand_delta),
+            "DEMAND SHORTVECTOR": self._each(2, _demand_short_vector),
+            "DEMAND VECTOR": self._each(3, _demand_vector),
+            "LIMIT": self._set_mode_limits,
+            "LIMIT VTRIP": self._limit_setter(AclAxis.set_trip_rate),
+            "LIMIT GLOBAL": self._each(4, _set_global_limits),
+            "STATUS ECP": self._legacy_status,
         }
-
-    def _interlock_and_mode(self) -> Handlers:
-        commands: Handlers = {
-            (("INTERLOCK", "CLOSE"), False): self._each(0, AclAxis.close),
-            (("INTERLOCK", "OPEN"), False): self._each(0, AclAxis.open),
-            (("INTERLOCK", "RESET"), False): self._reset,
-            (("INTERLOCK",), True): self._ask(lambda axis: axis.interlock),
-            (("MODE",), False): self._set_mode,
-            (("MODE",), True): self._ask(lambda axis: axis.mode.name.capitalize()),
-            (("MODE", "HOME"), False): self._each(0, AclAxis.home),
-        }
-        for mode in Mode:
-            commands[("MODE", mode.name), False] = self._each(0, partial(AclAxis.set_mode, mode=mode))
-        return commands
-
-    def _demands(self) -> Handlers:
-        return {
-            (("DEMAND", "POSITION"), False): self._each(1, AclAxis.demand_position),
-            (("DEMAND", "RATE"), False): self._each(1, AclAxis.demand_rate),
-            (("DEMAND", "ACCELERATION"), False): self._each(1, AclAxis.demand_acceleration),
-            (("DEMAND", "DELTAPOSITION"), False): self._each(1, AclAxis.demand_delta),
-            (("DEMAND", "SHORTVECTOR"), False): self._each(2, _demand_short_vector),
-            (("DEMAND", "VECTOR"), False): self._each(3, _demand_vector),
-            (("DEMAND", "POSITION"), True): self._ask_number(lambda axis: axis.demands.position_deg),
-            (("DEMAND", "RATE"), True): self._ask_number(lambda axis: axis.demands.rate_dps),
-            (("DEMAND", "ACCELERATION"), True): self._ask_number(lambda axis: axis.demands.acceleration_dps2),
-        }
-
-    def _reads(self) -> Handlers:
-        position = self._ask_number(lambda axis: axis.state.position_deg)
-        rate = self._ask_number(lambda axis: axis.state.rate_dps)
-        acceleration = self._ask_number(lambda axis: axis.state.acceleration_dps2)
-        reads: dict[str, Handler] = {
-            "POSITION": position,
-            "RATE": rate,
-            "ACCELERATION": acceleration,
-            "SHORTVECTOR": lambda words: ";".join((position(words), rate(words))),
-            "VECTOR": lambda words: ";".join(ask(words) for ask in (position, rate, acceleration)),
-            "VARIABLE": self._variable,
-        }
-        # the question mark of a read may be left out
-        return {(("READ", name), query): read for name, read in reads.items() for query in (True, False)}
-
-    def _limits(self) -> Handlers:
-        commands: Handlers = {
-            (("LIMIT",), False): self._set_mode_limits,
-            (("LIMIT",), True): self._mode_limits,
-            (("LIMIT", "VTRIP"), False): self._limit_setter(AclAxis.set_trip_rate),
-            (("LIMIT", "VTRIP"), True): self._limit_query(lambda axis, mode: axis.trip_rates_dps[mode]),
-            (("LIMIT", "GLOBAL"), False): self._each(4, _set_global_limits),
-            (("LIMIT", "ABSOLUTE"), True): self._ask(_absolute_limits),
+        queries: dict[str, Handler] = {
+            "INTERLOCK": self._ask(lambda axis: axis.interlock),
+            "MODE": self._ask(lambda axis: axis.mode.name.capitalize()),
+            "DEMAND POSITION": self._ask_numbers(lambda axis: (axis.demands.position_deg,)),
+            "DEMAND RATE": self._ask_numbers(lambda axis: (axis.demands.rate_dps,)),
+            "DEMAND ACCELERATION": self._ask_numbers(lambda axis: (axis.demands.acceleration_dps2,)),
+            "LIMIT": self._mode_limits,
+            "LIMIT VTRIP": self._limit_query(lambda axis, mode: axis.trip_rates_dps[mode]),
+            "LIMIT ABSOLUTE": self._ask(_absolute_limits),
+            "STATUS CSR": self._status_register,
+            "STATUS ECP": self._legacy_status,
         }
         for name, bound in _SINGLE_LIMITS.items():
-            commands[("LIMIT", name), False] = self._limit_setter(partial(_set_bound, bound))
-            commands[("LIMIT", name), True] = self._limit_query(partial(_bound, bound))
-        return commands
+            commands[f"LIMIT {name}"] = self._limit_setter(partial(_set_bound, bound))
+            queries[f"LIMIT {name}"] = self._limit_query(partial(_bound, bound))
+        reads = {
+            "READ POSITION": self._ask_numbers(lambda axis: axis.state[:1]),
+            "READ RATE": self._ask_numbers(lambda axis: axis.state[1:2]),
+            "READ ACCELERATION": self._ask_numbers(lambda axis: axis.state[2:]),
+            "READ SHORTVECTOR": self._ask_numbers(lambda axis: axis.state[:2]),
+            "READ VECTOR": self._ask_numbers(lambda axis: axis.state),
+            "READ VARIABLE": self._variable,
+        }
+        # the question mark of a read may be omitted
+        kinds = ((False, commands | reads), (True, queries | reads))
+        return {
+            (tuple(header.split()), is_query): handler
+            for is_query, handlers in kinds
+            for header, handler in handlers.items()
+        }
 
     def _one(self, argument: Argument) -> AclAxis:
         axis_number = whole_number(argument)
-        if axis_number not in self._axes:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(axis_number not in self._axes)
         return self._axes[axis_number]
 
     def _several(self, argument: Argument) -> list[AclAxis]:
@@ -252,8 +230,10 @@ class AxisCommands:
 
         return query
 
-    def _ask_number(self, value: Callable[[AclAxis], float]) -> Handler:
-        return self._ask(lambda axis: format_number(value(axis), self._decimals))
+    def _ask_numbers(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
+        return self._ask(
+            lambda axis: ";".join(format_number(value, self._decimals) for value in values(axis))
+        )
 
     def _reset(self, arguments: Arguments) -> str:
         """Reset all axes; some clients name an axis, which has no effect."""
@@ -319,8 +299,7 @@ class AxisCommands:
             166: state.position_deg,
             176: state.acceleration_dps2,
         }
-        if variable not in values:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(variable not in values)
         return format_number(values[variable], self._decimals)
 
     def _status_register(self, arguments: Arguments) -> str:
@@ -329,8 +308,7 @@ class AxisCommands:
         if len(arguments) == 1:
             return str(value)
         bit = whole_number(arguments[1])
-        if not 0 <= bit < 32:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(not 0 <= bit < 32)
         return str(value >> bit & 1)
 
     def _register(self, name: str) -> int:
@@ -352,8 +330,7 @@ class AxisCommands:
     def _legacy_status(self, arguments: Arguments) -> str:
         expect(arguments, 2)
         axis, word = self._one(arguments[0]), whole_number(arguments[1])
-        if word not in (1, 2):
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(word not in (1, 2))
         return str(int(axis.mode) if word == 1 else axis.legacy_register())
 
 
@@ -385,8 +362,7 @@ def _absolute_limits(axis: AclAxis) -> str:
 def _set_global_limits(
     axis: AclAxis, low_deg: float, high_deg: float, trip_dps: float, tracking_error_deg: float
 ) -> None:
-    if tracking_error_deg <= 0.0:
-        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+    refuse_if(tracking_error_deg <= 0.0)
     for mode in Mode:
         axis.set_limits(mode, low_deg=low_deg, high_deg=high_deg)
         axis.set_trip_rate(mode, trip_dps)

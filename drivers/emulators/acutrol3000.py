@@ -14,9 +14,10 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Literal
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault, refuse_if
 from gyrobench.drivers.emulators.acl_commands import (
     MAX_MESSAGE_CHARACTERS,
     Arguments,
@@ -124,8 +125,7 @@ class Acutrol3000Emulator:
             return b""
         code = ErrorCode.NONE
         try:
-            if too_long:
-                raise AclError(ErrorCode.MESSAGE_TOO_LONG)
+            refuse_if(too_long, ErrorCode.MESSAGE_TOO_LONG)
             text = self._execute(message.decode("latin-1"), now_s)
         except AclError as error:
             code, text = error.code, error.code.text
@@ -140,16 +140,14 @@ class Acutrol3000Emulator:
         for axis in self.axes.values():
             axis.begin_frame(now_s)
         units = parse_message(message)
-        if sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES:
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES)
         try:
             handlers = [self._handlers[unit.header, unit.is_query] for unit in units]
         except KeyError:
             raise AclError(ErrorCode.UNKNOWN_COMMAND) from None
         answers = [handle(unit.arguments) for handle, unit in zip(handlers, units, strict=True)]
         text = ";".join(answer for answer in answers if answer) or "OK"
-        if len(text) > MAX_MESSAGE_CHARACTERS:
-            raise AclError(ErrorCode.MESSAGE_TOO_LONG)
+        refuse_if(len(text) > MAX_MESSAGE_CHARACTERS, ErrorCode.MESSAGE_TOO_LONG)
         return text
 
     def _note(self, code: ErrorCode) -> None:
@@ -163,8 +161,8 @@ class Acutrol3000Emulator:
             (("*ESR",), True): self._answer(self._take_events),
             (("*ESE",), True): self._answer(lambda: str(self._events_enabled)),
             (("*SRE",), True): self._answer(lambda: str(self._requests_enabled)),
-            (("*ESE",), False): self._set_events_enabled,
-            (("*SRE",), False): self._set_requests_enabled,
+            (("*ESE",), False): partial(self._enable, "_events_enabled", 0xFF),
+            (("*SRE",), False): partial(self._enable, "_requests_enabled", ~_MASTER_SUMMARY),
             (("*CLS",), False): self._answer(self._clear_status),
             (("STATUS", "MSG"), True): self._next_error,
             (("QUERY", "ERROR"), True): self._error_text,
@@ -201,18 +199,16 @@ class Acutrol3000Emulator:
         self._errors.clear()
         return ""
 
-    def _set_events_enabled(self, arguments: Arguments) -> str:
-        self._events_enabled = _byte(arguments)
-        return ""
-
-    def _set_requests_enabled(self, arguments: Arguments) -> str:
-        self._requests_enabled = _byte(arguments) & ~_MASTER_SUMMARY
+    def _enable(self, register: str, mask: int, arguments: Arguments) -> str:
+        expect(arguments, 1)
+        value = whole_number(arguments[0])
+        refuse_if(not 0 <= value <= 255)
+        setattr(self, register, value & mask)
         return ""
 
     def _next_error(self, arguments: Arguments) -> str:
         expect(arguments, 1)
-        if arguments[0] != "QERROR":
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(arguments[0] != "QERROR")
         code = self._errors.popleft() if self._errors else ErrorCode.NONE
         return f"{int(code)},{code.text}"
 
@@ -225,22 +221,13 @@ class Acutrol3000Emulator:
 
     def _set_lockout(self, arguments: Arguments) -> str:
         expect(arguments, 1)
-        if arguments[0] not in ("ON", "OFF"):
-            raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
+        refuse_if(arguments[0] not in ("ON", "OFF"))
         self._locked_out = arguments[0] == "ON"
         return ""
 
     def _refuse_format(self, _: Arguments) -> str:
         """Binary numbers exist only on the GPIB."""
         raise AclError(ErrorCode.NOT_AVAILABLE)
-
-
-def _byte(arguments: Arguments) -> int:
-    expect(arguments, 1)
-    value = whole_number(arguments[0])
-    if not 0 <= value <= 255:
-        raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
-    return value
 
 
 DIALECT = TableEmulation(Acutrol3000Emulator)

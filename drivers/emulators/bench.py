@@ -25,7 +25,7 @@ from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, Se
 from gyrobench.drivers.emulators.faults.fault import BenchParts
 from gyrobench.drivers.emulators.faults.fault_list import FaultList, check_faults, load_faults
 from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
-from gyrobench.drivers.emulators.faults.injector import Injection, InjectionLog, Injector
+from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
 from gyrobench.drivers.emulators.world.world import World
 from gyrobench.drivers.emulators.world.world_file import load_world
 
@@ -56,32 +56,22 @@ class EmulatedBench:
 
     Parameters
     ----------
-    clock : Clock
-        Its time.
-    world : Path
-        World file.
-    seed : int
-        Seed of all random numbers.
-    faults : Path, optional
-        List of faults to inject.
-    faults_log : Path, optional
-        Log file of injected faults, in place of the list's own ``log``.
+    clock, world, seed
+        Its time, world file, and seed of all random numbers.
+    faults, faults_log : Path, optional
+        List of faults to inject, and log file in place of the list's own ``log``.
     table, chamber : str
         Dialects of these two.
 
     Attributes
     ----------
-    dialects : dict of str to str
-        Dialects of ``table`` and ``chamber``.
     table, chamber, ins
         The emulated instruments.
-    serial : dict of str to SerialInstrument
-        ``table`` and ``chamber`` at their ports, with faults.
-    bus : CanNode
-        The INS at the bus, with faults.
+    serial, bus
+        ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
     connections : dict of str to Connection
         The plugs of ``table``, ``chamber`` and ``ins``.
-    injected : list of Injection
+    injected : InjectionLog
         The faults injected so far.
 
     Raises
@@ -113,7 +103,7 @@ class EmulatedBench:
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
         self.bus: CanNode = self.ins
         self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
-        self.injected: list[Injection] = []
+        self.injected = InjectionLog()
         self._injector: Injector | None = None
         if faults is not None:
             listed = load_faults(faults)
@@ -135,7 +125,8 @@ class EmulatedBench:
         self.connections = {name: line.connection for name, line in lines.items()} | {"ins": bus.connection}
         parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus, self.dialects)
         check_faults(path, faults, parts)
-        self._injector = Injector(faults.faults, parts, seed, start_s, InjectionLog(self.injected, log))
+        self.injected = InjectionLog(log)
+        self._injector = Injector(faults.faults, parts, seed, start_s, self.injected)
 
     def _chamber_event(self, number: int, on: bool) -> None:
         if number == UNIT_POWER_EVENT:

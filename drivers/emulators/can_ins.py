@@ -36,7 +36,6 @@ class CanNode(Protocol):
 
     def receive(self, message: can.Message) -> None:
         """Take a frame from the bus."""
-        ...
 
 
 class CanInsEmulator:

@@ -33,7 +33,6 @@ class SerialInstrument(Protocol):
 
         The world has already been advanced to ``now_s``. Any byte sequence is accepted.
         """
-        ...
 
 
 class Connection:
@@ -96,11 +95,9 @@ class Restartable(Protocol):
 
     def power_off(self, now_s: float) -> None:
         """Lose power: outputs drop, a table stops by its brakes."""
-        ...
 
     def power_on(self, now_s: float) -> None:
         """Restart with the settings that survive without power."""
-        ...
 
 
 @runtime_checkable
@@ -109,7 +106,6 @@ class Servoed(Protocol):
 
     def is_servoed(self, axis: int) -> bool:
         """Whether the servo of that axis is closed; KeyError where there is no such axis."""
-        ...
 
 
 @runtime_checkable
@@ -118,11 +114,9 @@ class WithSensor(Protocol):
 
     def break_sensor(self, error: int) -> None:
         """Make the sensor fail with that error; control stops."""
-        ...
 
     def repair_sensor(self) -> None:
         """End the sensor's failure."""
-        ...
 
 
 @runtime_checkable
@@ -131,11 +125,9 @@ class WithAlarms(Protocol):
 
     def raise_alarm(self, number: int, high: bool) -> None:
         """Set the condition of alarm 1 or 2."""
-        ...
 
     def end_alarm(self, number: int) -> None:
         """End the condition of the alarm."""
-        ...
 
 
 @runtime_checkable
@@ -144,4 +136,3 @@ class SpeaksModbus(Protocol):
 
     def refusal(self, function: int, code: int) -> bytes:
         """Frame with an exception code in reply to that function."""
-        ...

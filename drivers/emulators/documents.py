@@ -1,7 +1,6 @@
-"""The emulators' own files from outside: ``python -m gyrobench.drivers.emulators.documents check world W``.
+"""Check world files and lists of faults: ``python -m gyrobench.drivers.emulators.documents check world W``.
 
-The bench never reads a world file or a list of faults. Whoever wants one checked, or its JSON
-Schema, asks this program.
+The bench never reads these files: it runs this program to check one or to get its JSON Schema.
 """
 
 from __future__ import annotations

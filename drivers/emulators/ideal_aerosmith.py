@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 from gyrobench.drivers.emulators.dialect import TableEmulation
@@ -40,8 +41,6 @@ class IdealAerosmithEmulator(TextInstrument):
         Time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
     decimals : int
         Decimals of the numbers that are read.
-    latency_s : float
-        Time that the controller takes to answer.
     """
 
     def __init__(
@@ -66,8 +65,8 @@ class IdealAerosmithEmulator(TextInstrument):
             "MOV": self._move_to,
             "P": self._move_to,
             "RMO": lambda distance_deg: self._move_to(self._position_deg + distance_deg),
-            "VEL": self._set_velocity,
-            "ACL": self._set_acceleration,
+            "VEL": partial(self._set_limit, "rate_dps"),
+            "ACL": partial(self._set_limit, "acceleration_dps2"),
             "SRV": self._set_servo,
             "DIR": self._set_direction,
             "HOF": self._set_home,
@@ -153,16 +152,10 @@ class IdealAerosmithEmulator(TextInstrument):
         self.axis.stop(self._now_s)
         return b""
 
-    def _set_velocity(self, rate_dps: float) -> bytes | None:
-        if not 0.0 < rate_dps <= self.axis.parameters.rate_limit_dps:
+    def _set_limit(self, bound: str, value: float) -> bytes | None:
+        if not 0.0 < value <= getattr(self.axis.parameters.limits, bound):
             return None
-        self.axis.limits = replace(self.axis.limits, rate_dps=rate_dps)
-        return b""
-
-    def _set_acceleration(self, acceleration_dps2: float) -> bytes | None:
-        if not 0.0 < acceleration_dps2 <= self.axis.parameters.acceleration_limit_dps2:
-            return None
-        self.axis.limits = replace(self.axis.limits, acceleration_dps2=acceleration_dps2)
+        self.axis.limits = replace(self.axis.limits, **{bound: value})
         return b""
 
     def _set_servo(self, state: float) -> bytes | None:

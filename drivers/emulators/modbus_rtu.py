@@ -44,11 +44,14 @@ class HoldingRegister:
     read : callable
         Returns its value.
     write : callable or None
-        Sets it and returns whether the value is allowed; None for a read-only register.
+        Sets it; None for a read-only register.
+    allowed : callable
+        Whether a value may be written.
     """
 
     read: Callable[[], int]
-    write: Callable[[int], bool] | None = None
+    write: Callable[[int], None] | None = None
+    allowed: Callable[[int], bool] = lambda _: True
 
 
 def exception_frame(address: int, function: int, code: int) -> bytes:
@@ -118,17 +121,19 @@ class ModbusRtuDevice:
             request.decode(content)
         except (ValueError, struct.error):
             return ExceptionResponse(function, _ILLEGAL_VALUE)
+        first, values = request.address, request.registers
         match request:
             case WriteSingleRegisterRequest():
-                answer: ModbusPDU = WriteSingleRegisterResponse(
-                    address=request.address, registers=request.registers
-                )
-                failure = self._write(request.address, request.registers)
+                answer: ModbusPDU = WriteSingleRegisterResponse(address=first, registers=values)
             case WriteMultipleRegistersRequest():
-                answer = WriteMultipleRegistersResponse(address=request.address, count=request.count)
-                failure = self._write_several(request)
+                answer = WriteMultipleRegistersResponse(address=first, count=request.count)
+                count = len(values)
+                sizes_agree = request.count == count and request.byte_count == 2 * count
+                if not 1 <= count <= _MAX_WRITTEN or not sizes_agree:
+                    return ExceptionResponse(function, _ILLEGAL_VALUE)
             case _:
                 return self._read(request)
+        failure = self._write(first, values)
         return ExceptionResponse(function, failure) if failure else answer
 
     def _read(self, request: ModbusPDU) -> ModbusPDU:
@@ -138,20 +143,17 @@ class ModbusRtuDevice:
         numbers = [self._registers[address].read() & 0xFFFF for address in addresses]
         return ReadHoldingRegistersResponse(registers=numbers)
 
-    def _write_several(self, request: WriteMultipleRegistersRequest) -> int:
-        count = len(request.registers)
-        if not 1 <= count <= _MAX_WRITTEN or request.count != count or request.byte_count != 2 * count:
-            return _ILLEGAL_VALUE
-        return self._write(request.address, request.registers)
-
     def _write(self, first: int, values: Sequence[int]) -> int:
-        """Write successive registers; returns an exception code, or zero."""
+        """Write successive registers up to a refused value; returns an exception code, or zero."""
         registers = [self._registers.get(first + offset) for offset in range(len(values))]
-        writes = [register.write for register in registers if register and register.write]
-        if len(writes) < len(values):
+        if not all(register and register.write for register in registers):
             return _ILLEGAL_ADDRESS
-        allowed = all(write(_signed(value)) for write, value in zip(writes, values, strict=True))
-        return 0 if allowed else _ILLEGAL_VALUE
+        for register, value in zip(registers, map(_signed, values), strict=True):
+            if register and register.write:
+                if not register.allowed(value):
+                    return _ILLEGAL_VALUE
+                register.write(value)
+        return 0
 
 
 def _signed(number: int) -> int:

@@ -72,8 +72,6 @@ class Thermotron8800Emulator(TextInstrument):
         Whether it repeats each request: never, before each reply, or in place of a command's code.
     auxiliaries_need_run : bool
         Whether auxiliaries can be switched, and keep their state, only while the chamber runs.
-    latency_s : float
-        Time that the controller takes to answer.
 
     Attributes
     ----------

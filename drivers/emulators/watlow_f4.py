@@ -74,11 +74,10 @@ class WatlowF4Emulator:
     ) -> None:
         self.air = air
         self._address = address
-        self._sensor_fault = self._sensor_latched = 0
+        self._sensor_fault = 0
         self._alarm_conditions = {1: _NO_ALARM, 2: _NO_ALARM}
         self.sensor_error = 0
-        self.alarm_1 = _NO_ALARM
-        self.alarm_2 = _NO_ALARM
+        self.alarm_1 = self.alarm_2 = _NO_ALARM
         self._decimals = decimals
         self._loop = WatlowLoop(air, on_event, _DEFAULT_RAMP)
         low_c, high_c = air.parameters.low_c, air.parameters.high_c
@@ -88,10 +87,7 @@ class WatlowF4Emulator:
             _SET_POINT_LOW: low_c,
             _SET_POINT_HIGH: high_c,
         }
-        registers = self._measurements() | self._settings() | self._commands() | self._event_outputs()
-        if model == "F4P":
-            registers |= self._ramp()
-        self._device = ModbusRtuDevice(registers, address)
+        self._device = ModbusRtuDevice(self._registers(ramps=model == "F4P"), address)
         self._memory = self._present_settings()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
@@ -110,19 +106,17 @@ class WatlowF4Emulator:
     def power_on(self, now_s: float) -> None:  # noqa: ARG002
         """Restart with the settings last saved by register 25, alarms clear and outputs off."""
         self.alarm_1 = self.alarm_2 = _NO_ALARM
-        self._sensor_latched = self._sensor_fault
         self.sensor_error = self._sensor_fault
         self.air.faults.blind = bool(self._sensor_fault)
         saved = self._memory
         self.air.set_point_c = saved.set_point_c
         self._decimals = saved.decimals
         self._limits_c = dict(saved.limits_c)
-        self._loop.action, self._loop.ramp_rate, self._loop.per_hour = saved.ramp
-        self._loop.apply_ramp()
+        self._loop.set_ramp(*saved.ramp)
 
     def break_sensor(self, error: int) -> None:
         """Make input 1 fail: the control outputs stop. The error stays until register 311 clears it."""
-        self._sensor_fault = self._sensor_latched = self.sensor_error = error
+        self._sensor_fault = self.sensor_error = error
         self.air.faults.blind = True
 
     def repair_sensor(self) -> None:
@@ -138,50 +132,59 @@ class WatlowF4Emulator:
         """End the condition of the alarm; the alarm stays until it is cleared."""
         self._alarm_conditions[number] = _NO_ALARM
 
-    def _measurements(self) -> dict[int, HoldingRegister]:
-        return {
-            0: HoldingRegister(lambda: MODEL_NUMBER),
-            100: HoldingRegister(lambda: self._number(self.air.air_c)),
-            101: HoldingRegister(lambda: self.sensor_error),
-            102: HoldingRegister(lambda: self.alarm_1),
-            103: HoldingRegister(lambda: _hundredths_of_percent(self.air.power)),
-            106: HoldingRegister(lambda: self.alarm_2),
-            107: HoldingRegister(lambda: _hundredths_of_percent(-self.air.power)),
-            200: HoldingRegister(lambda: 0),
+    def _registers(self, ramps: bool) -> dict[int, HoldingRegister]:
+        read_only = {
+            0: lambda: MODEL_NUMBER,
+            100: lambda: self._number(self.air.air_c),
+            101: lambda: self.sensor_error,
+            102: lambda: self.alarm_1,
+            103: lambda: _hundredths_of_percent(self.air.power),
+            106: lambda: self.alarm_2,
+            107: lambda: _hundredths_of_percent(-self.air.power),
+            200: lambda: 0,
+            608: lambda: 0,
         }
-
-    def _settings(self) -> dict[int, HoldingRegister]:
-        limits = {
-            register: HoldingRegister(partial(self._limit, register), partial(self._set_limit, register))
-            for register in self._limits_c
-        }
-        return limits | {
-            300: HoldingRegister(lambda: self._number(self.air.set_point_c), self._set_set_point),
-            606: HoldingRegister(lambda: self._decimals, self._set_decimals),
-            608: HoldingRegister(lambda: 0),
-            901: HoldingRegister(lambda: _CELSIUS, lambda unit: unit == _CELSIUS),
-        }
-
-    def _commands(self) -> dict[int, HoldingRegister]:
-        save = HoldingRegister(lambda: 0, self._save)
-        clear_input_error = HoldingRegister(lambda: 0, self._clear_input_error)
-        clear_alarms = HoldingRegister(lambda: 0, self._clear_alarms)
-        silence = HoldingRegister(lambda: 0, lambda value: value in (0, 1))
-        return {25: save, 311: clear_input_error, 312: clear_alarms, 313: silence}
-
-    def _event_outputs(self) -> dict[int, HoldingRegister]:
-        return {
-            1990 + 10 * number: HoldingRegister(
-                partial(self._event, number), partial(self._set_event, number)
+        registers = {register: HoldingRegister(read) for register, read in read_only.items()}
+        for register in self._limits_c:
+            registers[register] = HoldingRegister(
+                partial(self._limit, register), partial(self._set_limit, register)
             )
-            for number in OUTPUTS
-        }
-
-    def _ramp(self) -> dict[int, HoldingRegister]:
-        return {
-            1100: HoldingRegister(lambda: self._loop.action, self._set_ramp_action),
-            1101: HoldingRegister(lambda: self._number(self._loop.ramp_rate), self._set_ramp_rate),
-            1102: HoldingRegister(lambda: int(self._loop.per_hour), self._set_ramp_scale),
+        for number in OUTPUTS:
+            registers[1990 + 10 * number] = HoldingRegister(
+                partial(self._event, number), partial(self._loop.switch, number), _is_bit
+            )
+        if ramps:
+            registers |= {
+                1100: HoldingRegister(
+                    lambda: self._loop.action,
+                    lambda value: self._loop.set_ramp(action=RampAction(value)),
+                    lambda value: value in tuple(RampAction),
+                ),
+                1101: HoldingRegister(
+                    lambda: self._number(self._loop.ramp_rate),
+                    lambda value: self._loop.set_ramp(rate=self._value(value)),
+                    lambda value: 0.0 < self._value(value) <= MAX_RAMP,
+                ),
+                1102: HoldingRegister(
+                    lambda: int(self._loop.per_hour),
+                    lambda value: self._loop.set_ramp(per_hour=bool(value)),
+                    _is_bit,
+                ),
+            }
+        return registers | {
+            25: HoldingRegister(lambda: 0, self._save, lambda value: value == 0),
+            300: HoldingRegister(
+                lambda: self._number(self.air.set_point_c),
+                lambda value: self._loop.set_set_point(self._value(value)),
+                lambda value: self._limit(_SET_POINT_LOW) <= value <= self._limit(_SET_POINT_HIGH),
+            ),
+            311: HoldingRegister(lambda: 0, self._clear_input_error, _is_bit),
+            312: HoldingRegister(lambda: 0, self._clear_alarms, _is_bit),
+            313: HoldingRegister(lambda: 0, lambda _: None, _is_bit),
+            606: HoldingRegister(
+                lambda: self._decimals, self._set_decimals, lambda value: 0 <= value <= _MAX_DECIMALS
+            ),
+            901: HoldingRegister(lambda: _CELSIUS, lambda _: None, lambda value: value == _CELSIUS),
         }
 
     def _number(self, value: float) -> int:
@@ -193,71 +196,30 @@ class WatlowF4Emulator:
     def _limit(self, register: int) -> int:
         return self._number(self._limits_c[register])
 
-    def _set_limit(self, register: int, number: int) -> bool:
+    def _set_limit(self, register: int, number: int) -> None:
         self._limits_c[register] = self._value(number)
-        return True
 
-    def _set_set_point(self, number: int) -> bool:
-        allowed = self._limit(_SET_POINT_LOW) <= number <= self._limit(_SET_POINT_HIGH)
-        if allowed:
-            self._loop.set_set_point(self._value(number))
-        return allowed
-
-    def _set_decimals(self, number: int) -> bool:
-        allowed = 0 <= number <= _MAX_DECIMALS
-        if allowed:
-            self._decimals = number
-        return allowed
+    def _set_decimals(self, decimals: int) -> None:
+        self._decimals = decimals
 
     def _present_settings(self) -> _Settings:
         ramp = (self._loop.action, self._loop.ramp_rate, self._loop.per_hour)
         return _Settings(self.air.set_point_c, self._decimals, dict(self._limits_c), ramp)
 
-    def _save(self, number: int) -> bool:
-        if number == 0:
-            self._memory = self._present_settings()
-        return number == 0
+    def _save(self, _: int) -> None:
+        self._memory = self._present_settings()
 
-    def _clear_input_error(self, number: int) -> bool:
-        if number == 1 and self._sensor_latched and not self._sensor_fault:
-            self._sensor_latched = self.sensor_error = 0
+    def _clear_input_error(self, clear: int) -> None:
+        if clear and not self._sensor_fault:
+            self.sensor_error = 0
             self.air.faults.blind = False
-        return number in (0, 1)
 
-    def _clear_alarms(self, number: int) -> bool:
-        if number == 1:
+    def _clear_alarms(self, clear: int) -> None:
+        if clear:
             self.alarm_1 = self.alarm_2 = _NO_ALARM
-        return number in (0, 1)
 
     def _event(self, number: int) -> int:
         return int(self._loop.outputs[number])
-
-    def _set_event(self, number: int, state: int) -> bool:
-        allowed = state in (0, 1)
-        if allowed:
-            self._loop.switch(number, bool(state))
-        return allowed
-
-    def _set_ramp_action(self, number: int) -> bool:
-        allowed = RampAction.OFF <= number <= RampAction.AT_EVERY_CHANGE
-        if allowed:
-            self._loop.action = RampAction(number)
-            self._loop.apply_ramp()
-        return allowed
-
-    def _set_ramp_rate(self, number: int) -> bool:
-        allowed = 0.0 < self._value(number) <= MAX_RAMP
-        if allowed:
-            self._loop.ramp_rate = self._value(number)
-            self._loop.apply_ramp()
-        return allowed
-
-    def _set_ramp_scale(self, number: int) -> bool:
-        allowed = number in (0, 1)
-        if allowed:
-            self._loop.per_hour = bool(number)
-            self._loop.apply_ramp()
-        return allowed
 
     def _watch_air(self) -> None:
         self.alarm_1 = self._alarm_conditions[1] or self.alarm_1
@@ -266,6 +228,10 @@ class WatlowF4Emulator:
             self.alarm_1 = _LOW_ALARM
         elif self.air.air_c > self._limits_c[_ALARM_1_HIGH]:
             self.alarm_1 = _HIGH_ALARM
+
+
+def _is_bit(value: int) -> bool:
+    return value in (0, 1)
 
 
 def _hundredths_of_percent(share: float) -> int:

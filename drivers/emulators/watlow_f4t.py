@@ -41,8 +41,6 @@ class WatlowF4TEmulator(TextInstrument):
         Called with number and state of each output that changes.
     decimals : int
         Decimals of the numbers that are read.
-    latency_s : float
-        Time that the controller takes to answer.
     """
 
     def __init__(
@@ -124,19 +122,17 @@ class WatlowF4TEmulator(TextInstrument):
 
     def _set_action(self, text: str) -> None:
         if text in _ACTIONS:
-            self._action, self._loop.action = text, _ACTIONS[text]
-            self._loop.apply_ramp()
+            self._action = text
+            self._loop.set_ramp(action=_ACTIONS[text])
 
     def _set_scale(self, text: str) -> None:
         if text in ("MINUTES", "HOURS"):
-            self._loop.per_hour = text == "HOURS"
-            self._loop.apply_ramp()
+            self._loop.set_ramp(per_hour=text == "HOURS")
 
     def _set_rate(self, text: str) -> None:
         value = decimal(text)
         if value is not None and 0.0 < value <= MAX_RAMP:
-            self._loop.ramp_rate = value
-            self._loop.apply_ramp()
+            self._loop.set_ramp(rate=value)
 
     def _set_unit(self, text: str) -> None:
         if text in ("C", "F"):

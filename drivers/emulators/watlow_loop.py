@@ -29,7 +29,7 @@ class WatlowLoop:
     outputs : dict of int to bool
         State of each output.
     action : RampAction
-        When the set point ramps; call :meth:`apply_ramp` after a change of any of these three.
+        When the set point ramps.
     ramp_rate : float
         Ramp rate in degrees per minute, or per hour with ``per_hour``.
     degrees_per_kelvin : float
@@ -47,6 +47,7 @@ class WatlowLoop:
 
     def switch(self, number: int, on: bool) -> None:
         """Switch an output."""
+        on = bool(on)
         if on == self.outputs[number]:
             return
         self.outputs[number] = on
@@ -68,8 +69,13 @@ class WatlowLoop:
         if self.action is RampAction.AT_START and self.air.running:
             self.air.ramp_rate_c_per_min = None
 
-    def apply_ramp(self) -> None:
-        """Ramp to later set points as the settings say."""
+    def set_ramp(
+        self, action: RampAction | None = None, rate: float | None = None, per_hour: bool | None = None
+    ) -> None:
+        """Change some of the ramp settings; they act on later set points."""
+        self.action = self.action if action is None else action
+        self.ramp_rate = self.ramp_rate if rate is None else rate
+        self.per_hour = self.per_hour if per_hour is None else per_hour
         every_change = self.action is RampAction.AT_EVERY_CHANGE
         self.air.ramp_rate_c_per_min = self._ramp_c_per_min if every_change else None
 

@@ -1,19 +1,18 @@
 """Attitude of an INS from its Euler angles or quaternion.
 
-``C_nb`` turns vectors of the body into the navigation frame, East-North-Up (ENU). At zero angles
-body x points right (East), y forward (North) and z up. In every sequence roll is an angle about
-body y, pitch one about body x, and yaw one about the vertical:
+``C_nb`` transforms body vectors to the navigation frame, East-North-Up (ENU). At zero angles body x
+points right (East), y forward (North) and z up. In every sequence roll is about body y, pitch about
+body x, and yaw about the vertical:
 
 ``rpy_321``
-    ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``: the usual sequence of vehicles. Singular where the
-    pitch is +-90 deg, that is where y points up or down.
+    ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``: the usual sequence of vehicles, singular at a pitch of
+    +-90 deg, where y points up or down.
 ``pry_231``
-    ``C_nb = Rz(yaw) Ry(roll) Rx(pitch)``: regular there; singular where the roll is +-90 deg,
-    that is where x points up or down.
+    ``C_nb = Rz(yaw) Ry(roll) Rx(pitch)``: singular at a roll of +-90 deg, where x points up or down.
 
-Yaw here is positive about Up, from East towards North. A heading, clockwise from north, is its
-negative. An INS whose frames are North-East-Down and forward-right-down has the same roll, pitch
-and (negative) heading in the sequence ``rpy_321``.
+Yaw is positive about Up, from East towards North; a heading, clockwise from north, is its negative.
+An INS with the frames North-East-Down and forward-right-down has the same roll, pitch and (negative)
+heading in the sequence ``rpy_321``.
 
 References
 ----------
@@ -41,7 +40,7 @@ class EulerSequence(StrEnum):
 
 
 class QuaternionFrames(StrEnum):
-    """Frames between which a quaternion leads, from body to navigation."""
+    """Body and navigation frame of a quaternion."""
 
     #: Right-forward-up to East-North-Up.
     RFU_TO_ENU = "rfu_to_enu"
@@ -61,13 +60,13 @@ def attitude_matrices(
 def quaternion_matrices(
     frames: QuaternionFrames, w: ArrayLike, x: ArrayLike, y: ArrayLike, z: ArrayLike
 ) -> FloatArray:
-    """Matrices ``C_nb``, shape (n, 3, 3), of quaternions that need not be of length one.
+    """Matrices ``C_nb``, shape (n, 3, 3), of quaternions of any length but zero, which gives NaN.
 
-    The all-zero quaternion, which some INS send before alignment, gives NaN.
+    Some INS send the all-zero quaternion before alignment.
     """
     scalar_last = np.stack(np.broadcast_arrays(x, y, z, w), axis=-1).astype(np.float64)
     if frames is QuaternionFrames.FRD_TO_NED:
-        # Both frames change by the same half turn, about the bisector of their first two axes.
+        # Both frames change by the same half turn about the bisector of their first two axes.
         scalar_last = scalar_last[..., [1, 0, 2, 3]] * np.array([1.0, 1.0, -1.0, 1.0])
     length = np.linalg.norm(scalar_last, axis=-1)
     usable = np.isfinite(length) & (length > 0.0)
@@ -76,24 +75,8 @@ def quaternion_matrices(
     return matrices
 
 
-def euler_angles(sequence: EulerSequence, C_nb: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Roll, pitch and yaw, each of shape (n,), rad, of matrices (n, 3, 3).
-
-    At the singularity of the sequence yaw and the angle about the vertical axis mean nothing.
-    """
-    if sequence is EulerSequence.RPY_321:
-        roll = np.arctan2(-C_nb[..., 2, 0], C_nb[..., 2, 2])
-        pitch = np.arctan2(C_nb[..., 2, 1], np.hypot(C_nb[..., 2, 0], C_nb[..., 2, 2]))
-        yaw = np.arctan2(-C_nb[..., 0, 1], C_nb[..., 1, 1])
-    else:
-        roll = np.arctan2(-C_nb[..., 2, 0], np.hypot(C_nb[..., 2, 1], C_nb[..., 2, 2]))
-        pitch = np.arctan2(C_nb[..., 2, 1], C_nb[..., 2, 2])
-        yaw = np.arctan2(C_nb[..., 1, 0], C_nb[..., 0, 0])
-    return roll, pitch, yaw
-
-
 def _turned(axis: Literal["x", "y", "z"], angle: ArrayLike) -> FloatArray:
-    """Matrices (n, 3, 3) that turn vectors about an axis."""
+    """Matrices (n, 3, 3) that rotate vectors about an axis."""
     angle = np.asarray(angle, np.float64)
     with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
         cosine, sine = np.cos(angle), np.sin(angle)

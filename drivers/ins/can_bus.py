@@ -1,4 +1,4 @@
-"""The CAN bus of the INS: opening and closing it, and its frames in bulk as numpy arrays."""
+"""The CAN bus of the INS: opened and closed, and its frames in blocks of numpy arrays."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError
 
-# python-can warns of each frame that comes from socketcand in two pieces, as frames over TCP do.
+# python-can warns at each frame that socketcand delivers in two pieces, which is normal over TCP.
 logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
 
-#: What errors call the instrument.
+#: Name of the instrument in errors.
 INSTRUMENT = "INS"
 
 
 def open_bus(
     interface: str, channel: str | int | None, clock: Clock, bitrate: int | None = None, **options: Any
 ) -> can.BusABC:
-    """Open a CAN bus by its python-can interface name; python-can's own files are not read.
+    """Open a CAN bus by its python-can interface name, without python-can's configuration files.
 
     Raises
     ------
     ConnectionFailedError
-        There is no such interface or channel, or it can't be opened.
+        The interface or channel does not exist or can't be opened.
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
@@ -49,46 +49,43 @@ def open_bus(
 
 
 def close_bus(bus: can.BusABC) -> None:
-    """Leave a bus for good, also one whose adapter is gone; a second call does nothing."""
+    """Close a bus, also one whose adapter is gone; a second call does nothing."""
     try:
         bus.shutdown()
-    except (can.CanError, OSError):  # gone already
+    except (can.CanError, OSError):  # the adapter is gone
         if isinstance(bus, slcanBus):
-            # It says goodbye before it closes its port, and stops where that fails.
+            # Its shutdown() fails at its last message and leaves the port open.
             with contextlib.suppress(OSError):
                 bus.serialPortOrig.close()
 
 
 def is_garbage(bus: can.BusABC, error: Exception) -> bool:
-    """Whether an error of the bus means that what arrived is no frame, rather than that the bus is gone."""
-    # slcan wraps what it raises for bytes that are no text.
-    of_text = isinstance(bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)
-    return of_text or isinstance(error, (ValueError, LookupError))
+    """Whether an error of the bus means that received bytes are no frame; else the bus is gone."""
+    # slcan wraps the error of undecodable bytes.
+    undecodable = isinstance(bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)
+    return undecodable or isinstance(error, (ValueError, LookupError))
 
 
 def stamp_in_time_of(clock: Clock, bus: can.BusABC, messages: list[can.Message]) -> None:
-    """Turn stamps by the host's calendar into times of a clock that runs faster.
-
-    slcan alone is stamped by the host; all others have the stamps of the bench itself.
-    """
+    """Convert stamps by the host's calendar, which slcan alone has, into times of a faster clock."""
     if clock.speed != 1.0 and isinstance(bus, slcanBus):
         for message in messages:
             message.timestamp = clock.stamp_s(message.timestamp)
 
 
 def drop_half_line(bus: can.BusABC) -> None:
-    """Forget the begin of a line that can't be understood, or it would spoil the next one too.
+    """Discard the beginning of an invalid line, which would make the next one invalid too.
 
     Raises
     ------
     CanError
-        The bus went away.
+        The bus is gone.
     """
     if isinstance(bus, slcanBus):
         bus.flush()
 
 
-#: Set in an identifier of 29 bits, as in SocketCAN and in DBC files.
+#: Flag of a 29-bit identifier, as in SocketCAN and in DBC files.
 EXTENDED_ID = 0x8000_0000
 
 #: Bytes of data in a classic CAN frame.
@@ -97,14 +94,14 @@ MAX_LENGTH = 8
 
 @dataclass(frozen=True, eq=False)
 class FrameBlock:
-    """Data frames in the order of their arrival.
+    """Data frames in order of arrival.
 
     Attributes
     ----------
     timestamp_s : ndarray of float64, shape (n,)
-        Time of arrival as the CAN interface stamped it.
+        Time stamp of the CAN interface.
     arbitration_id : ndarray of uint32, shape (n,)
-        Identifier; those of 29 bits have :data:`EXTENDED_ID` set.
+        Identifier, with :data:`EXTENDED_ID` set if it has 29 bits.
     length : ndarray of uint8, shape (n,)
         Number of data bytes, 0 to 8.
     data : ndarray of uint8, shape (n, 8)
@@ -118,8 +115,8 @@ class FrameBlock:
 
     @classmethod
     def from_messages(cls, messages: Sequence[can.Message]) -> FrameBlock:
-        """Collect python-can messages; error, remote and FD frames are left out."""
-        # Read attribute by attribute: list comprehensions are the fastest way through Message objects.
+        """Collect python-can messages; error, remote and FD frames are dropped."""
+        # One list comprehension an attribute is the fastest way to read Message objects.
         messages = [m for m in messages if not (m.is_error_frame or m.is_remote_frame or m.is_fd)]
         payloads = [m.data for m in messages]
         lengths = np.array([len(payload) for payload in payloads], np.int64)
@@ -146,12 +143,12 @@ class FrameBlock:
         )
 
     def with_id(self, arbitration_id: int) -> FrameBlock:
-        """Select the frames of one identifier (with :data:`EXTENDED_ID` for one of 29 bits)."""
+        """Select the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
         return self.take(self.arbitration_id == arbitration_id)
 
 
 def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
-    """Join blocks in the order given; none make an empty block."""
+    """Join blocks in the order given, none to an empty block."""
     if not blocks:
         return FrameBlock.from_messages([])
     return FrameBlock(

@@ -28,10 +28,10 @@ from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 
-#: The status comes once a second or so, and the INS needs its time for a command.
+#: The status is sent about once a second, and the INS needs time for a command.
 REPLY_TIMEOUT_S = 5.0
-#: More frames in one poll are a flood: a bus of 1 Mbit/s carries fewer than 10,000 in a second.
-_MOST_FRAMES_A_POLL = 100_000
+#: Frames taken in one poll; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
+_MAX_FRAMES_PER_POLL = 100_000
 
 _SEND_TIMEOUT_S = 1.0
 _POLL_PERIOD_S = 0.05
@@ -54,7 +54,7 @@ class CanIns:
     bus : can.BusABC
         An open bus, from :func:`~gyrobench.drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
     on_frames : callable, optional
-        Gets every batch of frames as it is polled, also while a command waits.
+        Receives every batch of frames that is polled, also while a command waits.
 
     Raises
     ------
@@ -86,31 +86,28 @@ class CanIns:
         self._frames = self._error_frames = self._sent = 0
 
     def close(self) -> None:
-        """Leave the bus; a second call does nothing."""
+        """Close the bus; a second call does nothing."""
         close_bus(self._bus)
 
     def replace_bus(self, bus: can.BusABC) -> None:
-        """Go on with a bus opened anew, after bus-off or an adapter that went away; leaves the old one.
-
-        What was received and counted before stays.
-        """
+        """Close the bus and continue on another, after bus-off or a lost adapter; counts and state stay."""
         close_bus(self._bus)
         self._bus = bus
 
     def poll(self) -> list[can.Message]:
-        """Take all frames that have arrived, in order; the rest of a flood waits for the next call.
+        """Take the frames that have arrived, in order, up to a limit a call.
 
         Raises
         ------
         ConnectionFailedError
-            The bus went away. Frames that came before were given to ``on_frames``.
+            The bus is gone. Frames that arrived before were passed to ``on_frames``.
         ReplyError
-            The adapter sent something that is no frame.
+            The adapter sent bytes that are no frame.
         """
         messages: list[can.Message] = []
         try:
-            # extend() keeps what came before an exception.
-            messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MOST_FRAMES_A_POLL))
+            # extend() keeps the frames before an exception.
+            messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MAX_FRAMES_PER_POLL))
         except (can.CanError, OSError, ValueError, LookupError) as error:
             raise self._failed(error) from error
         finally:
@@ -125,7 +122,7 @@ class CanIns:
             drop_half_line(self._bus)
         except (can.CanError, OSError) as gone:
             return self._gone(gone)
-        return ReplyError(INSTRUMENT, f"{self._bus}: what arrived is no CAN frame: {error}")
+        return ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}")
 
     def _take(self, messages: list[can.Message]) -> None:
         stamp_in_time_of(self._clock, self._bus, messages)
@@ -138,43 +135,37 @@ class CanIns:
             self.on_frames(messages)
 
     def status(self) -> InsStatus:
-        """Read the present state out of the newest frames; does not poll."""
+        """State by the newest frames; does not poll."""
         now_s = self._clock.now()
         snapshot = self._newest.snapshot(now_s)
         return InsStatus(snapshot, self._newest.age_s(now_s), self.signal_map, self._signals)
 
     def health(self) -> InsHealth:
-        """Count frames and commands so far."""
+        """Counts of frames and commands so far."""
         return InsHealth(self._frames, self._error_frames, self._sent)
 
     def identity(self, timeout_s: float = REPLY_TIMEOUT_S) -> dict[str, int]:
-        """Wait for the numbers that say which INS this is; empty if the map has none.
-
-        Raises
-        ------
-        NoReplyError
-            They did not come in time.
-        """
+        """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
         self._wait(
             lambda status: len(status.identity) == len(self.signal_map.identity), "identity", timeout_s
         )
         return self.status().identity
 
     def identify(self, timeout_s: float = REPLY_TIMEOUT_S) -> str:
-        """Say which INS this is, for people; raises as :meth:`identity`."""
+        """Identification of the INS, in words; raises as :meth:`identity`."""
         numbers = self.identity(timeout_s)
         if not numbers:
             return f"INS on {self._bus.channel_info}, DBC version '{self.codec.database.version or ''}'"
         return ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in numbers.items())
 
     def supports(self, command: str) -> bool:
-        """Tell whether the station gives a command of that name."""
+        """Whether the station file defines a command."""
         return getattr(self._commands, command) is not None
 
     def align(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
-        """Begin self-alignment, and wait until the INS says that it has begun.
+        """Begin self-alignment, and wait until the INS confirms it.
 
-        Where the map has no signal that would say so, the command is sent and not confirmed.
+        Where the map has no signal that confirms it, the command is sent without confirmation.
 
         Raises
         ------
@@ -185,7 +176,7 @@ class CanIns:
         FaultError
             The INS reports a fault.
         ConnectionFailedError
-            The bus went away.
+            The bus is gone.
         """
         self._command("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
 
@@ -207,56 +198,42 @@ class CanIns:
         )
 
     def clear_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
-        """Have the INS forget its compensation; waits and raises as :meth:`align`."""
+        """Erase the compensation in the INS; waits and raises as :meth:`align`."""
         self._command(
             "clear_compensation", "compensation", lambda status: status.compensation is False, timeout_s
         )
 
-    def compensation_terms(self) -> list[str]:
-        """Names of the terms beyond the polynomial that a compensation of this INS can have."""
-        command = self._commands.load_compensation
-        return [] if command is None else command.takes()
-
     def load_compensation(self, compensation: Compensation, timeout_s: float = REPLY_TIMEOUT_S) -> int:
-        """Load a compensation, for :meth:`apply_compensation` to bring into use.
+        """Load a compensation, for :meth:`apply_compensation` to put into use; returns its checksum.
 
-        Waits until the INS tells the checksum of what was sent, if the map has a signal for it.
-
-        Parameters
-        ----------
-        compensation : Compensation
-            All of its numbers are sent, those that are zero too, in the units that the DBC gives.
-
-        Returns
-        -------
-        int
-            Checksum that names what was loaded.
+        Sends all numbers, also zeros, in the units of the DBC. Waits until the INS reports the
+        checksum, if the map has a signal for it.
 
         Raises
         ------
         RefusedError
-            The INS has no such command, or does not take a term that the compensation has.
+            The INS has no such command, or does not support a term of the compensation.
         NoReplyError
-            The INS did not confirm in time: numbers were lost, or it has others than these.
+            The INS did not confirm in time: numbers were lost or differ.
         ConnectionFailedError
-            The bus went away.
+            The bus is gone.
         """
         command = self._commands.load_compensation
         if command is None:
-            raise self._unknown("load_compensation")
-        refused = command.refuses(compensation)
-        if refused:
+            raise self._no_command("load_compensation")
+        unsupported = command.unsupported(compensation)
+        if unsupported:
             raise RefusedError(
                 INSTRUMENT,
-                f"can't compensate {', '.join(refused)}. It takes a polynomial of degree "
-                f"{command.coefficients - 1}{''.join(f', {term}' for term in command.takes())}, by the "
-                "station file's ins.commands.load_compensation",
+                f"can't compensate {', '.join(unsupported)}. It supports a polynomial of degree "
+                f"{command.coefficients - 1}{''.join(f', {term}' for term in command.supported_terms())}, by "
+                "the station file's ins.commands.load_compensation",
             )
         numbers = command.numbers(compensation)
-        for axis, of_gyro in enumerate(numbers):
-            for index, value in of_gyro.items():
+        for axis, gyro_numbers in enumerate(numbers):
+            for index, value in gyro_numbers.items():
                 self._send(command, {"$axis": axis, "$index": index, "$value": value})
-        expected = checksum(value for of_gyro in numbers for value in of_gyro.values())
+        expected = checksum(value for gyro_numbers in numbers for value in gyro_numbers.values())
         if "compensation_loaded" in self._signals:
             self._wait(
                 lambda status: status.compensation_loaded == expected,
@@ -266,35 +243,42 @@ class CanIns:
         return expected
 
     def apply_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
-        """Have the INS use the compensation that was loaded; waits and raises as :meth:`align`.
+        """Put the loaded compensation into use; waits and raises as :meth:`align`.
 
         Where the map has a signal for the checksum in use, that confirms it too.
         """
-        self._command("apply_compensation", "compensation", self._compensates, timeout_s)
 
-    def _compensates(self, status: InsStatus) -> bool:
-        in_use, loaded = status.compensation_in_use, status.compensation_loaded
-        return status.compensation is True and (in_use == loaded or None in (in_use, loaded))
+        def in_use(status: InsStatus) -> bool:
+            used, loaded = status.compensation_in_use, status.compensation_loaded
+            return status.compensation is True and (used == loaded or None in (used, loaded))
+
+        self._command("apply_compensation", "compensation", in_use, timeout_s)
 
     def _command(
         self,
         name: str,
         path: str,
-        confirmed: Callable[[InsStatus], bool],
+        confirms: Callable[[InsStatus], bool],
         timeout_s: float,
         given: dict[str, float] | None = None,
     ) -> None:
-        """Send a command and wait for a later frame, with the quantity of that path, that confirms."""
+        """Send a command and wait for a later frame with the quantity ``path`` that confirms it."""
         command: Command | None = getattr(self._commands, name)
         if command is None:
-            raise self._unknown(name)
+            raise self._no_command(name)
         self.poll()
         self._send(command, given or {})
+
+        def is_confirmed(status: InsStatus) -> bool:
+            if status.mode is InsMode.FAULT:
+                raise FaultError(
+                    INSTRUMENT, f"reports a fault after '{name}'. Read its fault code; switch it off and on."
+                )
+            return confirms(status)
+
         if path in self._signals:
             self._newest.forget(self._signals[path].message)
-            self._wait(
-                lambda status: _no_fault(status, name) and confirmed(status), f"sign of '{name}'", timeout_s
-            )
+            self._wait(is_confirmed, f"confirmation of '{name}'", timeout_s)
 
     def _wait(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> None:
         deadline = Deadline(self._clock, timeout_s)
@@ -307,7 +291,7 @@ class CanIns:
                 raise NoReplyError(
                     INSTRUMENT,
                     f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
-                    f"its mode is {status.mode.name}. Check its power, the bus and the DBC.",
+                    f"mode {status.mode.name}. Check its power, the bus and the DBC.",
                 )
             self._clock.sleep(_POLL_PERIOD_S)
 
@@ -321,13 +305,5 @@ class CanIns:
     def _gone(self, error: Exception) -> ConnectionFailedError:
         return ConnectionFailedError(INSTRUMENT, f"{self._bus} went away: {error}. Check adapter and cable.")
 
-    def _unknown(self, name: str) -> RefusedError:
-        return RefusedError(INSTRUMENT, f"has no command '{name}'; the station file's ins.commands lacks it")
-
-
-def _no_fault(status: InsStatus, command: str) -> bool:
-    if status.mode is InsMode.FAULT:
-        raise FaultError(
-            INSTRUMENT, f"reports a fault after '{command}'. Read its fault code; switch it off and on."
-        )
-    return True
+    def _no_command(self, name: str) -> RefusedError:
+        return RefusedError(INSTRUMENT, f"has no command '{name}'; add it to the station file's ins.commands")

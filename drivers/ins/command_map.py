@@ -1,19 +1,22 @@
-"""What an INS subtracts from its gyros: a polynomial in temperature, and terms with a physical cause.
+"""Commands of the INS as CAN frames (the station file's ``ins.commands``), and the compensation they load.
 
-Each gyro's terms are taken at its own sensor: with its optics at T, its electronics (board) at B and
-the unit vector Up in body axes, the bias of gyro i is::
+A command is a message of the DBC and the values of its signals; ``$sequence``, ``$axis``, ``$index`` and
+``$value`` stand for values that are known when it is sent.
+
+A compensation is what the INS subtracts from its gyros: a polynomial in temperature, and physical terms.
+With the temperature T of a gyro's optics, B of its electronics (board), and the unit vector Up in body
+axes, the bias of gyro i is::
 
     polynomial_i(T)
     + rate_i dT/dt
     + gradient_i (B - T)
-    + (saturating_i . Up) (B - T) / (1 + exp(-c))           c = (onset_i - T) / width_i: how cold it is
+    + (saturating_i . Up) (B - T) / (1 + exp(-c))           c = (onset_i - T) / width_i
     + (growing_i . Up) (B - T) ln(1 + exp(c))
     + gravity_i . Up
     + warm_up_i exp(-t / tau_i)                             t: time since power-on
     + hysteresis_i (play_i(T) - T)
 
-Nothing is extrapolated: T is held between the fitted temperatures wherever it stands, dT/dt and
-B - T between the limits of what was fitted. Up and the exponential are bounded by themselves.
+Nothing is extrapolated: T, dT/dt and B - T are clipped to the fitted ranges.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import EXTENDED_ID
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 
-#: The terms beyond the polynomial, by the effect that each describes, and the coefficients of each.
+#: Terms beyond the polynomial: name of the effect, and name of its coefficients.
 TERMS = MappingProxyType(
     {
         "temperature_rate": "rate_dph_per_c_per_h",
@@ -49,7 +52,7 @@ TERMS = MappingProxyType(
     }
 )
 
-#: What must be above zero where a term is used, by the coefficients of the term.
+#: Scale that must be above zero where a term is used, by the coefficients of the term.
 _SCALES = {
     "rate_dph_per_c_per_h": "rate_limit_c_per_h",
     "saturating_dph_per_k": "onset_width_c",
@@ -71,31 +74,30 @@ def _zero_vectors() -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Numbers of a compensation, by gyro (first dimension: x, y, z); see the module.
+    """Numbers of a compensation, by gyro (first dimension: x, y, z), in the formula of this module.
 
     Attributes
     ----------
     polynomial_dph : ndarray, shape (3, k)
         Coefficients from degree 0 up, T in degrees Celsius.
     low_c, high_c : ndarray, shape (3,)
-        Lowest and highest T used.
+        Range of T.
     rate_dph_per_c_per_h, rate_limit_c_per_h : ndarray, shape (3,)
-        Coefficient, and the highest rate, of either sign, used.
+        Coefficient of dT/dt, and the largest absolute dT/dt.
     gradient_dph_per_k : ndarray, shape (3,)
         Coefficient of B - T.
     difference_low_k, difference_high_k : ndarray, shape (3,)
-        Lowest and highest B - T used.
+        Range of B - T.
     saturating_dph_per_k, growing_dph_per_k : ndarray, shape (3, 3)
-        Vectors in body axes of each gyro: B - T and Up act the same at all temperatures below the
-        onset, and the more the colder it is.
+        Vectors in body axes of each gyro: constant below the onset, and growing with falling T.
     onset_c, onset_width_c : ndarray, shape (3,)
         Temperature below which Up acts with B - T, and the width of the onset.
     gravity_dph_per_g : ndarray, shape (3, 3)
         Vector in body axes of each gyro.
     warm_up_dph, warm_up_s : ndarray, shape (3,)
-        What there is at power-on, and its time constant.
+        Value at power-on, and time constant.
     hysteresis_dph_per_k, half_width_k : ndarray, shape (3,)
-        Coefficient of what the play is off T, and its half width.
+        Coefficient of the play's distance from T, and its half width.
 
     Raises
     ------
@@ -152,7 +154,7 @@ class Compensation:
 
 
 def checksum(numbers: Iterable[float]) -> int:
-    """CRC-32 of numbers as the INS holds them: little-endian 32-bit floats."""
+    """CRC-32 of numbers as the INS stores them: little-endian 32-bit floats."""
     return zlib.crc32(b"".join(struct.pack("<f", number) for number in numbers))
 
 
@@ -167,7 +169,7 @@ class Command(StrictModel):
     values: dict[str, float | str] = Field(description="value of each of its signals")
 
     def frame(self, codec: DbcCodec, given: Mapping[str, float]) -> can.Message:
-        """Build the frame, with the ``given`` values in place of their names."""
+        """Build the frame, with ``given`` values for the placeholders."""
         values = {
             name: given[value] if isinstance(value, str) else value for name, value in self.values.items()
         }
@@ -180,7 +182,7 @@ class Command(StrictModel):
 
 
 class SequenceCommand(Command):
-    """Sets the Euler sequence; ``$sequence`` is one of the two numbers."""
+    """Sets the Euler sequence, ``$sequence``."""
 
     rpy_321: int = Field(default=0, description="the INS's number for roll, pitch, yaw")
     pry_231: int = Field(default=1, description="the INS's number for pitch, roll, yaw")
@@ -194,7 +196,7 @@ Vector = Annotated[list[int], Field(min_length=3, max_length=3)]
 
 
 class TermIndices(StrictModel):
-    """Indices of what the INS takes beyond the polynomial, named as in :class:`Compensation`."""
+    """Indices of the terms beyond the polynomial, named as in :class:`Compensation`."""
 
     rate_dph_per_c_per_h: int | None = Field(default=None, description="index: rate of the temperature")
     rate_limit_c_per_h: int | None = Field(default=None, description="index: highest rate used")
@@ -217,14 +219,14 @@ class TermIndices(StrictModel):
 
     @model_validator(mode="after")
     def _whole_terms(self) -> Self:
-        for name, others in _BELONGING.items():
+        for name, others in _REQUIRED_WITH.items():
             missing = [other for other in others if getattr(self, other) is None]
             if getattr(self, name) is not None and missing:
                 raise ValueError(f"{name} needs {' and '.join(missing)} too")
         return self
 
 
-_BELONGING = {
+_REQUIRED_WITH = {
     "saturating_dph_per_k": ("onset_c", "onset_width_c"),
     "growing_dph_per_k": ("onset_c", "onset_width_c"),
     "warm_up_dph": ("warm_up_s",),
@@ -238,27 +240,27 @@ class CoefficientCommand(Command):
     The coefficient of degree k in the temperature of the gyro's optics has the index k.
     """
 
-    coefficients: int = Field(description="how many coefficients the INS takes for a gyro")
+    coefficients: int = Field(description="number of coefficients for a gyro")
     lowest_index: int | None = Field(default=None, description="index of the lowest temperature of validity")
     highest_index: int | None = Field(
         default=None, description="index of the highest temperature of validity"
     )
     terms: TermIndices = Field(
-        default=TermIndices(), description="indices of the terms that the INS takes beyond the polynomial"
+        default=TermIndices(), description="indices of the terms beyond the polynomial"
     )
 
-    def takes(self) -> list[str]:
-        """Names of the terms that the INS takes."""
+    def supported_terms(self) -> list[str]:
+        """Names of the terms that the INS supports."""
         return [term for term, name in TERMS.items() if getattr(self.terms, name) is not None]
 
-    def refuses(self, compensation: Compensation) -> list[str]:
-        """What a compensation has that the INS does not take, in words."""
-        taken = self.takes()
-        refused = [term for term in compensation.terms() if term not in taken]
+    def unsupported(self, compensation: Compensation) -> list[str]:
+        """Parts of a compensation that the INS does not support, in words."""
+        supported = self.supported_terms()
+        parts = [term for term in compensation.terms() if term not in supported]
         degree = int(np.flatnonzero(compensation.polynomial_dph.any(axis=0)).max(initial=0))
         if degree >= self.coefficients:
-            refused.insert(0, f"a polynomial of degree {degree}")
-        return refused
+            parts.insert(0, f"a polynomial of degree {degree}")
+        return parts
 
     def numbers(self, compensation: Compensation) -> list[dict[int, float]]:
         """Numbers of each gyro by index, in the order of the indices."""
@@ -276,26 +278,28 @@ class CoefficientCommand(Command):
 
 
 class CommandMap(StrictModel):
-    """Commands that the INS knows."""
+    """Commands of the INS."""
 
     standby: Command | None = Field(default=None, description="leaves navigation")
     align: Command | None = Field(default=None, description="begins an alignment")
     navigate: Command | None = Field(default=None, description="begins to navigate")
     set_euler_sequence: SequenceCommand | None = Field(
-        default=None, description="chooses the Euler angles that it sends"
+        default=None, description="chooses the sequence of the Euler angles"
     )
-    clear_compensation: Command | None = Field(default=None, description="takes the compensation out")
+    clear_compensation: Command | None = Field(default=None, description="erases the compensation")
     load_compensation: CoefficientCommand | None = Field(
         default=None, description="loads one number of a compensation"
     )
-    apply_compensation: Command | None = Field(default=None, description="puts what was loaded into use")
+    apply_compensation: Command | None = Field(
+        default=None, description="puts the loaded compensation into use"
+    )
 
 
 _GIVEN = {"set_euler_sequence": {"$sequence"}, "load_compensation": {"$axis", "$index", "$value"}}
 
 
 def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[Problem]:
-    """List what does not fit the DBC, with the map standing at ``at`` in its file."""
+    """Problems with the DBC of a map that is at ``at`` in its file."""
     problems = []
     for name in CommandMap.model_fields:
         command: Command | None = getattr(commands, name)

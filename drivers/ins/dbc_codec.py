@@ -1,7 +1,8 @@
-"""CAN payloads decoded and encoded in bulk, as a DBC file lays them out.
+"""CAN payloads decoded and encoded in bulk, by a DBC file.
 
-cantools reads the file; its own decoding, frame by frame, is the reference that the bulk decoding
-equals.
+cantools reads the file; the bulk decoding gives the same values as its decoding frame by frame. Each
+signal is extracted by one left shift of the payload as a 64-bit number and one right shift, which
+drops the neighbouring signals and, on signed numbers, extends the sign.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from gyrobench.drivers.ins.can_bus import EXTENDED_ID, MAX_LENGTH, FrameBlock
 
 MAX_DBC_BYTES = 2_000_000
 
-# It warns of messages of the same name or number, which are refused here.
+# Its warnings of duplicate messages are errors here.
 logging.getLogger("cantools").setLevel(logging.ERROR)
-_SHOWN_MISTAKES = 20
+_MAX_MISTAKES_SHOWN = 20
 
-#: What cantools is known to raise for a file that is wrong; it has no single error for that.
+#: What cantools is known to raise for an invalid file; it has no common error class.
 _DBC_ERRORS = (
     cantools.Error,
     textparser.Error,
@@ -55,7 +56,7 @@ def load_dbc(path: Path) -> Database:
     Raises
     ------
     DocumentError
-        The file can't be read, is too large, or is no valid DBC.
+        The file can't be read, is too large, or is not a valid DBC.
     """
     content = read_limited(path, MAX_DBC_BYTES, DocumentError)
     database = Database()
@@ -80,7 +81,7 @@ def _text(content: bytes) -> str:
 
 
 def _refuse(path: Path, mistakes: Iterable[str]) -> None:
-    lines = [f"{path}: {mistake} is not possible" for mistake in islice(mistakes, _SHOWN_MISTAKES)]
+    lines = [f"{path}: {mistake} is not possible" for mistake in islice(mistakes, _MAX_MISTAKES_SHOWN)]
     if lines:
         raise DocumentError("\n".join(lines))
 
@@ -88,7 +89,7 @@ def _refuse(path: Path, mistakes: Iterable[str]) -> None:
 class DbcCodec:
     """Bulk decoding and encoding of the messages of one DBC file.
 
-    Messages longer than a classic CAN frame are unknown to it.
+    Messages longer than a classic CAN frame are ignored.
     """
 
     def __init__(self, database: Database) -> None:
@@ -112,7 +113,7 @@ class DbcCodec:
         Raises
         ------
         DocumentError
-            There is no such message or signal; the message names those that look alike.
+            There is no such message or signal; the message has similar names.
         """
         layout = self._layout(message_name)
         if signal_name not in layout.fields:
@@ -120,26 +121,21 @@ class DbcCodec:
             raise DocumentError(f"the message {message_name} of the DBC has no signal '{signal_name}'{known}")
         return layout.fields[signal_name].signal
 
-    def select(self, block: FrameBlock, message_name: str) -> FrameBlock:
-        """Those frames that :meth:`decode` decodes, in order."""
-        return block.take(self.rows(block, message_name))
-
     def rows(self, block: FrameBlock, message_name: str) -> IntArray:
-        """Where in the block the frames of a message stand; ones that are too short are left out."""
+        """Rows of the block with frames of a message, without frames that are too short."""
         layout = self._layout(message_name)
         found = np.flatnonzero(block.arbitration_id == layout.arbitration_id)
         return found[block.length[found] >= layout.length]
 
     def count_short(self, block: FrameBlock, message_name: str) -> int:
-        """Count the frames of a message with fewer bytes than its DBC says."""
+        """Count the frames of a message with fewer bytes than in the DBC."""
         layout = self._layout(message_name)
         return int(np.sum(block.length[block.arbitration_id == layout.arbitration_id] < layout.length))
 
     def decode(self, block: FrameBlock, message_name: str) -> dict[str, FloatArray]:
         """Values of every signal of a message, in the DBC's units, one for each selected frame.
 
-        NaN where a multiplexed signal is not in the frame. Integers of more than 53 bits are
-        rounded to float64.
+        NaN where a multiplexed signal is absent. Integers of more than 53 bits are rounded to float64.
         """
         layout = self._layout(message_name)
         data = block.data[self.rows(block, message_name)]
@@ -147,10 +143,7 @@ class DbcCodec:
         return {name: layout.physical(name, words) for name in layout.fields}
 
     def decode_one(self, data: bytes | bytearray, message_name: str) -> dict[str, float]:
-        """Decode one payload to the same values, without the cost of arrays.
-
-        Signals that are not in it are left out; all are if it is too short.
-        """
+        """Decode one payload to the same values, faster; without absent signals, empty if too short."""
         message = self._layout(message_name).message
         try:
             values = message.decode(bytes(data[: message.length]), decode_choices=False)
@@ -159,20 +152,11 @@ class DbcCodec:
         assert isinstance(values, dict)  # noqa: S101 - container messages are not in a DBC
         return {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
 
-    def decode_raw(self, block: FrameBlock, message_name: str) -> dict[str, NDArray[Any]]:
-        """As :meth:`decode` without scale and offset: int64, uint64 or the DBC's float type.
-
-        A multiplexed signal that is not in the frame has whatever the bits there say.
-        """
-        layout = self._layout(message_name)
-        words = Payloads(block.data[self.rows(block, message_name)])
-        return {name: field.raw(words) for name, field in layout.fields.items()}
-
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
 
-        Values are rounded to the nearest step and limited to what the field can hold. Signals
-        that are not given are zero, as are those that the multiplexer leaves out.
+        Values are rounded to the nearest step and clipped to the field's range. Signals without a
+        value, or not selected by the multiplexer, are zero.
 
         Parameters
         ----------
@@ -202,7 +186,7 @@ class DbcCodec:
 
 
 class _Layout:
-    """Where the signals of one message are."""
+    """Bit fields of one message."""
 
     def __init__(self, message: Message) -> None:
         extended = EXTENDED_ID if message.is_extended_frame else 0
@@ -236,7 +220,7 @@ class _Layout:
         return payloads.reshape(count, MAX_LENGTH)[:, : self.length]
 
     def _present(self, name: str, raw_of: Callable[[str], NDArray[Any]]) -> BoolArray:
-        """Whether the multiplexer, and the one above it, select the signal."""
+        """Whether the multiplexers select the signal."""
         signal = self.fields[name].signal
         selector = signal.multiplexer_signal
         if signal.multiplexer_ids is None or selector is None:
@@ -258,7 +242,7 @@ _FLOATS: dict[int, tuple[type[np.unsignedinteger[Any]], type[np.floating[Any]]]]
     64: (np.uint64, np.float64),
 }
 
-#: Bits that a floating-point signal may have.
+#: Numbers of bits that a floating-point signal may have.
 FLOAT_LENGTHS = frozenset(_FLOATS)
 
 
@@ -323,15 +307,7 @@ class BitField:
         return values
 
     def to_raw(self, values: FloatArray) -> Words:
-        """Turn values in the DBC's unit into the field's bits, right-aligned.
-
-        Integers are rounded to the nearest step and limited to what the field can hold.
-
-        Raises
-        ------
-        MeasurementError
-            A value for an integer field is not a number.
-        """
+        """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""
         scaled = (values - self.signal.offset) / self.signal.scale
         length = self.signal.length
         if self.signal.conversion.is_float:
@@ -339,17 +315,17 @@ class BitField:
             with np.errstate(over="ignore"):
                 return scaled.astype(float_type).view(bits_type).astype(np.uint64)
         if np.any(np.isnan(scaled)):
-            raise MeasurementError(f"the signal {self.signal.name} can't carry a value that is not a number")
+            raise MeasurementError(f"the integer signal {self.signal.name} can't carry NaN")
         return _rounded(scaled, length, self.signal.is_signed) & np.uint64(2**length - 1)
 
     def placed(self, raw: Words) -> Words:
-        """Move right-aligned bits to where they belong in a word."""
+        """Move right-aligned bits to their place in a word."""
         return (raw << self.right) >> self.left
 
 
 def _rounded(values: FloatArray, length: int, signed: bool) -> Words:
     low, high = (-(2 ** (length - 1)), 2 ** (length - 1) - 1) if signed else (0, 2**length - 1)
-    # 2**63 - 1 and 2**64 - 1 round up as float64, to a number that no longer fits.
+    # 2**63 - 1 and 2**64 - 1 round up as float64 to numbers that do not fit.
     inside = np.clip(np.rint(values), low, np.nextafter(float(high + 1), 0.0))
     integers = inside.astype(np.int64).view(np.uint64) if signed else inside.astype(np.uint64)
     return np.where(values >= high, np.uint64(high), integers)
@@ -357,7 +333,7 @@ def _rounded(values: FloatArray, length: int, signed: bool) -> Words:
 
 #: The longest message of SAE J1939, whose DBC files describe it as one.
 _MAX_MESSAGE_BYTES = 1785
-#: Far beyond any device's file; the parser's work grows with their squares.
+#: Far above any device's file; the parser's work grows with their squares.
 _MAX_MULTIPLEXER_IDS = 65536
 _MAX_SIGNALS = 1000
 _MAX_LINE_CHARACTERS = 64_000
@@ -373,7 +349,7 @@ _RANGE = re.compile(r"(\d+)[ \t]*-[ \t]*(\d+)")
 
 
 def oversized(text: str) -> Iterator[str]:
-    """Name, with their lines, what no CAN device has: sizes and numbers beyond all measure."""
+    """Sizes and numbers that no CAN device has and that exhaust the parser, with their lines."""
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > _MAX_LINE_CHARACTERS:
             yield f"line {number}: a line of {len(line)} characters"
@@ -399,7 +375,7 @@ def oversized(text: str) -> Iterator[str]:
 
 
 def undecodable(database: Database) -> Iterator[str]:
-    """Name the signals of classic CAN messages whose values can't be computed."""
+    """Duplicate messages, and signals of classic CAN messages whose values can't be computed."""
     for kind, all_of_kind in (
         ("message called", [message.name for message in database.messages]),
         ("message numbered", [_number(message) for message in database.messages]),

@@ -1,4 +1,4 @@
-"""Present state of the INS, read out of the newest frame of each kind."""
+"""Present state of the INS, from the newest frame of each message."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 
-#: Values older than this are not known any more.
+#: Age from which values count as unknown.
 STALE_S = 5.0
-
 
 _NOW = np.zeros(1, np.int64)
 
@@ -25,20 +24,20 @@ _NOW = np.zeros(1, np.int64)
 class NewestFrames:
     """The newest data frame of each identifier, with its age.
 
-    Ages are told by the clock of the run and, between frames, by the time stamps of the CAN
-    interface, which may count from anywhere.
+    Ages are by the clock of the run and, between frames, by the time stamps of the CAN interface,
+    whose origin is arbitrary.
     """
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
         self._frames: dict[int, can.Message] = {}
-        self._heard_s = -np.inf
+        self._received_s = -np.inf
         self._stamp_s = 0.0
 
     def take(self, frames: Sequence[can.Message], now_s: float) -> None:
-        """Remember frames that have just arrived, in order; there must be one at least."""
-        self._heard_s, self._stamp_s = now_s, frames[-1].timestamp
-        # An identifier of 29 bits is kept as its complement: the cheapest way to tell the two kinds apart.
+        """Store frames that have just arrived, in order; at least one."""
+        self._received_s, self._stamp_s = now_s, frames[-1].timestamp
+        # A 29-bit identifier is stored as its complement: the cheapest way to distinguish the two kinds.
         self._frames.update(
             {(~m.arbitration_id if m.is_extended_id else m.arbitration_id): m for m in frames}
         )
@@ -48,18 +47,18 @@ class NewestFrames:
         self._frames.pop(_key(self._codec.arbitration_id(message_name)), None)
 
     def age_s(self, now_s: float) -> float:
-        """Tell the time since anything arrived."""
-        return float(now_s - self._heard_s)
+        """Time since the last frame."""
+        return float(now_s - self._received_s)
 
     def snapshot(self, now_s: float) -> Snapshot:
-        """Keep the present frames that are not stale."""
+        """The frames that are not stale."""
         oldest_s = self._stamp_s + self.age_s(now_s) - STALE_S
         fresh = {key: frame for key, frame in self._frames.items() if frame.timestamp >= oldest_s}
         return Snapshot(fresh, self._codec)
 
 
 class Snapshot:
-    """Values of the newest frames at one moment; each is decoded when it is first asked for."""
+    """Values of the newest frames at one moment; each frame is decoded when first used."""
 
     def __init__(self, frames: Mapping[int, can.Message], codec: DbcCodec) -> None:
         self._frames = frames
@@ -67,7 +66,7 @@ class Snapshot:
         self._decoded: dict[str, dict[str, float]] = {}
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
-        """Value of a signal, shape (1,); NaN if its frame is not there."""
+        """Value of a signal, shape (1,); NaN without its frame."""
         if bound.message not in self._decoded:
             frame = self._frames.get(_key(self._codec.arbitration_id(bound.message)))
             self._decoded[bound.message] = (
@@ -82,12 +81,12 @@ def _key(arbitration_id: int) -> int:
 
 
 class InsStatus:
-    """State of the INS at one moment; what is not mapped, or too old, is NaN, None or ``UNKNOWN``.
+    """State of the INS at one moment; quantities not mapped or stale are NaN, None or ``UNKNOWN``.
 
     Attributes
     ----------
     age_s : float
-        Time since anything arrived; infinite if nothing ever did.
+        Time since the last frame; infinite before the first.
     """
 
     def __init__(
@@ -98,17 +97,17 @@ class InsStatus:
 
     @cached_property
     def mode(self) -> InsMode:
-        """What the INS is doing."""
+        """Mode of the INS."""
         return InsMode(int(self._readout.mode(_NOW)[0]))
 
     @cached_property
     def alignment(self) -> Alignment:
-        """How far self-alignment has come."""
+        """Progress of self-alignment."""
         return Alignment(int(self._readout.alignment(_NOW)[0]))
 
     @cached_property
     def euler_sequence(self) -> EulerSequence | None:
-        """Sequence of the Euler angles that the INS puts out."""
+        """Sequence of the Euler angles in the output."""
         index = int(self._readout.euler_sequence(_NOW)[0])
         return list(EulerSequence)[index] if index >= 0 else None
 
@@ -120,22 +119,22 @@ class InsStatus:
 
     @cached_property
     def compensation_in_use(self) -> int | None:
-        """Checksum of the compensation in use, 0 where none is."""
+        """Checksum of the compensation in use, 0 for none."""
         return self._whole_number("compensation_in_use")
 
     @cached_property
     def compensation_loaded(self) -> int | None:
-        """Checksum of what has been loaded."""
+        """Checksum of the loaded compensation."""
         return self._whole_number("compensation_loaded")
 
     @cached_property
     def epochs(self) -> int | None:
-        """Count of epochs; None where the map has no counter, or it has not arrived."""
+        """Count of epochs; None without a counter, or before its first frame."""
         return self._whole_number("epoch_counter")
 
     @property
     def epoch_modulus(self) -> float:
-        """What the count of epochs wraps at."""
+        """Value at which the count of epochs wraps."""
         return self._readout.signals["epoch_counter"].modulus
 
     @property
@@ -175,7 +174,7 @@ class InsStatus:
 
     @cached_property
     def identity(self) -> dict[str, int]:
-        """The numbers of the signal map's ``identity`` that have arrived."""
+        """Numbers of the signal map's ``identity`` that have arrived."""
         numbers = {name: self._number(f"identity.{name}") for name in self._readout.map.identity}
         return {name: int(number) for name, number in numbers.items() if np.isfinite(number)}
 

@@ -1,4 +1,11 @@
-"""Navigation data out of recorded frames."""
+"""Navigation data of the INS from a block of frames, and the epochs that the frames form.
+
+:func:`decode_navigation` finds the epochs in the block and reads every quantity at their last frames.
+
+The frames of one epoch arrive in a row. Order of arrival and epoch counter show which frames belong
+together and which epochs are missing; the jittering time stamps of the CAN interface only distinguish
+a pause from a restart of the INS.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +28,19 @@ _SENSORS = (*(f"{name}.{axis}" for name in _TEMPERATURES[:2] for axis in "xyz"),
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Temperatures inside the INS, degrees Celsius; NaN where the INS does not tell them.
+    """Temperatures inside the INS, degrees Celsius; NaN where the INS does not send them.
 
     Attributes
     ----------
     ins_time_s : ndarray, shape (m,)
-        Time of the epoch that they were sent with.
+        Time of the epoch with which they were sent.
     optics_c, electronics_c : ndarray, shape (m, 3)
         Of each gyro, by body axis.
     case_c : ndarray, shape (m,)
         Of the case.
     spread_k : ndarray, shape (m, 7)
-        By how much several readings of one sensor differ that came since the last time: optics,
-        electronics, case; 0 where there was only one.
+        Largest difference between successive readings of a sensor since the row before: optics,
+        electronics, case; 0 for a single reading.
     """
 
     ins_time_s: FloatArray
@@ -45,32 +52,31 @@ class Temperatures:
 
 @dataclass(frozen=True, eq=False)
 class NavigationData:
-    """What the INS put out, epoch by epoch.
+    """Output of the INS, epoch by epoch.
 
     Attributes
     ----------
     ins_time_s : ndarray, shape (n,)
         Time on the clock of the INS; increases within a segment.
     timestamp_s : ndarray, shape (n,)
-        Time of arrival as the CAN interface stamped it.
+        Time of arrival, stamped by the CAN interface.
     row : ndarray of int64, shape (n,)
-        Where in the block the last frame of the epoch stands.
+        Row of the epoch's last frame in the block.
     segment : ndarray of int64, shape (n,)
-        Counts the restarts of the INS.
+        Number of restarts of the INS before.
     velocity_enu_mps : ndarray, shape (n, 3)
-        Velocity; Up is the last value known, and NaN where none is.
+        Velocity; Up is the last value received, else NaN.
     attitude : ndarray, shape (n, 3, 3)
-        ``C_nb``; NaN where the INS says that it is not valid and as long as a block has not told
-        which Euler sequence applies.
+        ``C_nb``; NaN where the INS marks it invalid, and until the Euler sequence is received.
     mode, alignment : ndarray of int8, shape (n,)
-        :class:`~gyrobench.drivers.ins.readout.InsMode` and :class:`~gyrobench.drivers.ins.readout.Alignment`,
-        the last known.
+        Last received :class:`~gyrobench.drivers.ins.readout.InsMode` and
+        :class:`~gyrobench.drivers.ins.readout.Alignment`.
     temperatures : Temperatures
-        On their own, slower time line.
+        At separate, slower times.
     counts : EpochCounts
-        What was lost on the way.
+        Lost and irregular epochs.
     short_frames : int
-        Frames with fewer bytes than the DBC says; left out.
+        Frames with fewer bytes than in the DBC; dropped.
     """
 
     ins_time_s: FloatArray
@@ -87,7 +93,7 @@ class NavigationData:
 
 
 def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
-    """Decode one uninterrupted recording; the same frames always give the same numbers.
+    """Decode one uninterrupted block.
 
     Raises
     ------
@@ -114,7 +120,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
 
 
 def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temperatures:
-    """One row for each frame of the last of the temperature messages."""
+    """One row for each frame of the temperature message with the highest identifier."""
     messages = {b.message for path, b in readout.signals.items() if path.startswith(_TEMPERATURES)}
     rows = np.zeros(0, np.int64)
     if messages and len(epochs.rows):
@@ -130,7 +136,7 @@ def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temp
 
 
 def _spread(reader: BlockReader, readout: Readout, path: str, rows: IntArray) -> FloatArray:
-    """Largest difference (m,) between neighbouring readings of a sensor from one of the rows to the next."""
+    """Largest difference (m,) between successive readings of a sensor from one of the rows to the next."""
     spread = np.zeros(len(rows) + 1)
     if path in readout.signals:
         own = reader.rows(readout.signals[path].message)
@@ -141,8 +147,8 @@ def _spread(reader: BlockReader, readout: Readout, path: str, rows: IntArray) ->
     return spread[:-1]
 
 
-#: A counter that runs ahead of the arrival by more epochs than this has been set anew.
-_JUMP = 300.0
+#: A counter that is ahead of the arrival by more epochs than this has been reset.
+_MAX_AHEAD = 300.0
 _LATE_PERIODS = 2.0
 _TIME_DECIMALS = 9
 _STAMP_DECIMALS = 6
@@ -150,23 +156,23 @@ _STAMP_DECIMALS = 6
 
 @dataclass(frozen=True)
 class EpochCounts:
-    """What was not as it should be.
+    """Counts of irregular epochs.
 
     Attributes
     ----------
     lost : int
-        Epochs that are missing or lack a frame; what the block's edges cut off does not count.
+        Epochs that are missing or lack a frame, without those cut off by the block's edges.
     repeated : int
-        Epochs with the number of the one before; dropped.
+        Epochs with the number of the epoch before; dropped.
     late : int
-        Epochs that arrived more than two periods later than the quickest before them. Over many
-        hours the drift between the two clocks looks the same.
+        Epochs that arrived more than two periods later than the fastest before them. Over many
+        hours the drift between the two clocks has the same effect.
     restarts : int
-        Times that the clock or the counter of the INS was set anew.
+        Resets of the clock or the counter of the INS.
     untimed : int
-        Epochs whose INS time can't be told; dropped.
+        Epochs whose INS time is unknown; dropped.
     contradicted : int
-        Frames of an epoch beyond one of each kind, with other content than the one before.
+        Additional frames of a message in an epoch with other content than the frame before.
     """
 
     lost: int = 0
@@ -184,13 +190,13 @@ class Epochs:
     Attributes
     ----------
     rows : ndarray, shape (n,)
-        Where in the block the last frame of each epoch stands.
+        Row of each epoch's last frame in the block.
     arrival_s : ndarray, shape (n,)
         Time stamp of its first navigation frame.
     ins_time_s : ndarray, shape (n,)
         Time on the clock of the INS.
     segment : ndarray of int64, shape (n,)
-        Counts the restarts of the INS; times of different segments have nothing in common.
+        Number of restarts of the INS before; times of different segments are unrelated.
     """
 
     rows: IntArray
@@ -237,7 +243,7 @@ def find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
 
 @dataclass(frozen=True, eq=False)
 class _Groups:
-    """Complete groups of frames: last row, arrival, row of the time frame among them or -1."""
+    """Complete groups of frames: last row, arrival, row of the time frame or -1."""
 
     rows: IntArray
     arrival_s: FloatArray
@@ -248,7 +254,7 @@ class _Groups:
 
 
 def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
-    """Collect groups, and count how many between the first and the last lack a frame."""
+    """Collect the complete groups, and count the incomplete ones between the first and the last."""
     names = _messages_in_order(reader, readout)
     required = np.array([name in readout.map.messages_of_epoch() for name in names])
     stamps_s = reader.block.timestamp_s
@@ -257,7 +263,7 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
         place[reader.rows(name)] = index
     rows = np.flatnonzero(place >= 0)
     order = place[rows]
-    # A new epoch: the order begins again, or what should have come in a row did not.
+    # A new epoch begins where the order restarts, or a pause separates the frames.
     again = np.diff(order) <= 0
     pause = ~again & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
     counts = [name == _counter_message(readout) for name in names]
@@ -277,10 +283,10 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
 
 
 def _only_late(readout: Readout, rows: IntArray, again: BoolArray, counts: BoolArray) -> BoolArray:
-    """Tell which frames belong to the epoch of the frame before, however late they came.
+    """Mark the frames that belong to the epoch of the frame before although they came late.
 
-    Between two counts of the epochs that follow each other there is one epoch. ``again`` tells where the
-    order of the frames begins again, ``counts`` which frames hold a count.
+    Between two successive counts of the epochs there is one epoch. ``again`` marks where the order of the
+    frames restarts, ``counts`` the frames that hold a count.
     """
     counted = np.flatnonzero(counts)
     if not len(counted):
@@ -296,10 +302,9 @@ def _only_late(readout: Readout, rows: IntArray, again: BoolArray, counts: BoolA
 
 
 def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
-    """List the messages of an epoch, and that of the time, as they follow each other.
+    """Messages of an epoch and of the time in the order in which they are sent.
 
-    Frames that are ready at once leave in the order of their identifiers, so this is the order
-    unless the map gives another.
+    Frames that are ready at once are sent in the order of their identifiers, unless the map gives another.
     """
     members = readout.map.messages_of_epoch()
     time_message = _time_message(readout)
@@ -320,34 +325,34 @@ def _counter_message(readout: Readout) -> str | None:
 
 
 def _modulus(readout: Readout, path: str) -> float:
-    """Tell what a quantity wraps at; infinite if it does not."""
+    """Value at which a quantity wraps; infinite if it does not."""
     return readout.signals[path].modulus if path in readout.signals else np.inf
 
 
 def _follow(numbers: FloatArray, modulus: float, passed: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Find the steps from number to number (the first is 1), and where the numbering was set anew.
+    """Steps from number to number (the first is 1), and where the numbering was reset.
 
-    ``passed`` is the number of epochs that the arrival says have passed in each step; where its clock was
-    set back, that is nothing to go by.
+    ``passed`` is the number of epochs in each step by arrival time; negative where that clock was set
+    back, and ignored there.
     """
     passed = np.where(passed < 0.0, 1.0, passed)
     steps = _nearest(np.diff(numbers), modulus, passed)
-    jump = min(_JUMP, modulus / 4.0)
+    jump = min(_MAX_AHEAD, modulus / 4.0)
     jumped = (steps < 0.0) | (steps - passed > jump)
     count = len(numbers)
     return np.concatenate([[1.0], steps])[:count], np.concatenate([[False], jumped])[:count]
 
 
 def _nearest(steps: FloatArray, modulus: float, expected: FloatArray | float) -> FloatArray:
-    """Take from each step the wraps that bring it nearest to what is expected."""
+    """Remove from each step the wraps that bring it closest to the expected one."""
     return steps if np.isinf(modulus) else steps + modulus * np.rint((expected - steps) / modulus)
 
 
 def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: BoolArray) -> FloatArray:
-    """INS time of each epoch, NaN where it can't be told.
+    """INS time of each epoch, NaN where it is unknown.
 
-    Where two times of the INS contradict the count of epochs between them, its clock was set
-    anew somewhere there: those epochs have no time and ``restart`` is marked at the second.
+    Where two times of the INS contradict the count of epochs between them, its clock was reset in
+    between: those epochs have no time, and ``restart`` is marked at the second time.
     """
     period_s = readout.map.epoch_period_s
     if readout.map.time_s is not None:
@@ -374,7 +379,7 @@ def _times(readout: Readout, groups: _Groups, position: FloatArray, restart: Boo
 def _interpolated(
     position: FloatArray, segment: IntArray, known: IntArray, offsets_s: FloatArray
 ) -> FloatArray:
-    """Offsets at every position from those at the known ones of the same segment."""
+    """Offsets at every position, interpolated between known ones of the same segment."""
     result = np.full(len(position), np.nan)
     for run in _runs(segment):
         inside = slice(*np.searchsorted(known, (run.start, run.stop)))
@@ -384,7 +389,7 @@ def _interpolated(
 
 
 def _count_contradicted(reader: BlockReader, readout: Readout, ends: IntArray, steps: FloatArray) -> int:
-    """Count frames that no epoch accounts for; each of ``steps`` is how many lead to an epoch's end."""
+    """Count frames in excess of the epochs; ``steps`` is the number of epochs to each epoch's end."""
     if not len(ends):
         return 0
     contradicted = 0
@@ -393,7 +398,7 @@ def _count_contradicted(reader: BlockReader, readout: Readout, ends: IntArray, s
         data = reader.block.data[rows]
         other = np.concatenate([[True], (data[1:] != data[:-1]).any(axis=1)])[: len(rows)]
         found = np.bincount(np.searchsorted(ends, rows[other]), minlength=len(ends) + 1)
-        # What came before the first epoch and after the last one belongs to epochs that are cut off.
+        # Frames before the first and after the last epoch belong to epochs cut off by the block's edges.
         contradicted += int(np.maximum(found[1 : len(ends)] - steps[1:], 0.0).sum())
     return contradicted
 
@@ -406,7 +411,7 @@ def _count_late(delays_s: FloatArray, segment: IntArray, tolerance_s: float) -> 
 
 
 def _runs(segment: IntArray) -> Iterator[slice]:
-    """Stretches of equal segment number."""
+    """Ranges of equal segment number."""
     edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
     for start, stop in pairwise(edges):
         if start < stop:

@@ -1,4 +1,4 @@
-"""What the INS says at given moments."""
+"""Quantities of the INS at given moments: the last values that had arrived."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gyrobench.drivers.ins.signal_map import BoundSignal, EulerMap, SignalMap
 
 
 class InsMode(IntEnum):
-    """What the INS is doing."""
+    """Mode of the INS."""
 
     UNKNOWN = -1
     BOOT = 0
@@ -33,7 +33,7 @@ class InsMode(IntEnum):
 
 
 class Alignment(IntEnum):
-    """How far self-alignment has come."""
+    """Progress of self-alignment."""
 
     UNKNOWN = -1
     NONE = 0
@@ -42,19 +42,18 @@ class Alignment(IntEnum):
 
 
 class Reader(Protocol):
-    """Where the values of bound signals come from."""
+    """Source of the values of bound signals."""
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
-        """Last value that had arrived at each of those moments, NaN before the first."""
+        """Last value that had arrived at each moment, NaN before the first."""
         ...
 
 
 class Readout:
-    """Quantities of a signal map: the last values that had arrived at given moments.
+    """Quantities of a signal map at given moments.
 
-    Each method takes the moments, shape (n,), as the reader counts them (rows of a block), and
-    returns values in SI or degrees Celsius, NaN or ``UNKNOWN`` where nothing had arrived yet or
-    nothing is mapped.
+    Each method takes the moments, shape (n,), in the reader's units (rows of a block). It returns values
+    in SI or degrees Celsius; NaN or ``UNKNOWN`` before the first value, or where nothing is mapped.
     """
 
     def __init__(self, reader: Reader, signal_map: SignalMap, signals: Mapping[str, BoundSignal]) -> None:
@@ -119,7 +118,7 @@ class Readout:
         return matrices
 
     def euler_sequence(self, rows: IntArray) -> NDArray[np.int8]:
-        """Read the index into ``list(EulerSequence)``; -1 where it is not known or there is none."""
+        """Read the index into ``list(EulerSequence)``; -1 where it is unknown or there is none."""
         euler = self.map.attitude.euler
         sequences = list(EulerSequence)
         if euler is not None and euler.sequence.fixed is not None:
@@ -163,14 +162,14 @@ class BlockReader:
         self._decoded: dict[str, tuple[IntArray, dict[str, FloatArray]]] = {}
 
     def rows(self, message: str) -> IntArray:
-        """Where in the block the frames of a message stand."""
+        """Rows of the block with frames of a message."""
         return self._message(message)[0]
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
-        """Last value that had arrived at each of those rows of the block; NaN before the first."""
+        """Last value that had arrived at each row of the block; NaN before the first."""
         frames, decoded = self._message(bound.message)
         values = np.append(bound.to_si(decoded[bound.signal.name]), np.nan)
-        # Index -1, where nothing had arrived yet, is the NaN at the end.
+        # Index -1, before the first value, is the NaN at the end.
         return np.asarray(values[np.searchsorted(frames, rows, side="right") - 1])
 
     def _message(self, message: str) -> tuple[IntArray, dict[str, FloatArray]]:

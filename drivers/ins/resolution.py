@@ -1,15 +1,15 @@
-"""What the resolution of the INS's output leaves of a bias measurement.
+"""Effect of the resolution of the INS's output on a bias measurement.
 
 The horizontal gyros' biases come from the second slope of velocity, half the difference between
 the windows after and before the turn over g; the vertical gyro's is the mean of the two slopes of
 the azimuth. Both slopes are least-squares fits over a window of length T with N epochs. A step q of the
-output acts on them in two ways:
+output affects them in two ways:
 
 * As white noise of q / sqrt(12), where the signal moves through many steps: the second slope gets
   ``sqrt(720 / N) sigma / T^2``, the first slope ``sqrt(12 / N) sigma / T``.
-* At worst, where the rounding error is q / 2 everywhere and happens to have the sign of the fit's
-  weights: ``20 q / (sqrt(3) T^2)`` and ``3 q / (2 T)``. A unit at rest drifts through a few steps
-  only, so this is the bound that counts.
+* At worst, where the rounding error is q / 2 everywhere with the sign of the fit's weights:
+  ``20 q / (sqrt(3) T^2)`` and ``3 q / (2 T)``. A unit at rest drifts through a few steps only, so this
+  bound applies.
 
 References
 ----------
@@ -31,26 +31,26 @@ LIMIT_DPH = 0.001
 
 _STANDARD_GRAVITY_MPS2 = 9.80665
 _DPH_RADPS = np.pi / 180.0 / 3600.0
-_SPEED_LARGEST_MPS = 10.0
+_MAX_SPEED_MPS = 10.0
 _FLOATS: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.float64}
 
 
 @dataclass(frozen=True)
 class ResolutionLimit:
-    """How far one output quantity limits the bias that is computed from it.
+    """How one output quantity limits the bias computed from it.
 
     Attributes
     ----------
     quantity : str
         Path in the signal map.
     lsb : float
-        Smallest step of the quantity, in ``unit``.
+        Resolution of the quantity, in ``unit``.
     estimate : str
-        What is computed from it.
+        The gyro whose bias is computed from it.
     sigma_dph : float
         Standard deviation of the bias if the rounding errors are independent.
     worst_dph : float
-        Largest error of the bias that rounding can cause.
+        Largest error of the bias by rounding.
     """
 
     quantity: str
@@ -64,16 +64,16 @@ class ResolutionLimit:
 
     @property
     def sufficient(self) -> bool:
-        """Whether rounding can't cause an error beyond the limit."""
+        """Whether rounding can't cause an error above the limit."""
         return self.worst_dph <= self.limit_dph
 
     @property
     def text(self) -> str:
         """One sentence for the operator."""
-        verdict = "fine enough" if self.sufficient else "too coarse"
+        verdict = "sufficient" if self.sufficient else "too coarse"
         return (
-            f"{self.quantity} ({self.signal}) has steps of {self.lsb:.3g} {self.unit}: {verdict} for the "
-            f"bias of the {self.estimate}, which rounding moves by up to {self.worst_dph:.2g} deg/h "
+            f"{self.quantity} ({self.signal}) has a resolution of {self.lsb:.3g} {self.unit}: {verdict} for "
+            f"the bias of the {self.estimate}, which rounding changes by up to {self.worst_dph:.2g} deg/h "
             f"({self.sigma_dph:.2g} deg/h rms if the output dithers; limit {self.limit_dph:g} deg/h)."
         )
 
@@ -92,10 +92,10 @@ def resolution_report(
     samples = window_s / signal_map.epoch_period_s
     limits = []
     for path, estimate in (
-        ("velocity_east", "gyro that lies along North"),
-        ("velocity_north", "gyro that lies along East"),
+        ("velocity_east", "gyro along North"),
+        ("velocity_north", "gyro along East"),
     ):
-        step_mps = _step(signals[path], _SPEED_LARGEST_MPS)
+        step_mps = _step(signals[path], _MAX_SPEED_MPS)
         errors = horizontal_gyro_errors_dph(step_mps, window_s, samples)
         limits.append(_limit(path, signals[path], step_mps, "m/s", estimate, errors, limit_dph))
     path, bound, step_rad = _azimuth(signal_map, signals)
@@ -145,7 +145,7 @@ def _azimuth(signal_map: SignalMap, signals: dict[str, BoundSignal]) -> tuple[st
 
 
 def _step(bound: BoundSignal, largest: float) -> float:
-    """Smallest step in SI; of a floating-point signal that at its largest value, also in SI."""
+    """Resolution in SI; of a floating-point signal at its largest value, also in SI."""
     if not bound.signal.conversion.is_float:
         return bound.lsb
     per_bit = abs(bound.signal.scale * bound.gain)

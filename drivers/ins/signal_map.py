@@ -1,7 +1,8 @@
-"""Which signal of the DBC carries which quantity: the station file's ``ins.signals``.
+"""Which signal of the DBC carries which quantity (the station file's ``ins.signals``), bound to a DBC file.
 
-A source is ``MESSAGE.SIGNAL``, or a mapping with that under ``signal`` and what has to be done to
-it (``sign``, ``scale``, ``unit``).
+A source is ``MESSAGE.SIGNAL``, or a mapping with that under ``signal`` and its conversion (``sign``,
+``scale``, ``unit``). Bound values are in SI (m/s, rad, s), temperatures in degrees Celsius. A speed or a
+temperature at the end of its field's range, or outside the DBC's, is saturated or marked absent: NaN.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from gyrobench.drivers.ins.dbc_codec import DbcCodec
 
 
 class Dimension(StrEnum):
-    """What a quantity measures, and so which units its signal may have."""
+    """Physical dimension of a quantity, which determines the units that its signal may have."""
 
     TIME = "time"
     SPEED = "speed"
@@ -55,17 +56,17 @@ SignalName = Annotated[
     str, Field(json_schema_extra={"pattern": r"^[^.]+\.[^.]+$"}), AfterValidator(_is_signal_name)
 ]
 _SequenceName = Literal["rpy_321", "pry_231"]
-#: One raw value or several that mean the same.
+#: One raw value or several with the same meaning.
 Values = Annotated[list[int], BeforeValidator(_value_alone, json_schema_input_type=int | list[int])]
 
 
 class SignalSource(StrictModel):
-    """A signal and what turns it into the quantity."""
+    """A signal and its conversion to the quantity."""
 
     signal: SignalName = Field(description="MESSAGE.SIGNAL as the DBC file names them")
-    sign: Literal[1, -1] = Field(default=1, description="-1 where the signal counts the other way")
+    sign: Literal[1, -1] = Field(default=1, description="-1 where the signal has the opposite sign")
     scale: float = Field(default=1.0, description="factor on the value in the unit of the DBC")
-    unit: str | None = Field(default=None, description="unit to take instead of the DBC's")
+    unit: str | None = Field(default=None, description="unit in place of the DBC's")
 
 
 Source = Annotated[
@@ -82,22 +83,22 @@ class AxesMap(StrictModel):
 
 
 class SequenceMap(StrictModel):
-    """The Euler sequence: fixed, or a signal with the values that stand for each."""
+    """The Euler sequence: fixed, or by a signal."""
 
     fixed: _SequenceName | None = Field(default=None, description="the sequence, where it never changes")
-    signal: SignalName | None = Field(default=None, description="the signal that tells")
+    signal: SignalName | None = Field(default=None, description="signal of the sequence")
     rpy_321: int = Field(default=0, description="its value for roll, pitch, yaw")
     pry_231: int = Field(default=1, description="its value for pitch, roll, yaw")
 
     @model_validator(mode="after")
     def _either(self) -> SequenceMap:
         if (self.fixed is None) == (self.signal is None):
-            raise ValueError("expected rpy_321, pry_231 or the signal that tells")
+            raise ValueError("expected rpy_321, pry_231 or the signal of the sequence")
         return self
 
 
 class EulerMap(StrictModel):
-    """Euler angles; :mod:`gyrobench.drivers.ins.attitude` says what they mean."""
+    """Euler angles, as defined in :mod:`gyrobench.drivers.ins.attitude`."""
 
     roll: Source = Field(description="signal of roll")
     pitch: Source = Field(description="signal of pitch")
@@ -105,31 +106,31 @@ class EulerMap(StrictModel):
     sequence: Annotated[
         SequenceMap,
         BeforeValidator(_sequence_alone, json_schema_input_type=_SequenceName | SignalName | SequenceMap),
-    ] = Field(description="rpy_321, pry_231, or the signal that tells")
+    ] = Field(description="rpy_321, pry_231, or the signal of the sequence")
     yaw_positive: Literal["up", "down"] = Field(
         description="up: counter-clockwise seen from above; down: a heading, clockwise"
     )
 
 
 class QuaternionMap(StrictModel):
-    """A unit quaternion that turns body vectors into the navigation frame."""
+    """A unit quaternion that transforms body vectors to the navigation frame."""
 
     w: Source = Field(description="signal of w")
     x: Source = Field(description="signal of x")
     y: Source = Field(description="signal of y")
     z: Source = Field(description="signal of z")
     frames: Literal["rfu_to_enu", "frd_to_ned"] = Field(
-        description="from which body axes into which navigation axes it turns"
+        description="body axes and navigation axes of the transformation"
     )
 
 
 class AttitudeMap(StrictModel):
-    """Attitude in one of its forms, and the signal that is zero where it means nothing."""
+    """Attitude in one of two forms, and the signal that is zero where it is invalid."""
 
     euler: EulerMap | None = Field(default=None, description="attitude as Euler angles")
     quaternion: QuaternionMap | None = Field(default=None, description="attitude as a unit quaternion")
     valid: SignalName | None = Field(
-        default=None, description="signal that is zero where the attitude means nothing"
+        default=None, description="signal that is zero where the attitude is invalid"
     )
 
     @model_validator(mode="after")
@@ -140,7 +141,7 @@ class AttitudeMap(StrictModel):
 
 
 class ModeMap(StrictModel):
-    """What the INS is doing, by raw value; others count as booting."""
+    """Mode of the INS by raw value; others count as booting."""
 
     signal: SignalName = Field(description="signal of the mode")
     standby: Values = Field(default_factory=list, description="raw values that mean standby")
@@ -150,16 +151,16 @@ class ModeMap(StrictModel):
 
 
 class AlignmentMap(StrictModel):
-    """How far alignment has come, by raw value; others count as none."""
+    """Progress of alignment by raw value; others count as none."""
 
-    signal: SignalName = Field(description="signal of how far alignment has come")
+    signal: SignalName = Field(description="signal of the progress of alignment")
     coarse: Values = Field(default_factory=list, description="raw values that mean coarse")
     fine: Values = Field(description="raw values that mean fine")
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A mapped quantity: where in the map it stands and what it measures."""
+    """A mapped quantity with its location in the map."""
 
     location: Location
     source: SignalSource
@@ -171,14 +172,14 @@ class SignalMap(StrictModel):
 
     time_s: Source | None = Field(
         default=None,
-        description="time on the clock of the INS; without an epoch counter it has to come with every epoch",
+        description="time on the clock of the INS; sent with every epoch if there is no epoch counter",
     )
     time_ns: Source | None = Field(default=None, description="nanoseconds, added to time_s")
     epoch_counter: Source | None = Field(default=None, description="counter of epochs")
     epoch_period_s: float = Field(gt=0.0, le=10.0, description="time between epochs, s")
     epoch_messages: list[str] | None = Field(
         default=None,
-        description="messages of one epoch in the order in which they are sent; by identifier if not given",
+        description="messages of one epoch in the order in which they are sent; default: by identifier",
     )
     velocity_east: Source = Field(description="velocity East")
     velocity_north: Source = Field(description="velocity North")
@@ -191,25 +192,23 @@ class SignalMap(StrictModel):
         default=None, description="temperatures of the gyros' electronics"
     )
     case_temperature: Source | None = Field(default=None, description="temperature of the case")
-    mode: ModeMap | None = Field(
-        default=None, description="what the INS is doing; other values count as booting"
-    )
+    mode: ModeMap | None = Field(default=None, description="mode of the INS; other values count as booting")
     alignment: AlignmentMap | None = Field(
-        default=None, description="how far alignment has come; other values count as none"
+        default=None, description="progress of alignment; other values count as none"
     )
     compensation: SignalName | None = Field(
         default=None, description="not zero where a compensation is in use"
     )
     compensation_in_use: SignalName | None = Field(
-        default=None, description="checksum that names the compensation in use, 0 where none is"
+        default=None, description="checksum of the compensation in use, 0 for none"
     )
     compensation_loaded: SignalName | None = Field(
         default=None,
-        description="checksum of what has been loaded: CRC-32 of all numbers as little-endian "
+        description="checksum of the loaded compensation: CRC-32 of all numbers as little-endian "
         "32-bit floats, gyro by gyro in the order of their indices",
     )
     identity: dict[str, SignalName] = Field(
-        default_factory=dict, description="numbers that say which INS this is, by name, such as serial_number"
+        default_factory=dict, description="numbers that identify the INS, by name, such as serial_number"
     )
 
     @model_validator(mode="after")
@@ -226,7 +225,7 @@ class SignalMap(StrictModel):
         return self
 
     def messages_of_epoch(self) -> set[str]:
-        """Messages without which an epoch is not complete."""
+        """Messages that a complete epoch must have."""
         angles = self.attitude.euler or self.attitude.quaternion
         sources = [self.velocity_east, self.velocity_north, self.epoch_counter or self.time_s]
         sources += [source for _, source in angles or () if isinstance(source, SignalSource)]
@@ -315,7 +314,7 @@ _UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
 
 @dataclass(frozen=True)
 class BoundSignal:
-    """A quantity's signal and the straight line from its DBC value to SI."""
+    """A quantity's signal and the linear conversion of its DBC value to SI."""
 
     message: str
     signal: Signal
@@ -324,7 +323,7 @@ class BoundSignal:
     saturates: bool = False
 
     def to_si(self, physical: FloatArray) -> FloatArray:
-        """Values in SI of values in the DBC's unit; NaN where the signal is saturated."""
+        """Convert values in the DBC's unit to SI; NaN where the signal is saturated."""
         values = np.asarray(physical * self.gain + self.offset, np.float64)
         if self.saturates:
             low, high = self._limits
@@ -333,13 +332,13 @@ class BoundSignal:
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
-        """Between which values in the DBC's unit the signal means something."""
+        """Range of valid values in the DBC's unit."""
         signal = self.signal
         low, high = -np.inf, np.inf
         if not signal.conversion.is_float:
             first = -(2 ** (signal.length - 1)) if signal.is_signed else 0
             ends = [signal.offset + signal.scale * raw for raw in (first, first + 2**signal.length - 1)]
-            # Half a step inwards: the end itself need not come out exactly.
+            # Half a step inwards, since the end itself may be rounded.
             low, high = min(ends) + abs(signal.scale) / 2.0, max(ends) - abs(signal.scale) / 2.0
         if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
             margin = abs(signal.scale) / 2.0 if not signal.conversion.is_float else 0.0
@@ -349,12 +348,12 @@ class BoundSignal:
 
     @property
     def lsb(self) -> float:
-        """Smallest step of an integer signal, in SI; zero for a floating-point signal."""
+        """Resolution of an integer signal, in SI; zero for a floating-point signal."""
         return 0.0 if self.signal.conversion.is_float else abs(self.signal.scale * self.gain)
 
     @property
     def modulus(self) -> float:
-        """What the value wraps at, in SI, if it counts on for ever; infinite for floating point."""
+        """Value at which an integer counter wraps, in SI; infinite for floating point."""
         return np.inf if self.signal.conversion.is_float else self.lsb * 2.0**self.signal.length
 
 
@@ -364,7 +363,7 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
     Raises
     ------
     DocumentError
-        A message or signal does not exist, or its unit can't be converted; lists all such.
+        A message or signal does not exist, or its unit can't be converted; lists all of them.
     """
     bound, problems = _bind(signal_map, codec)
     if problems:
@@ -374,7 +373,7 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
 
 
 def check_signals(signal_map: SignalMap, codec: DbcCodec, at: Location = ()) -> list[Problem]:
-    """List what :func:`bind_signals` would raise, with the map standing at ``at`` in its file."""
+    """Problems that :func:`bind_signals` would raise, with the map at ``at`` in its file."""
     return [Problem((*at, *found.location), found.message) for found in _bind(signal_map, codec)[1]]
 
 
@@ -410,7 +409,7 @@ def _conversion(quantity: Quantity, signal: Signal) -> tuple[float, float]:
     unit = quantity.source.unit if quantity.source.unit is not None else (signal.unit or "")
     if unit.strip() not in allowed:
         raise DocumentError(
-            f"the signal {quantity.source.signal} has the unit '{unit}', which is no {quantity.dimension}; "
-            f"allowed: {', '.join(allowed)}. If the DBC is wrong, give 'unit' beside 'signal'."
+            f"the signal {quantity.source.signal} has the unit '{unit}', not a unit of {quantity.dimension} "
+            f"({', '.join(allowed)}). If the DBC is wrong, add the key 'unit' beside 'signal'."
         )
     return allowed[unit.strip()]

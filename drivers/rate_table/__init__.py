@@ -1,7 +1,7 @@
-"""Rate tables: what the bench asks of one; each other module here speaks one dialect.
+"""Rate tables: the interface that the bench uses; each other module is one dialect.
 
-Angles are in degrees and count on through full turns; axes have the numbers 1, 2, ... that their
-controller gives them. Calls return at once: motion goes on by itself.
+Angles are in degrees and count through full turns; axes have their controller's numbers 1, 2, ...
+Calls return at once while a motion continues.
 """
 
 from __future__ import annotations
@@ -15,6 +15,11 @@ from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, ReplyError
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
+
+OptionsT = TypeVar("OptionsT", bound=StrictModel)
+
+#: Time allowed to come to rest after a stop.
+MAX_STOP_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +39,12 @@ class TableReading:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """What the controller allows one axis at most, whatever it is told.
+    """The controller's limits of one axis, which no command exceeds.
 
     Attributes
     ----------
     trip_dps : float
-        Rate at which it takes the power off.
+        Rate at which it switches the power off.
     """
 
     rate_dps: float
@@ -58,11 +63,11 @@ class RateTable(Protocol):
     """
 
     def identify(self) -> str:
-        """Maker, model, serial number and firmware, as the controller says them."""
+        """Maker, model, serial number and firmware, as the controller reports them."""
         ...
 
     def prepare(self) -> None:
-        """Clear old faults, close the servos and set the limits given before, if any.
+        """Clear latched faults, close the servos and set the limits given before, if any.
 
         Raises
         ------
@@ -72,16 +77,16 @@ class RateTable(Protocol):
         ...
 
     def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:
-        """Bound every motion of every axis from now on."""
+        """Limit every later motion of every axis."""
         ...
 
     def limits(self) -> tuple[AxisLimits, ...]:
-        """Read the controller's own limits of each axis, in ascending order of their numbers.
+        """Read the controller's limits of each axis, in ascending order of their numbers.
 
         Raises
         ------
         RefusedError
-            The controller does not tell them.
+            They can't be read.
         """
         ...
 
@@ -89,30 +94,30 @@ class RateTable(Protocol):
         """Start to move axes to absolute angles, all at the same moment.
 
         An angle 360 deg away is a full turn away, and the sign of the difference is the direction
-        of the turn: axes have to be set up as axes with limits, not as continuous ones.
+        of the turn: axes must be set up with position limits, not as continuous axes.
         """
         ...
 
     def in_position(self) -> bool:
-        """Whether the axes of the last move are all where it sent them.
+        """Whether all axes of the last move have reached their angles.
 
         Raises
         ------
         FaultError
-            An axis is not under servo control and will not get there.
+            An axis is not under servo control and will not reach its angle.
         """
         ...
 
     def turn_at(self, axis: int, rate_dps: float) -> None:
-        """Turn one axis at a constant rate until told otherwise."""
+        """Turn one axis at a constant rate until the next command."""
         ...
 
     def read(self) -> TableReading:
-        """Position and rate of all axes, taken at one moment."""
+        """Position and rate of all axes at one moment."""
         ...
 
     def faults(self) -> list[str]:
-        """Say what is wrong, in words; empty when nothing is."""
+        """Latched faults, in words."""
         ...
 
     def stop(self) -> None:
@@ -120,15 +125,16 @@ class RateTable(Protocol):
         ...
 
     def release(self) -> None:
-        """Stop, wait for rest, and open the servos: the state to leave the table in."""
+        """Stop, wait for rest, and open the servos: the state in which to leave the table."""
         ...
 
     def close(self) -> None:
-        """Close the line; the table stays as it is."""
+        """Close the line; the table continues unchanged."""
         ...
 
 
-OptionsT = TypeVar("OptionsT", bound=StrictModel)
+class NoOptions(StrictModel):
+    """Options of a dialect without additional keys."""
 
 
 @dataclass(frozen=True)
@@ -141,81 +147,52 @@ class TableDialect(Generic[OptionsT]):
         Makes the driver from the line to the controller, the numbers of the axes in use in
         ascending order, and the options; the driver closes the line.
     options : type of StrictModel
-        The keys of its own in the station file's section ``rate_table``.
+        Additional keys in the station file's section ``rate_table``.
     line : LineDefaults
-        How such a controller is usually reached.
-    most_axes : int
-        How many axes such a controller has at most.
+        Usual settings of such a controller's line.
+    max_axes : int
+        Largest number of axes of such a controller.
     """
 
     open: Callable[[SerialLine, Sequence[int], OptionsT], RateTable]
     options: type[OptionsT]
     line: LineDefaults = field(default_factory=LineDefaults)
-    most_axes: int = 9
-
-
-#: Longest wait for rest.
-LONGEST_S = 30.0
+    max_axes: int = 9
 
 
 def await_standstill(
     clock: Clock, read_rates_dps: Callable[[], Sequence[float]], standstill_dps: float, poll_s: float
 ) -> tuple[float, ...]:
-    """Wait until all axes rest, but not for ever.
-
-    Parameters
-    ----------
-    read_rates_dps : callable
-        Asks the table for the rate of each axis.
-    standstill_dps : float
-        An axis that turns no faster rests.
-    poll_s : float
-        Time between two looks.
+    """Wait until no axis turns faster than ``standstill_dps``, at most :data:`MAX_STOP_S`.
 
     Returns
     -------
     tuple of float
-        Rates at the end; NaN where none could be read, since the table may still turn then.
+        Rates at the end; NaN where they can't be read, since the table may still turn then.
     """
-    deadline = Deadline(clock, LONGEST_S)
-    while not _rest(rates_dps := _known(read_rates_dps), standstill_dps) and not deadline.expired():
+    deadline = Deadline(clock, MAX_STOP_S)
+    while not _rest(rates_dps := _readable(read_rates_dps), standstill_dps) and not deadline.expired():
         clock.sleep(poll_s)
     return rates_dps
 
 
 def require_rest(instrument: str, rates_dps: Sequence[float], standstill_dps: float, done: str) -> None:
-    """Raise FaultError where the rates of :func:`await_standstill` are none of a table at rest.
+    """Raise FaultError unless the rates of :func:`await_standstill` are those of a table at rest.
 
-    Parameters
-    ----------
-    done : str
-        What was done all the same, for people: "its motor was switched off".
+    ``done`` says in what state the table was left, such as "its motor was switched off".
     """
-    if not _rest(rates_dps, standstill_dps):
-        raise FaultError(
-            instrument,
-            f"{turns_still(rates_dps, LONGEST_S)}; {done}. Keep away from it until it rests, and use its "
-            "emergency stop.",
-        )
-
-
-def turns_still(rates_dps: Sequence[float], waited_s: float) -> str:
-    """Say that a table still turns, or may do so.
-
-    Parameters
-    ----------
-    rates_dps : sequence of float
-        Last known rate of each axis; NaN where none could be read.
-    waited_s : float
-        Time since the stop.
-    """
+    if _rest(rates_dps, standstill_dps):
+        return
     if any(math.isnan(rate_dps) for rate_dps in rates_dps):
-        return f"tells no rate {waited_s:g} s after the stop and may still turn"
-    fastest_dps = max(rates_dps, key=abs)
-    return f"still turns at {fastest_dps:.3g} deg/s {waited_s:g} s after the stop"
+        turns = f"its rate can't be read {MAX_STOP_S:g} s after the stop and it may still turn"
+    else:
+        turns = f"still turns at {max(rates_dps, key=abs):.3g} deg/s {MAX_STOP_S:g} s after the stop"
+    raise FaultError(
+        instrument, f"{turns}; {done}. Stay clear of it until it rests, and use its emergency stop."
+    )
 
 
-def _known(read_rates_dps: Callable[[], Sequence[float]]) -> tuple[float, ...]:
+def _readable(read_rates_dps: Callable[[], Sequence[float]]) -> tuple[float, ...]:
     try:
         return tuple(read_rates_dps())
     except (NoReplyError, ReplyError):

@@ -1,8 +1,9 @@
 """Driver of the Acutronic Acutrol 3000 table controller, on RS-232 or its TCP socket.
 
-Source: command language manual TM-8004. On a continuous axis the controller takes the shortest
-way to a position, so a turn of 180 deg has no sure direction: axes have to be set up with
-position limits. There the demanded angle itself decides the direction.
+Sources: manuals TM-8004 (command language, registers) and TM-9374A (error word and length before a
+reply). They do not give the byte order of the two words over TCP and RS-232. On a continuous axis
+the controller takes the shortest way to a position, so the direction of a turn of 180 deg is
+undefined: axes must be set up with position limits, where the demanded angle decides the direction.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from dataclasses import fields
 from typing import TypeVar
 
 from gyrobench.bench.foundations.clock import Deadline
-from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, RefusedError, ReplyError
 from gyrobench.drivers.rate_table import (
     AxisLimits,
+    NoOptions,
     TableDialect,
     TableReading,
     await_standstill,
@@ -26,271 +27,27 @@ from gyrobench.drivers.rate_table import (
 )
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
-AnswerT = TypeVar("AnswerT")
+ReplyT = TypeVar("ReplyT")
 
 _REGISTER = re.compile(r"\d{1,10}", re.ASCII)
 #: Modes whose limits bound the motions of this driver: Off (controlled stop), Position, Rate.
 _LIMITED_MODES = ("O", "P", "R")
-_SERVO_TIME_S = 5.0
+_MAX_SERVO_CLOSE_S = 5.0
 _STANDSTILL_DPS = 0.01
 _POLL_S = 0.1
-#: After a failed exchange the line must be silent for the reply time-out, within so many of them.
-_LONGEST_NOISE = 5.0
-#: Ends half a message that the controller may hold in such a way that it can't be carried out.
-_NO_MESSAGE = b"~\r\n"
+#: Ends an incomplete message in the controller's buffer in a way that can't be executed.
+_INVALID_MESSAGE = b"~\r\n"
 
-
-class Acutrol3000:
-    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`.
-
-    Parameters
-    ----------
-    line : SerialLine
-        The line to the controller; closed by :meth:`close`.
-    axes : sequence of int
-        Numbers of the axes in use.
-    reply_timeout_s : float
-        Time allowed from a command to the end of its reply.
-    """
-
-    def __init__(self, line: SerialLine, axes: Sequence[int] = (1, 2), reply_timeout_s: float = 2.0) -> None:
-        self._line = line
-        self._axes = tuple(sorted(axes))
-        self._reply_timeout_s = reply_timeout_s
-        self._framing = ReplyFraming()
-        self._out_of_step = False
-        self._is_new = True
-        self._limits: tuple[float, float, float] | None = None
-        self._moved = self._axes
-        positions_and_rates = ":Read:" + ";".join(f"Position? {n};Rate? {n}" for n in self._axes)
-        self._read_query = f"{positions_and_rates};{self._status_query('STATE')}"
-        self._done_query = self._status_query("STATE", "DYN")
-        self._fault_query = self._status_query("STATE", "SWFLT", "INTLK")
-
-    def identify(self) -> str:
-        """Answer to ``*IDN?``."""
-        return self._exchange("*IDN?", str)
-
-    def prepare(self) -> None:
-        """Lock the front panel out, clear faults, close the servos, set the limits given before."""
-        self._command(":Utility:Lockout ON")
-        self._command(":Interlock:Reset")
-        try:
-            self._command(self._each_axis(":Interlock:", "Close"))
-        except RefusedError as error:
-            raise self._no_servo() from error
-        self._await_servo()
-        if self._limits is not None:
-            self.set_limits(*self._limits)
-
-    def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:
-        """Bound positioning, turning and stopping of every axis."""
-        bounds = ",".join(map(_number, (rate_dps, acceleration_dps2, jerk_dps3)))
-        self._command(";".join(f":Limit {n},{mode},{bounds}" for n in self._axes for mode in _LIMITED_MODES))
-        self._limits = (rate_dps, acceleration_dps2, jerk_dps3)
-
-    def limits(self) -> tuple[AxisLimits, ...]:
-        """Read the absolute limits of each axis, which no command goes beyond."""
-        count = len(fields(AxisLimits))
-        query = ":Limit:" + ";".join(f"Absolute? {n}" for n in self._axes)
-        values = self._numbers(query, count)
-        return tuple(AxisLimits(*values[i : i + count]) for i in range(0, len(values), count))
-
-    def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
-        """Start to move axes to absolute angles, in one message and so in one servo frame."""
-        axes = tuple(sorted(angles_deg))
-        # demands first: a mode entered with an old demand would start towards that
-        self._command(
-            ":Limit:"
-            + ";".join(f"Rate P,{n},{_number(rate_dps)}" for n in axes)
-            + ";:Demand:"
-            + ";".join(f"Position {n},{_number(angles_deg[n])}" for n in axes)
-            + ";:Mode:"
-            + ";".join(f"Position {n}" for n in axes)
-        )
-        self._moved = axes
-
-    def in_position(self) -> bool:
-        """Whether the controller calls the position profile of every axis last moved complete."""
-        values = self._registers(self._done_query, 2)
-        if not all(state & STATE_SERVOED for state, _ in values.values()):
-            raise self._no_servo()
-        return all(values[n][1] & DYNAMICS_POSITION_COMPLETE for n in self._moved)
-
-    def turn_at(self, axis: int, rate_dps: float) -> None:
-        """Turn one axis at a constant rate until told otherwise."""
-        self._command(f":Demand:Rate {axis},{_number(rate_dps)};:Mode:Rate {axis}")
-
-    def read(self) -> TableReading:
-        """Position, rate and servo state of all axes in one servo frame."""
-        values = self._numbers(self._read_query, 3)
-        motion, states = values[: 2 * len(self._axes)], values[2 * len(self._axes) :]
-        is_servoed = all(int(state) & STATE_SERVOED for state in states)
-        return TableReading(motion[0::2], motion[1::2], is_servoed)
-
-    def faults(self) -> list[str]:
-        """Latched faults and open interlocks of every axis."""
-        words = []
-        for axis, (state, software, interlock) in self._registers(self._fault_query, 3).items():
-            found = set_bits(software, SOFTWARE_FAULTS, "software fault")
-            found += set_bits(interlock, INTERLOCKS, "interlock")
-            found = found or [name for bit, name in ABORTS.items() if state >> bit & 1]
-            words += [f"axis {axis}: {fault}" for fault in found]
-        return words
-
-    def stop(self) -> None:
-        """Begin a controlled stop of all axes; the servos stay closed."""
-        self._command(self._each_axis(":Mode:", "Off"))
-
-    def release(self) -> None:
-        """Stop, wait for rest but not for ever, open the servos, give the front panel back.
-
-        Raises
-        ------
-        FaultError
-            An axis did not come to rest; the servos are open.
-        """
-        try:
-            self.stop()
-            rates_dps = await_standstill(
-                self._line.clock, lambda: self.read().rate_dps, _STANDSTILL_DPS, _POLL_S
-            )
-        finally:
-            self._command(self._each_axis(":Interlock:", "Open"))
-        self._command(":Utility:Lockout OFF")
-        require_rest(self._line.instrument, rates_dps, _STANDSTILL_DPS, "its servos were opened")
-
-    def close(self) -> None:
-        """Close the line; the table stays as it is."""
-        self._line.close()
-
-    def _each_axis(self, node: str, command: str) -> str:
-        return node + ";".join(f"{command} {n}" for n in self._axes)
-
-    def _status_query(self, *registers: str) -> str:
-        return ":Status:" + ";".join(f"CSR? A{n}{register}" for n in self._axes for register in registers)
-
-    def _await_servo(self) -> None:
-        clock = self._line.clock
-        deadline = Deadline(clock, _SERVO_TIME_S)
-        while not all(state & STATE_SERVOED for state, _ in self._registers(self._done_query, 2).values()):
-            if deadline.expired():
-                raise self._no_servo()
-            clock.sleep(_POLL_S)
-
-    def _no_servo(self) -> FaultError:
-        causes = "; ".join(self.faults()) or "the controller names no fault"
-        return FaultError(
-            self._line.instrument,
-            f"an axis is not under servo control ({causes}). Clear the cause and prepare the table again.",
-        )
-
-    def _numbers(self, query: str, count: int) -> tuple[float, ...]:
-        """Finite numbers that answer a query, ``count`` for each axis."""
-        return self._exchange(query, lambda text: _finite_numbers(text, count * len(self._axes)))
-
-    def _registers(self, query: str, count: int) -> dict[int, tuple[int, ...]]:
-        """Status registers of each axis, ``count`` of each."""
-        numbers = self._exchange(query, lambda text: _whole_numbers(text, count * len(self._axes)))
-        return {n: numbers[i * count : (i + 1) * count] for i, n in enumerate(self._axes)}
-
-    def _command(self, message: str) -> None:
-        self._exchange(message, _acknowledgement)
-
-    def _exchange(self, message: str, understood: Callable[[str], AnswerT]) -> AnswerT:
-        """Send one message and return what its reply says; the first one of all is tried twice.
-
-        Whoever spoke last may have left half a message with the controller, or be owed a reply.
-        ``understood`` raises ValueError for a text that is no reply to this message.
-        """
-        if self._is_new:
-            self._is_new = False
-            try:
-                return self._exchange_once(message, understood)
-            except (NoReplyError, ReplyError, RefusedError):
-                self._out_of_step = True
-        return self._exchange_once(message, understood)
-
-    def _exchange_once(self, message: str, understood: Callable[[str], AnswerT]) -> AnswerT:
-        line = self._line
-        if self._out_of_step:
-            line.write(_NO_MESSAGE)
-            line.await_silence(self._reply_timeout_s, _LONGEST_NOISE * self._reply_timeout_s)
-        line.discard_input()
-        self._out_of_step = True
-        line.write(message.encode("ascii") + b"\r\n")
-        deadline = Deadline(line.clock, self._reply_timeout_s)
-        try:
-            prefix = line.read(PREFIX_BYTES, deadline)
-            decoded = self._framing.decode(prefix)
-            if decoded is None:
-                raise self._unexpected(message, prefix.hex(" "))
-            code, length = decoded
-            body = line.read(length, deadline) if length else b""
-        except NoReplyError as error:
-            detail = str(error).removeprefix(f"{line.instrument}: ")
-            raise NoReplyError(line.instrument, f"no complete reply to {message}: {detail}") from error
-        text = body.decode("ascii", errors="backslashreplace").strip()
-        if code:
-            self._out_of_step = False
-            raise RefusedError(line.instrument, f"{message} was refused with error {code} {text}".rstrip())
-        try:
-            answer = understood(text)
-        except ValueError:
-            raise self._unexpected(message, text) from None
-        self._out_of_step = False
-        return answer
-
-    def _unexpected(self, message: str, reply: str) -> ReplyError:
-        return ReplyError(
-            self._line.instrument,
-            f"{message} was answered by {reply!r}. Does another program use this line?",
-        )
-
-
-def _number(value: float) -> str:
-    return f"{value:.6f}"
-
-
-def _acknowledgement(text: str) -> None:
-    # some firmware sends an empty line instead of OK
-    if text not in ("OK", ""):
-        raise ValueError
-
-
-def _finite_numbers(text: str, count: int) -> tuple[float, ...]:
-    values = tuple(map(float, re.split("[;,]", text)))
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise ValueError
-    return values
-
-
-def _whole_numbers(text: str, count: int) -> tuple[int, ...]:
-    values = text.split(";")
-    if len(values) != count or not all(map(_REGISTER.fullmatch, values)):
-        raise ValueError
-    return tuple(map(int, values))
-
-
-class Acutrol3000Options(StrictModel):
-    """No keys of its own."""
-
-
-def _open(line: SerialLine, axes: Sequence[int], options: Acutrol3000Options) -> Acutrol3000:  # noqa: ARG001
-    return Acutrol3000(line, axes)
-
-
-DIALECT = TableDialect(_open, Acutrol3000Options, LineDefaults(tcp_port=9878))
 
 PREFIX_BYTES = 8
-#: No message is longer, so one of the two readings of a length that is not zero is always absurd.
-_MAX_LENGTH = 32768
+#: Longest message: of a nonzero length read in both byte orders, one always exceeds it.
+_MAX_MESSAGE_BYTES = 32768
 _WORDS = {"little": struct.Struct("<II"), "big": struct.Struct(">II")}
 
 STATE_SERVOED = 1 << 4
 DYNAMICS_POSITION_COMPLETE = 1 << 8
 
-#: Bits of ``AnSTATE`` that tell of an abort.
+#: Bits of ``AnSTATE`` for an abort.
 ABORTS = {6: "software abort", 7: "hardware abort"}
 #: Bits of ``AnSWFLT``.
 SOFTWARE_FAULTS = {
@@ -323,8 +80,240 @@ INTERLOCKS = {
 }
 
 
+class Acutrol3000:
+    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`.
+
+    Parameters
+    ----------
+    line : SerialLine
+        Closed by :meth:`close`.
+    axes : sequence of int
+        Numbers of the axes in use.
+    reply_timeout_s : float
+        Time allowed from a command to the end of its reply.
+    """
+
+    def __init__(self, line: SerialLine, axes: Sequence[int] = (1, 2), reply_timeout_s: float = 2.0) -> None:
+        self._line = line
+        self._axes = tuple(sorted(axes))
+        self._reply_timeout_s = reply_timeout_s
+        self._framing = ReplyFraming()
+        self._out_of_step = False
+        self._is_new = True
+        self._limits: tuple[float, float, float] | None = None
+        self._moved = self._axes
+        positions_and_rates = ":Read:" + ";".join(f"Position? {n};Rate? {n}" for n in self._axes)
+        self._read_query = f"{positions_and_rates};{self._status_query('STATE')}"
+        self._done_query = self._status_query("STATE", "DYN")
+        self._fault_query = self._status_query("STATE", "SWFLT", "INTLK")
+
+    def identify(self) -> str:
+        """Reply to ``*IDN?``."""
+        return self._exchange("*IDN?", str)
+
+    def prepare(self) -> None:
+        """Lock the front panel out, clear faults, close the servos, set the limits given before."""
+        self._command(":Utility:Lockout ON")
+        self._command(":Interlock:Reset")
+        try:
+            self._command(self._each_axis(":Interlock:", "Close"))
+        except RefusedError as error:
+            raise self._no_servo() from error
+        self._await_servo()
+        if self._limits is not None:
+            self.set_limits(*self._limits)
+
+    def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:
+        """Limit positioning, turning and stopping of every axis."""
+        bounds = ",".join(map(_number, (rate_dps, acceleration_dps2, jerk_dps3)))
+        self._command(";".join(f":Limit {n},{mode},{bounds}" for n in self._axes for mode in _LIMITED_MODES))
+        self._limits = (rate_dps, acceleration_dps2, jerk_dps3)
+
+    def limits(self) -> tuple[AxisLimits, ...]:
+        """Read the absolute limits of each axis."""
+        count = len(fields(AxisLimits))
+        query = ":Limit:" + ";".join(f"Absolute? {n}" for n in self._axes)
+        values = self._numbers(query, count)
+        return tuple(AxisLimits(*values[i : i + count]) for i in range(0, len(values), count))
+
+    def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
+        """Start to move axes to absolute angles, in one message and so in one servo frame."""
+        axes = tuple(sorted(angles_deg))
+        # Demands come first: a mode entered with an old demand would start towards it.
+        self._command(
+            ":Limit:"
+            + ";".join(f"Rate P,{n},{_number(rate_dps)}" for n in axes)
+            + ";:Demand:"
+            + ";".join(f"Position {n},{_number(angles_deg[n])}" for n in axes)
+            + ";:Mode:"
+            + ";".join(f"Position {n}" for n in axes)
+        )
+        self._moved = axes
+
+    def in_position(self) -> bool:
+        """Whether the position profile of every axis last moved is complete."""
+        values = self._registers(self._done_query, 2)
+        if not all(state & STATE_SERVOED for state, _ in values.values()):
+            raise self._no_servo()
+        return all(values[n][1] & DYNAMICS_POSITION_COMPLETE for n in self._moved)
+
+    def turn_at(self, axis: int, rate_dps: float) -> None:
+        """Turn one axis at a constant rate until the next command."""
+        self._command(f":Demand:Rate {axis},{_number(rate_dps)};:Mode:Rate {axis}")
+
+    def read(self) -> TableReading:
+        """Position, rate and servo state of all axes in one servo frame."""
+        values = self._numbers(self._read_query, 3)
+        motion, states = values[: 2 * len(self._axes)], values[2 * len(self._axes) :]
+        is_servoed = all(int(state) & STATE_SERVOED for state in states)
+        return TableReading(motion[0::2], motion[1::2], is_servoed)
+
+    def faults(self) -> list[str]:
+        """Latched faults and open interlocks of every axis."""
+        words = []
+        for axis, (state, software, interlock) in self._registers(self._fault_query, 3).items():
+            found = set_bits(software, SOFTWARE_FAULTS, "software fault")
+            found += set_bits(interlock, INTERLOCKS, "interlock")
+            found = found or [name for bit, name in ABORTS.items() if state >> bit & 1]
+            words += [f"axis {axis}: {fault}" for fault in found]
+        return words
+
+    def stop(self) -> None:
+        """Begin a controlled stop of all axes; the servos stay closed."""
+        self._command(self._each_axis(":Mode:", "Off"))
+
+    def release(self) -> None:
+        """Stop, wait for rest, open the servos in any case, unlock the front panel.
+
+        Raises
+        ------
+        FaultError
+            An axis did not come to rest; the servos are open.
+        """
+        try:
+            self.stop()
+            rates_dps = await_standstill(
+                self._line.clock, lambda: self.read().rate_dps, _STANDSTILL_DPS, _POLL_S
+            )
+        finally:
+            self._command(self._each_axis(":Interlock:", "Open"))
+        self._command(":Utility:Lockout OFF")
+        require_rest(self._line.instrument, rates_dps, _STANDSTILL_DPS, "its servos were opened")
+
+    def close(self) -> None:
+        """Close the line; the table continues unchanged."""
+        self._line.close()
+
+    def _each_axis(self, node: str, command: str) -> str:
+        return node + ";".join(f"{command} {n}" for n in self._axes)
+
+    def _status_query(self, *registers: str) -> str:
+        return ":Status:" + ";".join(f"CSR? A{n}{register}" for n in self._axes for register in registers)
+
+    def _await_servo(self) -> None:
+        clock = self._line.clock
+        deadline = Deadline(clock, _MAX_SERVO_CLOSE_S)
+        while not all(state & STATE_SERVOED for state, _ in self._registers(self._done_query, 2).values()):
+            if deadline.expired():
+                raise self._no_servo()
+            clock.sleep(_POLL_S)
+
+    def _no_servo(self) -> FaultError:
+        causes = "; ".join(self.faults()) or "the controller reports no fault"
+        return FaultError(
+            self._line.instrument,
+            f"an axis is not under servo control ({causes}). Clear the cause and prepare the table again.",
+        )
+
+    def _numbers(self, query: str, count: int) -> tuple[float, ...]:
+        """Finite numbers in the reply to a query, ``count`` for each axis."""
+        return self._exchange(query, lambda text: _finite_numbers(text, count * len(self._axes)))
+
+    def _registers(self, query: str, count: int) -> dict[int, tuple[int, ...]]:
+        """Status registers of each axis, ``count`` of each."""
+        numbers = self._exchange(query, lambda text: _whole_numbers(text, count * len(self._axes)))
+        return {n: numbers[i * count : (i + 1) * count] for i, n in enumerate(self._axes)}
+
+    def _command(self, message: str) -> None:
+        self._exchange(message, _acknowledgement)
+
+    def _exchange(self, message: str, parse: Callable[[str], ReplyT]) -> ReplyT:
+        """Send a message and return its parsed reply; the first message is sent twice if it fails.
+
+        The program that used the line before may have left half a message in the controller, or a
+        reply under way. ``parse`` raises ValueError for a text that is no reply to this message.
+        """
+        if self._is_new:
+            self._is_new = False
+            try:
+                return self._exchange_once(message, parse)
+            except (NoReplyError, ReplyError, RefusedError):
+                self._out_of_step = True
+        return self._exchange_once(message, parse)
+
+    def _exchange_once(self, message: str, parse: Callable[[str], ReplyT]) -> ReplyT:
+        line = self._line
+        if self._out_of_step:
+            line.write(_INVALID_MESSAGE)
+            line.await_silence(self._reply_timeout_s)
+        line.discard_input()
+        self._out_of_step = True
+        line.write(message.encode("ascii") + b"\r\n")
+        deadline = Deadline(line.clock, self._reply_timeout_s)
+        try:
+            prefix = line.read(PREFIX_BYTES, deadline)
+            decoded = self._framing.decode(prefix)
+            if decoded is None:
+                raise self._unexpected(message, prefix.hex(" "))
+            code, length = decoded
+            body = line.read(length, deadline) if length else b""
+        except NoReplyError as error:
+            detail = str(error).removeprefix(f"{line.instrument}: ")
+            raise NoReplyError(line.instrument, f"no complete reply to {message}: {detail}") from error
+        text = body.decode("ascii", errors="backslashreplace").strip()
+        if code:
+            self._out_of_step = False
+            raise RefusedError(line.instrument, f"{message} was refused with error {code} {text}".rstrip())
+        try:
+            reply = parse(text)
+        except ValueError:
+            raise self._unexpected(message, text) from None
+        self._out_of_step = False
+        return reply
+
+    def _unexpected(self, message: str, reply: str) -> ReplyError:
+        return ReplyError(
+            self._line.instrument,
+            f"{message} was answered by {reply!r}. Does another program use this line?",
+        )
+
+
+def _number(value: float) -> str:
+    return f"{value:.6f}"
+
+
+def _acknowledgement(text: str) -> None:
+    # Some firmware sends an empty line instead of OK.
+    if text not in ("OK", ""):
+        raise ValueError
+
+
+def _finite_numbers(text: str, count: int) -> tuple[float, ...]:
+    values = tuple(map(float, re.split("[;,]", text)))
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise ValueError
+    return values
+
+
+def _whole_numbers(text: str, count: int) -> tuple[int, ...]:
+    values = text.split(";")
+    if len(values) != count or not all(map(_REGISTER.fullmatch, values)):
+        raise ValueError
+    return tuple(map(int, values))
+
+
 class ReplyFraming:
-    """Reads the prefix of replies in the byte order that the first one shows."""
+    """Reads the prefix of replies in the byte order of the first one."""
 
     def __init__(self) -> None:
         self._order: str | None = None
@@ -332,11 +321,13 @@ class ReplyFraming:
     def decode(self, prefix: bytes) -> tuple[int, int] | None:
         """Error code and length of the text, or None if no such reply exists.
 
-        A prefix that only makes sense in the other byte order than before makes none, and the
-        order is detected anew with the next one.
+        A prefix that is plausible only in the other byte order gives None, and the next prefix
+        detects the order again.
         """
         readings = {order: words.unpack(prefix) for order, words in _WORDS.items()}
-        plausible = {order: reading for order, reading in readings.items() if reading[1] <= _MAX_LENGTH}
+        plausible = {
+            order: reading for order, reading in readings.items() if reading[1] <= _MAX_MESSAGE_BYTES
+        }
         if self._order is None:
             if len(plausible) == 1:
                 (self._order,) = plausible
@@ -350,3 +341,10 @@ class ReplyFraming:
 def set_bits(register: int, names: Mapping[int, str], other: str) -> list[str]:
     """Names of the bits that are set; ``other`` and the number for one without a name."""
     return [names.get(bit, f"{other} {bit}") for bit in range(register.bit_length()) if register >> bit & 1]
+
+
+def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> Acutrol3000:  # noqa: ARG001
+    return Acutrol3000(line, axes)
+
+
+DIALECT = TableDialect(_open, NoOptions, LineDefaults(tcp_port=9878))

@@ -1,15 +1,14 @@
 """Driver of an Ideal Aerosmith single-axis table (1270VS and alike) over RS-232.
 
-A command is three letters and a number, ended by a carriage return; a prompt ends each reply, and a
-question mark in it says that the command was refused. Source: programs that drive such tables; there
-is no public manual. So the driver relies on little:
+A command is three letters and a number, ended by a carriage return. A prompt ends each reply; a
+question mark in it means that the command was refused. Source: programs for such tables; there is
+no public manual. So the driver relies on little:
 
-* ``JOG`` gives its prompt when the table has been stopped or with the next ``STA``: it is not waited for.
-* Programs disagree whether ``MCO`` answers 0 or 1 for a motion that is complete. It is not asked:
-  position and velocity tell.
-* What the number of ``STA`` means is not known. It tells that the controller answers; no fault is read
-  from it. An axis that stands still elsewhere than it was sent is taken for one without servo.
-* The position is taken to count on through full turns.
+* ``JOG`` gives its prompt when the table has stopped or with the next ``STA``: the driver does not wait.
+* Programs disagree whether ``MCO`` is 0 or 1 for a complete motion: position and velocity decide.
+* The meaning of ``STA`` is unknown. It serves to check that the controller replies; no fault is read
+  from it. An axis that stands still off its target counts as not under servo control.
+* The position is assumed to count through full turns.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
 from gyrobench.drivers.rate_table import (
     AxisLimits,
+    NoOptions,
     TableDialect,
     TableReading,
     await_standstill,
@@ -31,13 +30,13 @@ from gyrobench.drivers.text_line import TextLine
 
 _PROMPT = b">"
 _DECIMALS = 4
-#: Where a move has come to its end.
+#: Largest error of position and rate at the end of a move.
 _REACHED_DEG, _STANDSTILL_DPS = 0.002, 0.002
-#: An axis that stands still for so long short of its target will not go there.
+#: Time at standstill off its target after which an axis is stuck.
 _STUCK_S = 5.0
 _POLL_S = 0.2
-#: A prompt that does not come within this time is held back.
-_HELD_BACK_S = 0.2
+#: A prompt that does not arrive within this time arrives with a later reply.
+_PROMPT_TIME_S = 0.2
 
 
 class IdealAerosmith:
@@ -46,9 +45,9 @@ class IdealAerosmith:
     Parameters
     ----------
     line : SerialLine
-        The line to the controller; closed by :meth:`close`.
+        Closed by :meth:`close`.
     axis : int
-        Number by which the axis is called here; the controller has none.
+        Number of the axis for the bench; the controller has none.
     reply_timeout_s : float
         Time allowed from a command to the end of its reply.
     """
@@ -57,17 +56,17 @@ class IdealAerosmith:
         self._line = line
         self._axis = axis
         self._text = TextLine(line, b"\r", _PROMPT, reply_timeout_s)
-        self._owes_prompt = True  # whoever spoke last may have left the table turning
+        self._owes_prompt = True  # the program that used the line before may have left the table turning
         self._acceleration_dps2: float | None = None
         self._target_deg = math.nan
         self._still_since_s: float | None = None
 
     def identify(self) -> str:
-        """Say what it is taken for: the controller does not tell, but has to answer."""
-        return f"Ideal Aerosmith single-axis table, status {self._value('STA'):g}; it tells no serial number"
+        """Name of the dialect and status: the controller can't be identified, but must reply."""
+        return f"Ideal Aerosmith single-axis table, status {self._value('STA'):g}; no serial number available"
 
     def prepare(self) -> None:
-        """Switch the motor on, set the limits given before.
+        """Switch the motor on and set the limits given before.
 
         Raises
         ------
@@ -84,14 +83,14 @@ class IdealAerosmith:
             self._command(f"ACL{_plain(self._acceleration_dps2)}")
 
     def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:  # noqa: ARG002
-        """Bound every motion; the jerk can't be set."""
+        """Limit every motion; the jerk can't be set."""
         self._command(f"VEL{_plain(rate_dps)}")
         self._command(f"ACL{_plain(acceleration_dps2)}")
         self._acceleration_dps2 = acceleration_dps2
 
     def limits(self) -> tuple[AxisLimits, ...]:
-        """Raise RefusedError: the controller does not tell them."""
-        raise RefusedError(self._line.instrument, "no command asks for its limits; look at its panel")
+        """Raise RefusedError: there is no query for them."""
+        raise RefusedError(self._line.instrument, "has no query for its limits; read them from its panel")
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
         """Start to move the axis to an absolute angle."""
@@ -101,12 +100,12 @@ class IdealAerosmith:
         self._command(f"MOV{_plain(target_deg)}")
 
     def in_position(self) -> bool:
-        """Whether the axis stands where the last move sent it.
+        """Whether the axis stands at the target of the last move.
 
         Raises
         ------
         FaultError
-            It stands still elsewhere.
+            It stands still off its target.
         """
         position_deg, rate_dps = self._value("PPO"), self._value("PVE")
         if abs(rate_dps) > _STANDSTILL_DPS:
@@ -120,26 +119,26 @@ class IdealAerosmith:
         elif now_s - self._still_since_s > _STUCK_S:
             raise FaultError(
                 self._line.instrument,
-                f"stands still at {position_deg:.3f} deg, where {self._target_deg:.3f} deg was commanded. Is "
-                "its motor on, and nothing in its way?",
+                f"stands still at {position_deg:.3f} deg; {self._target_deg:.3f} deg was commanded. Check "
+                "that its motor is on and nothing blocks it.",
             )
         return False
 
     def turn_at(self, axis: int, rate_dps: float) -> None:  # noqa: ARG002 - there is one
-        """Turn at a constant rate until told otherwise."""
+        """Turn at a constant rate until the next command."""
         command = f"JOG{_plain(rate_dps)}"
         self._text.send(command)
-        prompt = self._text.more(command, _HELD_BACK_S, may_be_empty=True)
+        prompt = self._text.more(command, _PROMPT_TIME_S, may_be_empty=True)
         self._owes_prompt = prompt is None
         if prompt is not None and b"?" in prompt:
             raise self._refused(command, prompt)
 
     def read(self) -> TableReading:
-        """Position and velocity, one after the other; whether the servo holds is not told."""
+        """Position and velocity, one after the other; the servo state can't be read."""
         return TableReading((self._value("PPO"),), (self._value("PVE"),))
 
     def faults(self) -> list[str]:
-        """Nothing: what the status means is not known, only that there is one."""
+        """Return none, since the meaning of the status is unknown; raises if there is no reply."""
         self._value("STA")
         return []
 
@@ -149,7 +148,7 @@ class IdealAerosmith:
         self._target_deg = math.nan
 
     def release(self) -> None:
-        """Stop, wait for rest but not for ever, switch the motor off.
+        """Stop, wait for rest, switch the motor off in any case.
 
         Raises
         ------
@@ -166,11 +165,11 @@ class IdealAerosmith:
         require_rest(self._line.instrument, rates_dps, _STANDSTILL_DPS, "its motor was switched off")
 
     def close(self) -> None:
-        """Close the line; the table stays as it is."""
+        """Close the line; the table continues unchanged."""
         self._line.close()
 
     def _value(self, query: str) -> float:
-        """Ask for a number; prompts without one, held back from before, are passed over."""
+        """Query a number; late prompts without a number are skipped."""
         reply = self._text.ask(query)
         value = reply.rpartition(b"\r")[2].strip()  # a controller may repeat the query before
         if b"?" in value:
@@ -179,12 +178,12 @@ class IdealAerosmith:
         return self._text.number(query, value)
 
     def _command(self, command: str) -> None:
-        """Give a command and wait for its prompt, and for one that was held back before."""
+        """Send a command and wait for its prompt, and for a late one of an earlier command."""
         self._text.send(command)
         replies = [self._text.receive(command, may_be_empty=True)]
         if self._owes_prompt:
             self._owes_prompt = False
-            second = self._text.more(command, _HELD_BACK_S, may_be_empty=True)
+            second = self._text.more(command, _PROMPT_TIME_S, may_be_empty=True)
             replies += [] if second is None else [second]
         for reply in replies:
             if b"?" in reply:
@@ -198,18 +197,14 @@ class IdealAerosmith:
 
 
 def _plain(value: float) -> str:
-    """Decimal number without zeros at its end: 10.5, 90."""
+    """Decimal number without trailing zeros: 10.5, 90."""
     text = f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
 
-class IdealAerosmithOptions(StrictModel):
-    """No keys of its own."""
-
-
-def _open(line: SerialLine, axes: Sequence[int], options: IdealAerosmithOptions) -> IdealAerosmith:  # noqa: ARG001
+def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> IdealAerosmith:  # noqa: ARG001
     (axis,) = axes
     return IdealAerosmith(line, axis)
 
 
-DIALECT = TableDialect(_open, IdealAerosmithOptions, LineDefaults(baudrate=9600), most_axes=1)
+DIALECT = TableDialect(_open, NoOptions, LineDefaults(baudrate=9600), max_axes=1)

@@ -1,7 +1,8 @@
 """pyserial handler of ``replay://FILE`` addresses: a recording as a serial port.
 
-The port lives on the clock that ``?clock=NAME`` names, which a line adds to the address; without one
-it lives on wall time.
+The port replies as recorded, and only to the recorded requests. It runs on the clock that
+``?clock=NAME`` names, which a line adds to the address; on wall time without one. pyserial prescribes
+the names of this module and of ``Serial``.
 """
 
 from __future__ import annotations
@@ -14,21 +15,28 @@ from serial.serialutil import SerialException
 from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.clocked_port import ClockedPort
-from gyrobench.drivers.recording.recording_file import Recording, Transfer, read_recording
+from gyrobench.drivers.recording.recording_file import Recording, read_recording
 
 SCHEME = "replay://"
 
+#: Accuracy of a driver's times: a reply due within this has arrived.
+_TOLERANCE_S = 0.05
+
+
+class ReplayError(Exception):
+    """The driver sends other bytes than recorded, or sends them earlier."""
+
 
 def with_clock(url: str, clock: Clock) -> str:
-    """Add the clock of a line to a ``replay://`` address; any other stays as it is."""
+    """Add a clock to a ``replay://`` address; other addresses stay unchanged."""
     return f"{url}?clock={clock.name}" if url.startswith(SCHEME) and "?" not in url else url
 
 
-class Serial(ClockedPort):  # the name that pyserial looks for
+class Serial(ClockedPort):
     """Port of a recording."""
 
     def open(self) -> None:
-        """Begin the recording."""
+        """Open the recording at its beginning."""
         if self.is_open:
             raise SerialException("Port is already open.")
         url = urlsplit(self.portstr or "")
@@ -45,16 +53,16 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         self.is_open = True
 
     def write(self, data: bytes, /) -> int:  # type: ignore[override]
-        """Ask; what was not asked then is an error, with the place in the recording."""
+        """Send; raises SerialException with the place in the recording for other bytes than recorded."""
         self._collect()
         try:
-            self._script.ask(bytes(data), self.clock.now())
+            self._script.send(bytes(data), self.clock.now())
         except ReplayError as error:
             raise SerialException(str(error)) from error
         return len(data)
 
     def next_due_s(self) -> float | None:
-        """When the next recorded bytes arrive."""
+        """Time of the next recorded bytes."""
         return self._script.next_due_s
 
     def take(self) -> bytes:
@@ -62,82 +70,64 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         return self._script.arrived(self.clock.now())
 
 
-#: A driver is never asked to keep time to better than this: what should have come by then has come.
-_TOLERANCE_S = 0.05
-
-
-class ReplayError(Exception):
-    """The driver asks something else than it did when it was recorded, or earlier."""
-
-
 class ReplayScript:
-    """What is left of a recording.
+    """The transfers of a recording that are still to come.
 
-    A reply comes as long after the question before it as it did then.
+    A reply arrives as long after its request as recorded.
 
     Parameters
     ----------
     now_s : float
-        Time at which the line is opened, on the clock that the other calls are told.
+        Time at which the line is opened, on the same clock as the times of the methods.
     """
 
     def __init__(self, recording: Recording, now_s: float) -> None:
         self._path = recording.path
         self._left = list(reversed(recording.transfers))
         self._zero_s = now_s
-        self._asked = b""
+        self._sent = b""
 
     @property
     def next_due_s(self) -> float | None:
-        """When the next bytes arrive; None while the instrument waits to be asked."""
+        """Time of the next bytes; None while the instrument waits for a request."""
         if not self._left or self._left[-1].is_sent:
             return None
         return self._zero_s + self._left[-1].time_s
 
     def arrived(self, now_s: float) -> bytes:
-        """Bytes that have come by now, since the last call."""
+        """Bytes that are due since the last call."""
         data = b""
         while (due_s := self.next_due_s) is not None and due_s <= now_s:
             data += self._left.pop().data
         return data
 
-    def ask(self, data: bytes, now_s: float) -> None:
-        """Take what the driver sends.
+    def send(self, data: bytes, now_s: float) -> None:
+        """Compare what the driver sends with the recording.
 
         Raises
         ------
         ReplayError
-            It is not what was sent then; the message has the place in the recording, and both.
+            They differ; the message has the place in the recording and both byte strings.
         """
-        self._let_pass(now_s)
-        asked = self._asked + data
-        while asked:
-            if not self._left:
-                raise ReplayError(f"{self._path}: the recording is at its end, and got {_shown(asked)}")
-            expected = self._left[-1]
-            if not expected.is_sent:
-                raise self._too_early(expected, asked)
-            if not (expected.data.startswith(asked) or asked.startswith(expected.data)):
-                raise ReplayError(
-                    f"{self._path}:{expected.line}: expected {_shown(expected.data)}; got {_shown(asked)}"
-                )
-            if len(asked) < len(expected.data):
-                break
-            asked = asked[len(expected.data) :]
-            self._left.pop()
-            self._zero_s = now_s - expected.time_s
-        self._asked = asked
-
-    def _let_pass(self, now_s: float) -> None:
-        """Skip what the driver did not wait for by no more than a recording's times are good for."""
+        # Drop a reply that the driver did not wait for, within the accuracy of recorded times.
         while (due_s := self.next_due_s) is not None and due_s <= now_s + _TOLERANCE_S:
             self._left.pop()
-
-    def _too_early(self, expected: Transfer, asked: bytes) -> ReplayError:
-        return ReplayError(
-            f"{self._path}:{expected.line}: asks {_shown(asked)} before the reply "
-            f"{_shown(expected.data)} has come"
-        )
+        sent = self._sent + data
+        while sent:
+            if not self._left:
+                raise ReplayError(f"{self._path}: the recording ends before {_shown(sent)}")
+            expected = self._left[-1]
+            place = f"{self._path}:{expected.line}"
+            if not expected.is_sent:
+                raise ReplayError(f"{place}: {_shown(sent)} is sent before the reply {_shown(expected.data)}")
+            if not (expected.data.startswith(sent) or sent.startswith(expected.data)):
+                raise ReplayError(f"{place}: expected {_shown(expected.data)}; got {_shown(sent)}")
+            if len(sent) < len(expected.data):
+                break
+            sent = sent[len(expected.data) :]
+            self._left.pop()
+            self._zero_s = now_s - expected.time_s
+        self._sent = sent
 
 
 def _shown(data: bytes) -> str:

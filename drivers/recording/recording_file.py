@@ -1,10 +1,10 @@
-"""The file of a recording: header and transfers."""
+"""The file of a recording: its header and transfers, read and written."""
 
 from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,27 +15,27 @@ from pydantic import Field
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.documents import Document, StrictModel, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import cant_be_written, read_limited
+from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited
 
 MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"
 _TRANSFER = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([<>])((?:\s+[0-9A-Fa-f]{2})+)\s*(?:\|.*)?")
-_REMARK = "#   time s    bytes and text\n"
-#: Bytes of one reply are no further apart, s.
-_ONE_PIECE_S = 0.005
+_COLUMN_HEADS = "#   time s    bytes and text\n"
+#: Longest pause between the bytes of one reply, s.
+_MAX_PAUSE_S = 0.005
 _TEXT_COLUMN = 3 * 16
 
 
 class Call(StrictModel):
-    """What a driver was asked while it was recorded, and what it made of the replies."""
+    """A call of the driver during the recording, and its result."""
 
     ask: str = Field(pattern="^[a-z][a-z_]*$", description="method of the driver")
-    arguments: dict[str, Any] = Field(default={}, description="its arguments by name")
-    gives: str | None = Field(default=None, description="what it returned, as Python writes it")
-    fails: str | None = Field(default=None, description="kind of error that it raised instead")
+    arguments: dict[str, Any] = Field(default={}, description="arguments by name")
+    gives: str | None = Field(default=None, description="returned value, as Python's repr")
+    fails: str | None = Field(default=None, description="kind of the error that it raised instead")
 
     def outcome(self) -> str:
-        """What came of it, for people."""
+        """Result or error, in words."""
         return f"fails with {self.fails}" if self.fails else str(self.gives)
 
 
@@ -43,33 +43,33 @@ class RecordingHeader(StrictModel):
     """What was recorded."""
 
     recording: Literal[1] = Field(default=1, description="version of the format")
-    instrument: Literal["table", "chamber", "ins"] = Field(description="what was at the line")
-    dialect: str = Field(default="", max_length=80, description="its command language, as stations name it")
+    instrument: Literal["table", "chamber", "ins"] = Field(description="kind of instrument")
+    dialect: str = Field(default="", max_length=80, description="dialect, as in a station file")
     options: dict[str, str | int | float | bool] = Field(
-        default={}, description="keys of its dialect in the station file"
+        default={}, description="additional keys of the dialect in the station file"
     )
     axes: list[int] = Field(default=[], max_length=9, description="numbers of the table's axes in use")
     baudrate: int | None = Field(default=None, gt=0, description="bit/s of a serial device")
     parity: Literal["N", "E", "O"] | None = Field(default=None, description="of a serial device")
     source: Literal["instrument", "emulator", "manual"] = Field(
-        default="instrument", description="who answered; manual: written by hand from published bytes"
+        default="instrument", description="source of the replies; manual: written from published bytes"
     )
-    identity: str = Field(default="", max_length=1000, description="what the instrument calls itself")
-    recorded_utc: str = Field(default="", max_length=40, description="when it began, ISO 8601")
-    note: str = Field(default="", max_length=2000, description="what is worth knowing, for instance a quirk")
-    calls: list[Call] = Field(default=[], description="what its driver was asked, in order")
+    identity: str = Field(default="", max_length=1000, description="identification by the instrument")
+    recorded_utc: str = Field(default="", max_length=40, description="begin, ISO 8601")
+    note: str = Field(default="", max_length=2000, description="a remark, for instance on a peculiarity")
+    calls: list[Call] = Field(default=[], description="calls of the driver, in order")
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """Bytes that went one way.
+    """Bytes in one direction.
 
     Attributes
     ----------
     time_s : float
-        Since the line was opened, on the clock of who recorded.
+        Since the line was opened, on the recording clock.
     is_sent : bool
-        Whether they went to the instrument.
+        Whether they were sent to the instrument.
     line : int
         Line of the file, from 1; 0 for none.
     """
@@ -97,11 +97,11 @@ class Recording:
 
 
 def joined(transfers: Iterable[Transfer]) -> list[Transfer]:
-    """One transfer of what came in pieces, such as a reply whose length is read before its text."""
+    """Join transfers that belong together, such as a reply whose length is read before its text."""
     whole: list[Transfer] = []
     for transfer in transfers:
         last = whole[-1] if whole else None
-        if last and last.is_sent == transfer.is_sent and transfer.time_s - last.time_s < _ONE_PIECE_S:
+        if last and last.is_sent == transfer.is_sent and transfer.time_s - last.time_s < _MAX_PAUSE_S:
             whole[-1] = Transfer(last.time_s, last.is_sent, last.data + transfer.data, last.line)
         else:
             whole.append(transfer)
@@ -112,7 +112,9 @@ def header_text(header: RecordingHeader) -> str:
     """The beginning of the file, up to the first transfer."""
     data = header.model_dump(exclude_defaults=True)
     data = {"recording": header.recording, "instrument": header.instrument} | data
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100) + _END_OF_HEADER + _REMARK
+    return (
+        yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100) + _END_OF_HEADER + _COLUMN_HEADS
+    )
 
 
 def recording_text(header: RecordingHeader, transfers: Iterable[Transfer]) -> str:
@@ -126,7 +128,7 @@ def read_recording(path: Path) -> Recording:
     Raises
     ------
     DocumentError
-        The file can't be read, or a line of it is wrong; with its place.
+        The file can't be read, or a line of it is wrong; the message has its place.
     """
     try:
         text = read_limited(path, MAX_RECORDING_BYTES, DocumentError).decode("utf-8")
@@ -134,7 +136,7 @@ def read_recording(path: Path) -> Recording:
         raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
     head, end, body = text.partition(f"\n{_END_OF_HEADER}")
     if not end:
-        raise DocumentError(f"{path}:1:1: no recording: a line '---' ends its header, and there is none")
+        raise DocumentError(f"{path}:1:1: not a recording: the line '---' after its header is missing")
     document = parse_document(head + "\n", path)
     header = validate(document, RecordingHeader)
     first = head.count("\n") + 3
@@ -149,12 +151,12 @@ def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:
         found = _TRANSFER.fullmatch(line)
         if found is None:
             raise DocumentError(
-                f"{path}:{number}:1: no transfer; a line is TIME > BYTES or TIME < BYTES, bytes as two "
-                "hexadecimal digits each"
+                f"{path}:{number}:1: not a transfer; write TIME > BYTES or TIME < BYTES, each byte as two "
+                "hexadecimal digits"
             )
         time_s = float(found[1])
         if time_s < last_s:
-            raise DocumentError(f"{path}:{number}:1: is before the line above; times only go on")
+            raise DocumentError(f"{path}:{number}:1: its time is before that of the line above")
         last_s = time_s
         yield Transfer(time_s, found[2] == ">", bytes.fromhex(found[3]), number)
 
@@ -172,7 +174,7 @@ class RecordingFile:
     Raises
     ------
     RunFolderError
-        The file can't be made.
+        The file can't be created.
     """
 
     def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
@@ -186,7 +188,7 @@ class RecordingFile:
             raise cant_be_written(path, error) from error
 
     def add(self, is_sent: bool, data: bytes) -> None:
-        """Keep what went through just now; a full disk ends the recording, not the line."""
+        """Write a transfer with the present time; a full disk ends the recording, not the line."""
         if data and not self._file.closed:
             try:
                 self._file.write(Transfer(self._clock.now() - self._start_s, is_sent, data).text())
@@ -197,3 +199,45 @@ class RecordingFile:
         """End the recording; a second call does nothing."""
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+#: Folders and headers of the recordings that are on; lines are opened deep inside the bench, in any thread.
+_recordings: list[tuple[Path, Mapping[str, RecordingHeader]]] = []
+
+
+@contextlib.contextmanager
+def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Iterator[None]:
+    """Record every line that is opened meanwhile, into a new file at each opening.
+
+    Parameters
+    ----------
+    folder : Path
+        Created if absent. Files are named after the instrument and numbered.
+    headers : mapping of str to RecordingHeader
+        By the instrument's name in errors: "rate table", "chamber". Lines of other instruments are
+        not recorded.
+
+    Raises
+    ------
+    RunFolderError
+        The folder can't be created; opening a line raises it if its file can't be.
+    """
+    make_folder(folder)
+    recording = (folder, headers)
+    _recordings.append(recording)
+    try:
+        yield
+    finally:
+        _recordings.remove(recording)
+
+
+def new_line_recording(instrument: str, clock: Clock, baudrate: int, parity: str) -> RecordingFile | None:
+    """Begin the recording of a line that is opened; None if no recording of its instrument is on."""
+    for folder, headers in _recordings:
+        if instrument in headers:
+            header = headers[instrument].model_copy(update={"baudrate": baudrate, "parity": parity})
+            number = 1
+            while (path := folder / f"{header.instrument}-{number:03d}.rec").exists():
+                number += 1
+            return RecordingFile(path, header, clock)
+    return None

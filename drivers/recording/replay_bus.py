@@ -11,14 +11,14 @@ from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
 
 
 class ReplayBus(can.BusABC):
-    """A bus on which the frames of a log come again, with their stamps, as far apart as then.
+    """A bus that replays the frames of a log with their time stamps and intervals.
 
     Parameters
     ----------
     channel : str
         A log that python-can reads: ``.log`` (candump), ``.asc``, ``.blf`` and others.
     clock : str
-        Name of the clock that it lives on; wall time without one.
+        Name of its clock; wall time without one.
 
     Raises
     ------
@@ -40,10 +40,10 @@ class ReplayBus(can.BusABC):
         super().__init__(channel, **options)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        raise NotImplementedError  # recv() below has its place
+        raise NotImplementedError  # recv() replaces it
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Wait for a frame that passes the filters, on the clock; None if none came in time.
+        """Wait on the clock for a frame that passes the filters; None at the time-out.
 
         Overrides python-can's own, which takes the time from the wall clock.
         """
@@ -61,14 +61,14 @@ class ReplayBus(can.BusABC):
         return None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
-        """Refuse: nobody is there to take a command.
+        """Refuse: a recording has no receiver.
 
         Raises
         ------
         can.CanOperationError
             Always.
         """
-        raise can.CanOperationError(f"a recording takes no commands; 0x{msg.arbitration_id:03X} was sent")
+        raise can.CanOperationError(f"a recording can't receive 0x{msg.arbitration_id:03X}")
 
     def shutdown(self) -> None:
         """Close the log."""

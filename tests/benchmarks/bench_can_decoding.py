@@ -7,7 +7,8 @@ import can
 import numpy as np
 
 import gyrobench.drivers.ins
-from gyrobench.drivers.ins import DbcCodec, FrameBlock, load_dbc
+from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 
 FRAMES = 200_000
 MESSAGE = "HEADING"

@@ -1,4 +1,4 @@
-"""The search for effects on simulated benches whose truth is known, scored by their own scorer.
+"""The search for effects on simulated benches with known effects, scored by their own scorer.
 
 As a script it writes the table of docs/closure_cases.md::
 
@@ -36,7 +36,7 @@ LINE = re.compile(
 
 @dataclass(frozen=True)
 class Scored:
-    """One case: what the scorer says, and the time that the search took."""
+    """Score of one case, and the CPU time of the search."""
 
     case: str
     mark: str
@@ -93,7 +93,7 @@ def markdown(scored, summary):
         f"| {1e3 * each.after_dph:.2f} | {each.after_dph / each.shape_known_dph:.2f} | {each.took_s:.1f} |"
         for each in scored
     ]
-    head = "| case | in the data | found | verdict | error before | after | after/knowing fit | CPU s |"
+    head = "| case | in the data | found | verdict | error before | after | after/reference fit | CPU s |"
     rule = "|---|---|---|---|---|---|---|---|"
     return "\n".join([head, rule, *rows, "", *(f"    {each}" for each in summary)])
 

@@ -25,7 +25,7 @@ LAGS_S = (300.0, 600.0, 1800.0, 3600.0, 7200.0)
 WARM_UPS_S = (900.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)
 STEPS = 20
 SIGNIFICANCE = 0.01
-MOST_CHOSEN = 6
+MAX_CHOSEN = 6
 
 #: Columns of one candidate for one gyro, shape (n, k).
 Columns = np.ndarray
@@ -119,7 +119,7 @@ def forward_bic(rows: Sequence[DwellRow], hold_out_cycle: int | None = None) -> 
         return n * np.log(problem.chi_squared(chosen) / n) + problem.unknowns(chosen) * np.log(n)
 
     chosen: list[Candidate] = []
-    while len(chosen) < MOST_CHOSEN:
+    while len(chosen) < MAX_CHOSEN:
         left = [each for each in problem.library if each not in chosen]
         best = min(left, key=lambda each: criterion([*chosen, each]), default=None)
         if best is None or criterion([*chosen, best]) >= criterion(chosen):
@@ -140,10 +140,10 @@ def stepwise_f(rows: Sequence[DwellRow], hold_out_cycle: int | None = None) -> S
         return float(f_distribution.sf((before - after) / k / (after / free), k, free)) if k else 1.0
 
     def strength(candidate: Candidate) -> tuple[float, float]:
-        """p-values below the smallest number are told apart by what is left."""
+        """p-values below the smallest number are ordered by chi2."""
         return p_value(candidate), problem.chi_squared([*chosen, candidate])
 
-    while len(chosen) < MOST_CHOSEN:
+    while len(chosen) < MAX_CHOSEN:
         left = [each for each in problem.library if each not in chosen]
         best = min(left, key=strength, default=None)
         if best is None or p_value(best) * len(left) >= SIGNIFICANCE:

@@ -83,7 +83,7 @@ class Rig:
 
 @cache
 def any_rig():
-    """One rig for many examples of a test, each with an instrument of its own on it."""
+    """One rig for many examples of a test, each with a separate instrument."""
     return Rig()
 
 

@@ -107,7 +107,7 @@ LATE = st.floats(1.001 * TIMEOUT_S, 1.999 * TIMEOUT_S)
 EVER = st.floats(0.0, 1.999 * TIMEOUT_S)
 GOOD, DAMAGED = st.just(0), st.just(1)
 #: In time, perhaps twice before the next question; or too late, perhaps several times; or damaged, and
-#: then whatever; or lost.
+#: then anything; or lost.
 REPLIES = st.one_of(
     st.tuples(SOON, st.lists(st.floats(0.0, 0.9 * PAUSE_AFTER_READ_S), max_size=2)).map(
         lambda reply: [(reply[0], 0), *((reply[0] + more_s, 0) for more_s in reply[1])]

@@ -1,4 +1,4 @@
-"""Every recording in ``recordings/`` is replayed to its driver: a file put there is a test."""
+"""Every recording in ``recordings/`` is replayed to its driver: each file added there is a test."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ RECORDINGS = sorted(Path(__file__).with_name("recordings").glob("*.rec"))
 
 
 @pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: path.stem)
-def test_the_driver_asks_and_understands_as_it_was_recorded(path):
+def test_the_driver_sends_and_returns_what_was_recorded(path):
     recorded, calls = replay(path)
     assert recorded.header.calls, "the header names no call of the driver"
     assert calls == recorded.header.calls
@@ -21,5 +21,5 @@ def test_every_dialect_has_a_recording():
     assert recorded >= {"acutrol3000", "ideal_aerosmith", "thermotron_8800", "watlow_f4", "watlow_f4t"}
 
 
-def test_who_answered_is_told():
+def test_the_source_of_the_replies_is_recorded():
     assert {replay(path)[0].header.source for path in RECORDINGS} <= {"instrument", "emulator", "manual"}

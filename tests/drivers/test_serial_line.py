@@ -54,10 +54,10 @@ def exchange(line, plug):
     line.write(b"ask")
     assert os.read(plug.master, 10) == b"ask"
     os.write(plug.master, b"reply")
-    return line.read(5, Deadline(line.clock, 5.0))
+    return line.read(5, Deadline(line.clock, 120.0))
 
 
-def test_a_line_goes_on_after_its_port_went_away_and_came_back(line, plug):
+def test_a_line_works_again_after_its_port_was_unplugged_and_plugged_in(line, plug):
     plug.pull()
     with pytest.raises(ConnectionFailedError, match="went away"):
         line.read(1, Deadline(line.clock, 0.1))
@@ -119,11 +119,11 @@ def test_a_socket_that_was_closed_at_the_other_end_is_opened_again():
         with SerialLine("rate table", url, WallClock()) as line:
             server.accept()[0].close()
             with pytest.raises(ConnectionFailedError, match="went away"):
-                line.read(1, Deadline(line.clock, 5.0))
+                line.read(1, Deadline(line.clock, 120.0))
             line.reopen()
             far = server.accept()[0]
             far.sendall(b"x")
-            assert line.read(1, Deadline(line.clock, 5.0)) == b"x"
+            assert line.read(1, Deadline(line.clock, 120.0)) == b"x"
             far.close()
 
 
@@ -142,10 +142,10 @@ def test_silence_is_awaited_until_what_was_late_has_passed(line, plug):
     timers = [threading.Timer(delay_s, os.write, (plug.master, b"late")) for delay_s in (0.05, 0.15)]
     for timer in timers:
         timer.start()
-    line.await_silence(0.3, 5.0)
+    line.await_silence(1.0, 120.0)
     for timer in timers:
         timer.join()
-    assert line.clock.now() >= 0.45
+    assert line.clock.now() >= 1.15
     assert exchange(line, plug) == b"reply"
 
 
@@ -160,7 +160,7 @@ def test_a_line_that_is_never_silent_is_an_error(line, plug):
     thread.start()
     try:
         with pytest.raises(ReplyError, match="all the time"):
-            line.await_silence(0.2, 0.5)
+            line.await_silence(2.0, 2.5)
     finally:
         ended.set()
         thread.join()

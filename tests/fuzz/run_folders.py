@@ -174,7 +174,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         if outcome.ended != "finished":
             raise WrongResultError(f"resumed, the run {outcome.ended}: {outcome.reason}")
         measured = {row.dwell for row in read_dwells(resumed.dwells)}
-        verified = {each.marks.dwell for each in outcome.verifications}
+        verified = {each.marks.dwell for each in outcome.check_dwells}
         missing = {*range(1, plan.dwell_count + 1)} - measured - verified - resumption.state.skipped
         if missing:
             raise WrongResultError(f"the dwells {missing} are lost")

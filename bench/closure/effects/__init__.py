@@ -1,15 +1,44 @@
-"""The candidate effects: each module of this package that has an ``EFFECT`` adds one."""
+"""The candidate effects, one module each with an ``EFFECT``; other packages add theirs by entry point."""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+import re
+from collections.abc import Mapping
+from dataclasses import replace
 
-from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.effects.effect import Effect, checked
+from gyrobench.bench.foundations.entry_points import EFFECTS, installed, load
+from gyrobench.bench.foundations.errors import DocumentError
 
 
 def all_effects() -> tuple[Effect, ...]:
-    """Find the effects of this package's modules, by name."""
+    """The effects of this package's modules and of other packages, by name.
+
+    Raises
+    ------
+    DocumentError
+        An effect of another package can't be imported, is no Effect, or has a name already used. It is
+        not left out silently: the outcome of a search depends on its candidates.
+    """
     modules = (importlib.import_module(f"{__name__}.{each.name}") for each in pkgutil.iter_modules(__path__))
     found = (getattr(module, "EFFECT", None) for module in modules)
-    return tuple(sorted((each for each in found if isinstance(each, Effect)), key=lambda effect: effect.name))
+    effects = {each.name: each for each in found if isinstance(each, Effect)}
+    for name in installed(EFFECTS):
+        effect = load(EFFECTS, name, Effect)
+        reason = _reason_against(effect, name, effects)
+        if reason:
+            raise DocumentError(
+                f"the entry point {name!r} in {EFFECTS} {reason}. Report this to the package's author"
+            )
+        effects[name] = replace(effect, forms=tuple(checked(form, name) for form in effect.forms))
+    return tuple(effects[name] for name in sorted(effects))
+
+
+def _reason_against(effect: Effect, entry: str, known: Mapping[str, Effect]) -> str:
+    if entry in known:
+        return "has the name of another effect"
+    if effect.name != entry:
+        return f"differs from the name {effect.name!r} of its object"
+    return "" if re.fullmatch("[a-z0-9_]{1,60}", entry) else "has characters other than a-z, 0-9 and _"

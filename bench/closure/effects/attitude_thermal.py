@@ -1,10 +1,9 @@
 """Bias that follows a heat flow from the electronics to the optics which depends on attitude.
 
 Warm air rises: what convection carries from the electronics to the optics depends on the direction
-of gravity. The flow goes with the electronics' temperature above the optics. Above an onset
-temperature the bias no longer depends on attitude; below it the dependence is constant
-(saturating), or grows the colder it gets (growing). Where nothing tells the flow it is taken to be
-constant.
+of gravity. The flow is proportional to the electronics' temperature above the optics. Above an onset
+temperature the bias does not depend on attitude; below it the dependence is constant (saturating), or
+grows with falling temperature (growing). An unknown flow is taken as constant.
 """
 
 from __future__ import annotations
@@ -17,10 +16,13 @@ from scipy.special import expit
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import (
     Effect,
+    FittedForm,
     Form,
+    InsTerms,
     Parameter,
     above_optics_c,
     fixed,
+    heat_flow_terms,
     needs_electronics,
     needs_positions,
 )
@@ -45,23 +47,23 @@ def _form(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
         flow_k = above_optics_c(campaign)
         return np.concatenate([flow_k[:, :, None], _along(campaign, flow_k, values, shape)], axis=2)
 
-    def lacks(campaign: Campaign) -> str | None:
+    def missing_input(campaign: Campaign) -> str | None:
         return needs_positions(campaign) or needs_electronics(campaign)
 
     terms = ("heat flow, K", *(f"heat flow by gravity along {axis}, K" for axis in "xyz"))
-    return Form(terms, columns, _ONSET, lacks, name)
+    return Form(terms, columns, _ONSET, missing_input, name)
 
 
 def _form_without_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
     def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
         return _along(campaign, np.ones_like(campaign.gyro_c), values, shape)
 
-    def lacks(campaign: Campaign) -> str | None:
+    def missing_input(campaign: Campaign) -> str | None:
         known = "nothing: the heat flow is known" if needs_electronics(campaign) is None else None
         return needs_positions(campaign) or known
 
-    terms = tuple(f"gravity along {axis} in the cold" for axis in "xyz")
-    return Form(terms, columns, _ONSET, lacks, name)
+    terms = tuple(f"gravity along {axis} below the onset" for axis in "xyz")
+    return Form(terms, columns, _ONSET, missing_input, name)
 
 
 def _along(
@@ -76,17 +78,35 @@ def _along(
     return part[:, :, None] * campaign.up_body[:, None, :]
 
 
+def _compensation(fitted: FittedForm) -> InsTerms:
+    """The part of the heat flow that is equal in all positions, and the part that depends on gravity."""
+    flow = heat_flow_terms(fitted)
+    if flow.left_out:
+        return flow
+    onset_c, width_c = fitted.values
+    return InsTerms(
+        {
+            **flow.coefficients,
+            f"{fitted.form.name}_dph_per_k": fitted.sizes_dph[:, 1:],
+            "onset_c": np.full(3, onset_c),
+            "onset_width_c": np.full(3, width_c),
+        }
+    )
+
+
 EFFECT = Effect(
     name="attitude_thermal",
+    label="attitude-dependent heat flow",
     statement=(
-        "heat from the electronics reaches the optics by a flow that depends on the direction of gravity, "
-        "and the bias follows it"
+        "the bias follows a heat flow from the electronics to the optics that depends on the direction of "
+        "gravity"
     ),
     experiment=(
         "turn the unit upside down about each axis at one cold and one hot temperature, after a soak: "
-        "the difference between up and down is there in the cold and gone in the heat; a change of the "
-        "electronics' power changes it"
+        "the difference between up and down appears in the cold and vanishes in the heat, and it changes "
+        "with the power of the electronics"
     ),
+    compensation=_compensation,
     forms=(
         _form("saturating", _saturating),
         _form("growing", _growing),

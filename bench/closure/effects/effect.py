@@ -1,19 +1,21 @@
-"""What a candidate effect is."""
+"""What a candidate effect is, and the terms that several effects share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import plain_name
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that a form of an effect is fitted with, beside its sizes.
+    """A nonlinear parameter of a form, common to the three gyros.
 
     Attributes
     ----------
@@ -22,10 +24,10 @@ class Parameter:
     low, high : float
         Bounds of the fit.
     starts : callable
-        Gives the values that the fit starts from, for a campaign: all of them are tried.
+        Starting values of the fit for a campaign; all of them are fitted.
     is_open_end : bool
-        Whether the upper bound stands for values beyond it, with which the effect becomes another
-        one: a time constant as long as the campaign is a drift.
+        Whether a value at the upper bound means that the effect is another one: a time constant as long
+        as the campaign is a drift.
     """
 
     name: str
@@ -41,43 +43,99 @@ class Form:
 
     Attributes
     ----------
-    name : str
-        What tells it from the effect's other forms; empty where there is one only.
     terms : tuple of str
         What each term follows, with its unit.
     columns : callable
         Terms of a campaign at values of the parameters: shape (n, 3, k), NaN nowhere. The bias of a
-        gyro is a sum of its k terms, each times a size in deg/h.
+        gyro is the sum of its k terms, each times a fitted size in deg/h.
     parameters : tuple of Parameter
-        Those that all three gyros share.
-    lacks : callable
-        Says which input the form needs and the campaign does not have; None if it has all.
+        The nonlinear ones.
+    missing_input : callable
+        The input that the form needs and a campaign does not have; None if it has all.
+    name : str
+        Distinguishes the forms of an effect; empty for a single one.
     """
 
     terms: tuple[str, ...]
     columns: Callable[[Campaign, tuple[float, ...]], FloatArray]
     parameters: tuple[Parameter, ...] = ()
-    lacks: Callable[[Campaign], str | None] = lambda campaign: None  # noqa: ARG005
+    missing_input: Callable[[Campaign], str | None] = lambda campaign: None  # noqa: ARG005
     name: str = ""
 
 
 @dataclass(frozen=True)
+class FittedForm:
+    """A form as fitted to a campaign: what an effect makes the terms of the INS from.
+
+    Attributes
+    ----------
+    campaign : Campaign
+        All n dwells.
+    searched : ndarray of bool, shape (n,)
+        The dwells that were fitted.
+    form : Form
+        The form chosen.
+    values : tuple of float
+        Its parameters.
+    sizes_dph : ndarray, shape (3, k)
+        Size of each term for each gyro.
+    """
+
+    campaign: Campaign
+    searched: BoolArray
+    form: Form
+    values: tuple[float, ...]
+    sizes_dph: FloatArray
+
+
+@dataclass(frozen=True)
+class InsTerms:
+    """What an INS subtracts of an effect.
+
+    Attributes
+    ----------
+    coefficients : mapping of str to ndarray
+        By field of :class:`gyrobench.drivers.ins.command_map.Compensation`; empty if left out.
+    left_out : str
+        Why the INS can't subtract the effect; empty if it can.
+    note : str
+        What is subtracted only in part; empty if nothing.
+    """
+
+    coefficients: Mapping[str, FloatArray] = field(default_factory=dict)
+    left_out: str = ""
+    note: str = ""
+
+
+def no_ins_term(reason: str) -> Callable[[FittedForm], InsTerms]:
+    """Compensation of an effect that no INS can subtract."""
+    return lambda fitted: InsTerms(left_out=reason)  # noqa: ARG005
+
+
+NO_INS_TERM = no_ins_term("the INS has no term for it")
+
+
+@dataclass(frozen=True)
 class Effect:
-    """A physical cause of gyro bias that the declared model lacks.
+    """A physical effect on gyro bias that the declared model lacks.
 
     Attributes
     ----------
     name : str
-        As in ``closure.json``.
+        As in ``closure.json`` and as the name of the entry point.
     statement : str
-        What it says of the bias, for a person; a sentence without its end: "the bias follows ...".
+        What the bias does; a sentence without its period: "the bias follows ...".
     experiment : str
-        The measurement that shows it alone, for a person: "hold ... and ...".
+        The measurement that separates it from other effects, in the imperative without a period.
     forms : tuple of Form
-        The forms tried; the one that fits best counts.
+        The candidate forms; the one that fits best counts.
     imitated_by : tuple of str
-        Names of effects that correlate with it so much that, where they can't be tried, they may be
-        the cause in its place.
+        Names of effects so correlated with it that they may be present in its place if a missing
+        input excludes them from the search.
+    compensation : callable
+        How the INS compensates it.
+    label : str
+        Displayed in place of the name; by default the name with spaces.
     """
 
     name: str
@@ -85,6 +143,38 @@ class Effect:
     experiment: str
     forms: tuple[Form, ...]
     imitated_by: tuple[str, ...] = ()
+    compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM
+    label: str = ""
+
+    @property
+    def display_name(self) -> str:
+        """Name on pages and in the terminal."""
+        return self.label or plain_name(self.name)
+
+    def missing_input(self, campaign: Campaign) -> str | None:
+        """The input without which no form can be fitted; None if one form can."""
+        missing = [form.missing_input(campaign) for form in self.forms]
+        return missing[0] if missing and all(missing) else None
+
+
+def checked(form: Form, effect: str) -> Form:
+    """Same form of another package's effect, with its columns checked whenever they are computed.
+
+    Its columns raise a MeasurementError if they have another shape or are not finite.
+    """
+
+    def columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+        shape = (len(campaign), 3, len(form.terms))
+        terms = np.asarray(form.columns(campaign, values), dtype=np.float64)
+        if terms.shape != shape or not np.isfinite(terms).all():
+            found = "values that are not finite" if terms.shape == shape else f"shape {terms.shape}"
+            raise MeasurementError(
+                f"the terms of the effect {effect!r} have {found}; required: finite values of shape {shape}. "
+                "Report this to the package's author"
+            )
+        return terms
+
+    return replace(form, columns=columns)
 
 
 def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
@@ -92,21 +182,56 @@ def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
     return lambda campaign: np.array(values)  # noqa: ARG005
 
 
+def same_for_all_gyros(terms: FloatArray) -> FloatArray:
+    """Terms (n, k) as those of each gyro: (n, 3, k)."""
+    return np.repeat(terms[:, None, :], 3, axis=1)
+
+
 def above_optics_c(campaign: Campaign) -> FloatArray:
-    """Temperature of the electronics above the optics (n, 3), NaN where nothing tells it."""
+    """Temperature of the electronics above the optics (n, 3); NaN if unknown."""
     known = campaign.above_optics_c
     return np.full_like(campaign.gyro_c, np.nan) if known is None else known
 
 
 def needs_positions(campaign: Campaign) -> str | None:
-    """Say what lacks where all dwells are in one position."""
+    """Missing input if all dwells are in one position."""
     return "dwells in more than one position" if len(set(campaign.position)) < 2 else None
 
 
 def needs_electronics(campaign: Campaign) -> str | None:
-    """Say what lacks where nothing tells the electronics' temperatures."""
+    """Missing input if the electronics temperatures are neither measured nor observable."""
     return (
-        "temperature sensors at the gyros' electronics, or at the case with dwells that follow one another"
+        "temperature sensors at the gyros' electronics, or at the case with consecutive dwells"
         if campaign.above_optics_c is None
         else None
+    )
+
+
+def heat_flow_terms(fitted: FittedForm) -> InsTerms:
+    """Gradient coefficient from the first term, limited to the differences that the INS measured."""
+    campaign = fitted.campaign
+    if not np.isfinite(campaign.whole.board_c).all():
+        return InsTerms(
+            left_out="it depends on the temperature of the electronics, and the INS has no sensors there"
+        )
+    above_k = (campaign.board_c - campaign.gyro_c)[fitted.searched]
+    return InsTerms(
+        {
+            "gradient_dph_per_k": fitted.sizes_dph[:, 0],
+            "difference_low_k": above_k.min(axis=0),
+            "difference_high_k": above_k.max(axis=0),
+        }
+    )
+
+
+def constant_at_end(fitted: FittedForm) -> InsTerms:
+    """The effect at the end of the campaign as a constant."""
+    columns = fitted.form.columns(fitted.campaign, fitted.values)[-1]
+    constant = np.sum(columns * fitted.sizes_dph, axis=1, keepdims=True)
+    return InsTerms(
+        {"polynomial_dph": constant},
+        note=(
+            "compensated by its value at the end of the campaign, as a constant: the INS can't predict its "
+            "course"
+        ),
     )

@@ -1,24 +1,35 @@
-"""Bias that follows gravity along the body axes, at every temperature."""
+"""Bias that follows gravity along the body axes, equally at all temperatures."""
 
 from __future__ import annotations
 
-import numpy as np
-
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, needs_positions
+from gyrobench.bench.closure.effects.effect import (
+    Effect,
+    FittedForm,
+    Form,
+    InsTerms,
+    needs_positions,
+    same_for_all_gyros,
+)
 from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
-    return np.repeat(campaign.up_body[:, None, :], 3, axis=1)
+    return same_for_all_gyros(campaign.up_body)
+
+
+def _compensation(fitted: FittedForm) -> InsTerms:
+    return InsTerms({"gravity_dph_per_g": fitted.sizes_dph})
 
 
 EFFECT = Effect(
     name="g_sensitivity",
-    statement="the bias follows gravity along the body axes, alike at every temperature",
+    label="g-sensitivity",
+    statement="the bias follows gravity along the body axes, equally at all temperatures",
     experiment=(
-        "compare up and down at the hottest and the coldest temperature after a soak: what follows gravity "
-        "is the same in both; a shield or coil tells it from the vertical magnetic field"
+        "compare up and down at the hottest and the coldest temperature after a soak: the difference is the "
+        "same at both; a magnetic shield or coil excludes the vertical magnetic field"
     ),
-    forms=(Form(("Up along x", "Up along y", "Up along z"), _columns, lacks=needs_positions),),
+    forms=(Form(("Up along x", "Up along y", "Up along z"), _columns, missing_input=needs_positions),),
+    compensation=_compensation,
 )

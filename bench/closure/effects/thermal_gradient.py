@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, above_optics_c, needs_electronics
+from gyrobench.bench.closure.effects.effect import (
+    Effect,
+    Form,
+    above_optics_c,
+    heat_flow_terms,
+    needs_electronics,
+)
 from gyrobench.bench.foundations.arrays import FloatArray
 
 
@@ -14,11 +20,12 @@ def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
 EFFECT = Effect(
     name="thermal_gradient",
     statement=(
-        "the bias follows the temperature of the electronics above that of the optics, alike in all positions"
+        "the bias follows the temperature difference between electronics and optics, equally in all positions"
     ),
     experiment=(
-        "soak at one temperature and change the electronics' power: the difference between electronics and "
-        "optics changes while the temperature rate soon returns to zero"
+        "soak at one temperature and change the power of the electronics: the temperature difference "
+        "changes, while the temperature rate soon returns to zero"
     ),
-    forms=(Form(("electronics above optics, K",), _columns, lacks=needs_electronics),),
+    forms=(Form(("electronics above optics, K",), _columns, missing_input=needs_electronics),),
+    compensation=heat_flow_terms,
 )

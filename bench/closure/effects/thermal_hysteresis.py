@@ -1,4 +1,4 @@
-"""Bias that depends on the way a temperature was reached, at any rate: play between two bounds."""
+"""Bias that depends on the direction from which a temperature was reached: play between two bounds."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numba
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, FittedForm, Form, InsTerms, Parameter, fixed
 from gyrobench.bench.foundations.arrays import FloatArray
 
 
 @numba.njit(cache=True)
 def _play(temperature_c: FloatArray, half_width_c: float) -> FloatArray:
-    """Play over time, (m, 3): what follows the temperature at a distance of the half width at most."""
+    """Play over time, (m, 3): it follows the temperature at a distance of at most the half width."""
     followed = np.empty_like(temperature_c)
     for gyro in range(temperature_c.shape[1]):
         state = temperature_c[0, gyro]
@@ -29,13 +29,23 @@ def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     return record.mean_over(behind_c, campaign.start_s, campaign.end_s)[:, :, None]
 
 
+def _compensation(fitted: FittedForm) -> InsTerms:
+    return InsTerms(
+        {
+            "hysteresis_dph_per_k": fitted.sizes_dph[:, 0],
+            "half_width_k": np.full(3, fitted.values[0]),
+        }
+    )
+
+
 EFFECT = Effect(
     name="thermal_hysteresis",
-    statement="the bias depends on the way that the temperature came, upward or downward, however slowly",
+    statement="the bias depends on whether a temperature was reached from above or below, at any rate",
     experiment=(
-        "reach one temperature from above and from below and soak for hours: a lag dies away, hysteresis "
-        "stays; small loops of temperature show its width"
+        "reach one temperature from above and from below and soak for hours: a lag decays, hysteresis "
+        "remains; small temperature loops show its width"
     ),
+    compensation=_compensation,
     forms=(
         Form(
             ("play behind the temperature, K",),

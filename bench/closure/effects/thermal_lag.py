@@ -1,4 +1,4 @@
-"""Bias that follows a temperature which lags behind the one measured: the sensor sits elsewhere."""
+"""Bias that follows a temperature which lags behind the measured one: the sensor is elsewhere."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed, no_ins_term
 from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArray:
-    """First-order lag of a temperature (m, 3) less that temperature, at rest before the first instant.
+    """First-order lag of a temperature (m, 3) minus that temperature, at rest before the first instant.
 
     Exact for a temperature that is a straight line from each instant to the next.
     """
@@ -31,9 +31,10 @@ EFFECT = Effect(
     name="thermal_lag",
     statement="the bias follows a temperature that lags behind the measured one",
     experiment=(
-        "step the temperature once and soak: the bias goes on moving for the lag's time constant after the "
-        "sensor has settled; a second sensor nearer to the cavity shows the lag directly"
+        "step the temperature once and soak: the bias settles a time constant later than the sensor; a "
+        "second sensor closer to the cavity shows the lag directly"
     ),
+    compensation=no_ins_term("the INS has no term for a temperature that lags behind"),
     forms=(
         Form(
             ("lag behind the sensor, K",),

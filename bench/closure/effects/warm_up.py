@@ -1,22 +1,30 @@
-"""Bias that dies away after power-on."""
+"""Bias that decays after power-on."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.effect import (
+    Effect,
+    FittedForm,
+    Form,
+    InsTerms,
+    Parameter,
+    fixed,
+    same_for_all_gyros,
+)
 from gyrobench.bench.foundations.arrays import FloatArray
 
 
 def _decay_integral(time_s: FloatArray, on_s: float, off_s: float, tau_s: float) -> FloatArray:
-    """Integral up to a time of what decays from one power-on until the next."""
+    """Integral, up to a time, of the decay between one power-on and the next."""
     inside = np.clip(time_s, on_s, off_s) - on_s
     return np.asarray(tau_s * -np.expm1(-inside / tau_s))
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    """Mean over the dwell: a dwell in which the unit was switched on holds the ends of two decays."""
+    """Mean over each dwell: a dwell that contains a power-on contains parts of two decays."""
     tau_s = values[0]
     on_s = campaign.power_on_s
     off_s = np.append(on_s[1:], np.inf)
@@ -25,13 +33,21 @@ def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
         for on, off in zip(on_s, off_s, strict=True)
     )
     mean = area / np.maximum(campaign.end_s - campaign.start_s, 1e-9)
-    return np.repeat(mean[:, None, None], 3, axis=1)
+    return same_for_all_gyros(mean[:, None])
+
+
+def _compensation(fitted: FittedForm) -> InsTerms:
+    return InsTerms(
+        {"warm_up_dph": fitted.sizes_dph[:, 0], "warm_up_s": np.full(3, fitted.values[0])},
+    )
 
 
 EFFECT = Effect(
     name="warm_up",
-    statement="the bias dies away after power-on",
-    experiment="reach the same temperature soon after a power-on and again hours after it, in two power-ons",
+    label="warm-up",
+    statement="the bias decays exponentially after power-on",
+    experiment="reach the same temperature soon after power-on and again hours later, in two power cycles",
+    compensation=_compensation,
     forms=(
         Form(
             ("decay since power-on",),

@@ -1,1 +1,1 @@
-"""The search for effects: its page, its part of a run's report, its summary in the terminal."""
+"""The search for effects: its text, figures, page and terminal summary."""

@@ -25,18 +25,18 @@ _INCH_A_ROW = 0.42
 
 @house_style
 def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
-    """Draw the correlations of all pairs of effects; inseparable pairs are framed.
+    """Draw the correlations of all pairs of effects; pairs that are not distinguished are framed.
 
     Parameters
     ----------
     separability : Separability
         Of the dwells searched.
     target_dph : float
-        Size at which pairs have to be separable, deg/h rms.
+        Target size, deg/h rms.
     name : str
         Of the procedure.
     """
-    names = [each.effect.name for each in separability.detections if each.lacks is None]
+    names = [each.effect.name for each in separability.detections if each.missing_input is None]
     figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
     axes = figure.subplots()
     axes.grid(False)
@@ -54,7 +54,9 @@ def separability_figure(separability: Separability, target_dph: float, name: str
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
     framed = {
-        pair for one, other in separability.not_told(target_dph) for pair in ((one, other), (other, one))
+        pair
+        for one, other in separability.not_distinguished(target_dph)
+        for pair in ((one, other), (other, one))
     }
     for row, one in enumerate(names):
         for column, other in enumerate(names):
@@ -69,7 +71,7 @@ def separability_figure(separability: Separability, target_dph: float, name: str
                 frame.set(edgecolor="#D55E00", linewidth=1.6)
                 axes.add_patch(frame)
     figure.colorbar(image, ax=axes, label="largest canonical correlation of any gyro", fraction=0.04)
-    axes.set_xlabel(f"framed: not separable at {target_dph:g} deg/h rms")
+    axes.set_xlabel(f"framed: not distinguished at {target_dph:g} deg/h rms")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Separability of effects in a planned campaign, for a terminal of 80 columns."""
+"""Separability of effects in a planned campaign, in a terminal of 80 columns, readable without colour."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from gyrobench.bench.foundations.text import counted, listed
 
 _MAX_INFLATION = 1000.0
 _COLUMNS = (
-    f"found from: smallest size found with {POWER:.0%} probability at the median of the effect's "
-    "parameters; at worst: at the worst value. variance: inflation of the variance of its size by fitting "
-    "the other effects. distinct: smallest size at which it is distinguished from the hardest rival."
+    f"found from: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
+    "parameters; at worst: for the worst values. variance: variance inflation by the other effects, fitted "
+    "beside it. distinguished: smallest size at which it is distinguished from its nearest alternative."
 )
 
 
 def separability_summary(
     separability: Separability, dwells: int, unit: PlannedUnit, target_dph: float, advice: Sequence[Advice]
 ) -> RenderableType:
-    """Sizes at which effects are found and separable, failures at the target size, and advice.
+    """Sizes that are found and distinguished, what is not at the target size, and procedure changes.
 
     Parameters
     ----------
     separability : Separability
         Of the dwells searched.
     dwells : int
-        Number of dwells including those held out.
+        Number of dwells including the held-out ones.
     unit : PlannedUnit
         The unit under test.
     target_dph : float
-        Size of interest, deg/h rms.
+        Target size, deg/h rms.
     advice : sequence of Advice
-        What :func:`gyrobench.bench.closure.procedure_changes.advise` says for the target.
+        From :func:`gyrobench.bench.closure.procedure_changes.advise` for the target size.
     """
-    seen = [each for each in separability.detections if each.lacks is None]
+    seen = [each for each in separability.detections if each.missing_input is None]
     parts: list[RenderableType] = [
         Text("Separability of effects; sizes rms in 0.001 deg/h", style="bold"),
         Text(_basis(separability, dwells, unit)),
@@ -50,17 +50,19 @@ def separability_summary(
     ]
     if seen:
         parts += [_table(separability, seen), Text(_COLUMNS), Text()]
-    for lack, each in itertools.groupby(sorted(separability.detections, key=_lack), key=_lack):
-        if lack:
+    for missing, each in itertools.groupby(
+        sorted(separability.detections, key=_missing_input), key=_missing_input
+    ):
+        if missing:
             names = listed([detection.effect.name for detection in each])
-            parts.append(Text(f"Not observable without {lack}: {names}."))
-    parts += [Text(line) for line in _not_separable(separability, seen, target_dph)]
+            parts.append(Text(f"Not observable: {names}. Missing input: {missing}."))
+    parts += [Text(line) for line in _not_distinguished(separability, seen, target_dph)]
     parts += [Text(_advice_sentence(each)) for each in advice]
     return Group(*parts)
 
 
-def _lack(detection: Detection) -> str:
-    return detection.lacks or ""
+def _missing_input(detection: Detection) -> str:
+    return detection.missing_input or ""
 
 
 def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
@@ -83,13 +85,13 @@ def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
     whose = "declared by the station" if unit.is_noise_declared else "a typical value, none is declared"
     sigma = f"±{1e3 * float(np.sqrt(np.mean(campaign.sigma_dph**2))):.2f}"
     if dwells > len(campaign):
-        searched = f"{len(campaign)} of {dwells} dwells are searched; the last cycle is held out."
+        searched = f"The search uses {len(campaign)} of {dwells} dwells; the last cycle is held out."
     else:
         searched = (
-            f"One cycle of {counted(dwells, 'dwell')}; a search needs two to hold one out. These results are "
-            "for all dwells."
+            f"There is one cycle of {counted(dwells, 'dwell')}. A search needs two, one of them held out; "
+            "this table is for all dwells."
         )
-    return f"{searched} Standard uncertainty of each bias {sigma}, from {walk}, {whose}."
+    return f"{searched} Standard uncertainty of a bias: {sigma}, from {walk}, {whose}."
 
 
 def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
@@ -97,44 +99,44 @@ def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
     table.add_column("effect", no_wrap=True)
     for header in ("found from", "at worst", "variance"):
         table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("hardest rival", no_wrap=True)
-    table.add_column("distinct", justify="right", no_wrap=True)
+    table.add_column("alternative", no_wrap=True)
+    table.add_column("distinguished", justify="right", no_wrap=True)
     for each in seen:
         name = each.effect.name
-        rival, separable_dph = separability.hardest_rival(name) or ("none", each.typical_dph)
+        nearest, size_dph = separability.nearest_alternative(name) or ("none", each.typical_dph)
         inflation = f"x{each.inflation:.1f}" if each.inflation < _MAX_INFLATION else "x>1000"
         sizes = _size(each.typical_dph), _size(each.largest_dph)
-        table.add_row(name, *sizes, inflation, rival, _size(separable_dph))
+        table.add_row(name, *sizes, inflation, nearest, _size(size_dph))
     return table
 
 
-def _not_separable(separability: Separability, seen: Sequence[Detection], target_dph: float) -> list[str]:
+def _not_distinguished(separability: Separability, seen: Sequence[Detection], target_dph: float) -> list[str]:
     hidden = [each.effect.name for each in seen if each.effect.name in separability.not_found(target_dph)]
-    pairs = separability.not_told(target_dph)
+    pairs = separability.not_distinguished(target_dph)
     if not seen:
         return []
     if not (hidden or pairs):
-        return [f"At {_size(target_dph)} all of them are found and separable."]
+        return [f"At {_size(target_dph)} all effects are found and distinguished."]
     lines = []
     if hidden:
         lines.append(f"Not found at {_size(target_dph)}: {listed(hidden)}.")
     if pairs:
-        lines.append(f"Not separable at {_size(target_dph)}: {pairs_text(pairs)}.")
+        lines.append(f"Not distinguished at {_size(target_dph)}: {pairs_text(pairs)}.")
     return [*lines, ""]
 
 
 def _advice_sentence(advice: Advice) -> str:
-    helps = []
+    benefits = []
     if advice.found:
         them = "it" if len(advice.found) == 1 else "them"
-        helps.append(f"finds {listed(advice.found)} and separates {them} from all others")
+        benefits.append(f"finds {listed(advice.found)} and distinguishes {them} from all others")
     if advice.pairs:
-        helps.append(f"separates {pairs_text(advice.pairs)}")
+        benefits.append(f"distinguishes {pairs_text(advice.pairs)}")
     if not advice.what:
-        return f"No change known here {', or '.join(helps)}."
+        return f"No known change {', or '.join(benefits)}."
     hours = f"{abs(advice.added_h):.1f} h {'less' if advice.added_h < 0.0 else 'more'}"
-    lost = f"; but no longer {pairs_text(advice.lost)}" if advice.lost else ""
-    return f"With {hours}, {listed(advice.what)}: {', and '.join(helps)}{lost}."
+    lost = f", but does not distinguish {pairs_text(advice.lost)}" if advice.lost else ""
+    return f"With {hours}: {listed(advice.what)}. This {', and '.join(benefits)}{lost}."
 
 
 def _size(size_dph: float) -> str:

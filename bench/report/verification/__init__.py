@@ -1,1 +1,1 @@
-"""Verification (proof that a compensation loaded into the INS works): page, section, terminal summary."""
+"""Verification (proof that a compensation loaded into the INS works): page, text, terminal summary."""

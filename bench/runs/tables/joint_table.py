@@ -120,6 +120,11 @@ def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | Non
     return rows
 
 
+def columns(kind: type[Row]) -> list[str]:
+    """Columns of the file with rows of a kind."""
+    return [_column(field.name) for field in fields(kind)]
+
+
 def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
     """Write rows of one kind as CSV.
 
@@ -129,7 +134,7 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
         The file can't be written.
     """
     cells = ([format_cell(value) for value in astuple(row)] for row in rows)
-    write_text(path, format_csv([_column(field.name) for field in fields(kind)], cells))
+    write_text(path, format_csv(columns(kind), cells))
 
 
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
@@ -209,7 +214,7 @@ def _up(rate: UpRate) -> dict[str, Any]:
 
 def _read(path: Path, kind: type[Row]) -> list[Row]:
     names = [field.name for field in fields(kind)]
-    table = CsvTable(read_text(path), str(path), required=[_column(name) for name in names])
+    table = CsvTable(read_text(path), str(path), required=columns(kind))
     rows = [kind(**{name: _value(table, index, name) for name in names}) for index in range(len(table))]
     table.raise_problems()
     return rows

@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import can
 
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, InertialUnit
+from gyrobench.drivers.emulators.world.world import World
 
 #: Time that a frame takes on the bus.
 FRAME_S = 0.00025
 
 
-class CanFormat(Protocol):
-    """A set of frames; made from the world, whose unit is the INS, and the calendar time at its time zero."""
+class CanFormat(ABC):
+    """A set of frames.
 
+    Parameters
+    ----------
+    world : World
+        Its unit is the INS.
+    epoch_unix_s : float
+        Calendar time at world time zero, for the frames' time stamps.
+    """
+
+    def __init__(self, world: World, epoch_unix_s: float) -> None:
+        self._world = world
+        self._epoch_unix_s = epoch_unix_s
+        self.reset_counters()
+
+    @abstractmethod
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Encode the output of the INS at these epochs, in order of sending."""
-        ...
+        """Encode the output of the INS at these epochs, in order of sending; slow frames at whole seconds."""
 
+    @abstractmethod
     def receive(self, message: can.Message) -> None:
         """Take a standard data frame; unknown ones are ignored."""
-        ...
 
-    def reset_counters(self) -> None:
+    def reset_counters(self) -> None:  # noqa: B027 - a set may have none
         """Reset all counters, as at power-on."""
-        ...
 
-    def skip_epochs(self, count: int) -> None:
+    def skip_epochs(self, count: int) -> None:  # noqa: B027
         """Make the epoch counter jump, if there is one."""
-        ...
 
 
 def execute_command(unit: InertialUnit, command: int, argument: int = 0) -> None:

@@ -15,11 +15,11 @@ import struct
 
 import can
 import numpy as np
+from typing_extensions import override
 
-from gyrobench.drivers.emulators.can_formats import FRAME_S, execute_command, frame
+from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command, frame
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs
 from gyrobench.drivers.emulators.world.strapdown import euler_output
-from gyrobench.drivers.emulators.world.world import World
 
 BENCH_COMMAND = 200
 PITCH, ROLL = 311, 312
@@ -32,29 +32,24 @@ _WITH_FLOAT, _WITH_ULONG = struct.Struct(">BBBBf"), struct.Struct(">BBBBI")
 _ZERO_C_IN_K = 273.15
 
 
-class CanaerospaceFormat:
-    """Encodes and decodes them; a :class:`gyrobench.drivers.emulators.can_formats.CanFormat`."""
+class CanaerospaceFormat(CanFormat):
+    """The frames described above."""
 
-    def __init__(self, world: World, epoch_unix_s: float) -> None:
-        self._world = world
-        self._epoch_unix_s = epoch_unix_s
-        self.reset_counters()
-
+    @override
     def reset_counters(self) -> None:
-        """Reset all message codes, as at power-on."""
         self._codes: dict[int, int] = {}
 
+    @override
     def skip_epochs(self, count: int) -> None:
-        """Make the message codes jump."""
         self._codes = {identifier: code + count for identifier, code in self._codes.items()}
 
+    @override
     def receive(self, message: can.Message) -> None:
-        """Take a command of the bench."""
         if message.arbitration_id == BENCH_COMMAND and len(message.data) == 8:
             execute_command(self._world.unit, message.data[7])
 
+    @override
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Encode the epochs, and at each whole second first the slow frames."""
         messages: list[can.Message] = []
         output = euler_output(epochs.states, pitch_first=False)
         for sample, (north, east, roll, pitch, heading) in zip(

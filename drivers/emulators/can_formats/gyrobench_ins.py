@@ -11,12 +11,12 @@ import struct
 
 import can
 import numpy as np
+from typing_extensions import override
 
-from gyrobench.drivers.emulators.can_formats import FRAME_S, execute_command, frame
+from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command, frame
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
-from gyrobench.drivers.emulators.world.world import World
 
 SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
 INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
@@ -37,24 +37,19 @@ _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
 
-class GyrobenchFormat:
-    """Encodes and decodes them; a :class:`gyrobench.drivers.emulators.can_formats.CanFormat`."""
+class GyrobenchFormat(CanFormat):
+    """The frames described above."""
 
-    def __init__(self, world: World, epoch_unix_s: float) -> None:
-        self._world = world
-        self._epoch_unix_s = epoch_unix_s
-        self.reset_counters()
-
+    @override
     def reset_counters(self) -> None:
-        """Reset all counters, as at power-on."""
         self._epoch_counter = self._status_counter = 0
 
+    @override
     def skip_epochs(self, count: int) -> None:
-        """Make the epoch counter jump."""
         self._epoch_counter = (self._epoch_counter + count) & 0xFFFF
 
+    @override
     def receive(self, message: can.Message) -> None:
-        """Take a command, or a coefficient of the compensation."""
         data = bytes(message.data)
         if message.arbitration_id == INS_COMMAND and len(data) >= 2:
             execute_command(self._world.unit, data[0], data[1])
@@ -63,8 +58,8 @@ class GyrobenchFormat:
             if axis < 3 and index < COEFFICIENTS and np.isfinite(value):
                 self._world.unit.loaded_table[axis, index] = value
 
+    @override
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Encode the epochs, and at each whole second first the slow frames."""
         scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
         scaled = scaled.clip(_INT32_MIN, _INT32_MAX)
         valid = 1 if epochs.mode is Mode.NAVIGATE or epochs.alignment else 0

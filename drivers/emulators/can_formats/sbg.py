@@ -15,11 +15,11 @@ import struct
 
 import can
 import numpy as np
+from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.emulators.can_formats import FRAME_S, execute_command, frame
+from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command, frame
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
-from gyrobench.drivers.emulators.world.world import World
 
 STATUS_02, IMU_INFO = 0x102, 0x120
 EKF_INFO, EKF_QUAT, EKF_VEL_NED = 0x130, 0x131, 0x137
@@ -36,26 +36,16 @@ _ATTITUDE_VALID, _HEADING_VALID, _VELOCITY_VALID, _ALIGN_VALID = 1 << 4, 1 << 5,
 _IMU_OK = 0x3FF
 
 
-class SbgFormat:
-    """Encodes and decodes them; a :class:`gyrobench.drivers.emulators.can_formats.CanFormat`."""
+class SbgFormat(CanFormat):
+    """The frames described above."""
 
-    def __init__(self, world: World, epoch_unix_s: float) -> None:
-        self._world = world
-        self._epoch_unix_s = epoch_unix_s
-
-    def reset_counters(self) -> None:
-        """There are no counters."""
-
-    def skip_epochs(self, count: int) -> None:
-        """There are no counters."""
-
+    @override
     def receive(self, message: can.Message) -> None:
-        """Take a command of the gateway."""
         if message.arbitration_id == BENCH_COMMAND and len(message.data) >= 1:
             execute_command(self._world.unit, message.data[0])
 
+    @override
     def frames(self, epochs: Epochs) -> list[can.Message]:
-        """Encode the epochs, and at each whole second first the slow frames."""
         quaternions = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX).astype(int)
         north_east = np.rint(100.0 * epochs.states[:, [5, 4]]).clip(-_INT16_MAX, _INT16_MAX).astype(int)
         messages: list[can.Message] = []

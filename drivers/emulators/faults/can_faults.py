@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import copy
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import can
 import numpy as np
 from pydantic import Field
-from typing_extensions import override
 
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
 from gyrobench.drivers.emulators.faults.fault import BenchParts, Count, End, Fault, Occurrence, Persistence
@@ -33,18 +32,18 @@ def filter_while(bus: FaultyCan, frame_filter: FrameFilter) -> End:
 class FrameFault(Fault):
     """A disturbance of some frames."""
 
-    persistence: ClassVar[Persistence] = Persistence.UNTIL_USED
+    immediate = False
+    persistence = Persistence.UNTIL_USED
 
     frames: Count = Field(1, description="without for_s: number of affected frames")
     share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="with for_s: share of frames")
     ids: Annotated[list[Identifier], Field(min_length=1)] | None = Field(None, description="only these ids")
 
-    def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
+    def _arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
         """Append what arrives of this frame to the frames that have arrived so far."""
         raise NotImplementedError
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         remaining = self.frames
 
         def frame_filter(messages: list[can.Message]) -> list[can.Message]:
@@ -54,7 +53,7 @@ class FrameFault(Fault):
                 if (remaining > 0 or self.for_s is not None) and self._picks(message, occurrence.random):
                     remaining -= 1
                     occurrence.record()
-                    self.arrive(arrived, message, occurrence.random)
+                    self._arrive(arrived, message, occurrence.random)
                 else:
                     arrived.append(message)
             if remaining == 0 and self.for_s is None:
@@ -75,8 +74,7 @@ class FramesLost(FrameFault):
 
     fault: Literal["frames_lost"]
 
-    @override
-    def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
+    def _arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
         """Nothing arrives."""
 
 
@@ -85,8 +83,7 @@ class FramesRepeated(FrameFault):
 
     fault: Literal["frames_repeated"]
 
-    @override
-    def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
+    def _arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
         arrived += (message, copy.copy(message))
 
 
@@ -95,8 +92,7 @@ class FramesOutOfOrder(FrameFault):
 
     fault: Literal["frames_out_of_order"]
 
-    @override
-    def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
+    def _arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
         arrived.insert(-1, message)
 
 
@@ -104,10 +100,9 @@ class FramesCorrupted(FrameFault):
     """Bits of the data are wrong."""
 
     fault: Literal["frames_corrupted"]
-    bits: int = Field(default=1, ge=1, le=8, description="number of wrong bits")
+    bits: int = Field(1, ge=1, le=8, description="number of wrong bits")
 
-    @override
-    def arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
+    def _arrive(self, arrived: list[can.Message], message: can.Message, random: np.random.Generator) -> None:
         wrong = copy.copy(message)
         wrong.data = bytearray(message.data)
         size = 8 * len(wrong.data)
@@ -119,15 +114,13 @@ class FramesCorrupted(FrameFault):
 class CounterJump(Fault):
     """The INS's epoch counter jumps; no epoch is lost."""
 
-    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
+    persistence = Persistence.MOMENTARY
 
     fault: Literal["counter_jump"]
     by: int = Field(ge=1, le=65535, description="size of the jump, epochs")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         bench.ins.skip_epochs(self.by)
-        occurrence.record()
         return None
 
 
@@ -137,14 +130,12 @@ class TimeStampJump(Fault):
     fault: Literal["time_stamp_jump"]
     by_s: float = Field(description="error of the time stamps, s")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         def shifted(messages: list[can.Message]) -> list[can.Message]:
             for message in messages:
                 message.timestamp += self.by_s
             return messages
 
-        occurrence.record()
         return filter_while(bench.bus, shifted)
 
 
@@ -153,20 +144,18 @@ class BusOff(Fault):
 
     fault: Literal["bus_off"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         bench.bus.connection.disconnect()
-        occurrence.record()
         return bench.bus.connection.reconnect
 
 
 class SecondNode(Fault):
     """Another INS with the same ids is on the bus: it repeats old data with its own counters."""
 
+    immediate = False
     fault: Literal["second_node"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         remembered: dict[int, bytes] = {}
         counters = {HEADING: (4, 0), INS_STATUS: (6, 0)}
 
@@ -190,14 +179,14 @@ class SecondNode(Fault):
 class ForeignFrames(Fault):
     """Frames of other nodes load the bus, as many as its bit rate allows beside the INS's frames."""
 
+    immediate = False
     fault: Literal["foreign_frames"]
     load: Annotated[float, Field(gt=0.0, le=1.0)] = Field(1.0, description="bus load, 1 for a full bus")
-    bitrate: int = Field(default=500_000, ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")
-    first_id: int = Field(default=0x300, ge=0, le=0x700, description="lowest identifier of their frames")
+    bitrate: int = Field(500_000, ge=10_000, le=1_000_000, description="bit rate of the bus, bit/s")
+    first_id: int = Field(0x300, ge=0, le=0x700, description="lowest identifier of their frames")
     nodes: Annotated[int, Field(ge=1, le=256)] = Field(64, description="number of ids, from first_id on")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         frame_s = _FRAME_BITS / self.bitrate / self.load
         free_from_s = 0.0
         sent = 0
@@ -225,16 +214,3 @@ class ForeignFrames(Fault):
             return arriving
 
         return filter_while(bench.bus, crowded)
-
-
-CanFault = (
-    FramesLost
-    | FramesRepeated
-    | FramesOutOfOrder
-    | FramesCorrupted
-    | CounterJump
-    | TimeStampJump
-    | BusOff
-    | SecondNode
-    | ForeignFrames
-)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
-from typing_extensions import override
 
 from gyrobench.drivers.emulators.dialect import WithAlarms, WithSensor
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
@@ -20,15 +19,13 @@ class ControlFault(Fault):
 
     by_c: Positive = Field(description="offset from the set point, K")
 
-    def direction(self, air: ChamberAir) -> float:
+    def _direction(self, air: ChamberAir) -> float:
         """Sign of the error."""
         raise NotImplementedError
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         faults = bench.world.air.faults
-        faults.error_c = math.copysign(self.by_c, self.direction(bench.world.air))
-        occurrence.record()
+        faults.error_c = math.copysign(self.by_c, self._direction(bench.world.air))
         return partial(setattr, faults, "error_c", 0.0)
 
 
@@ -37,8 +34,7 @@ class TemperatureNotReached(ControlFault):
 
     fault: Literal["temperature_not_reached"]
 
-    @override
-    def direction(self, air: ChamberAir) -> float:
+    def _direction(self, air: ChamberAir) -> float:
         return air.parameters.ambient_c - air.set_point_c
 
 
@@ -47,45 +43,34 @@ class TemperatureOvershoots(ControlFault):
 
     fault: Literal["temperature_overshoots"]
 
-    @override
-    def direction(self, air: ChamberAir) -> float:
+    def _direction(self, air: ChamberAir) -> float:
         return air.set_point_c - air.air_c
 
 
 class ChamberSensorError(Fault):
     """The controller's sensor fails for ``for_s`` and control stops; the error is latched until cleared."""
 
+    requires = ("chamber", WithSensor)
     fault: Literal["chamber_sensor_error"]
     error: Annotated[int, Field(ge=1, le=10)] = Field(1, description="number in register 101")
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("chamber", WithSensor)
-
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         chamber = bench.capable("chamber", WithSensor)
         chamber.break_sensor(self.error)
-        occurrence.record()
         return chamber.repair_sensor
 
 
 class ChamberAlarm(Fault):
     """An alarm of the controller; its condition lasts ``for_s``, the alarm until it is cleared after that."""
 
+    requires = ("chamber", WithAlarms)
     fault: Literal["chamber_alarm"]
-    alarm: Literal[1, 2] = Field(default=1, description="number of the alarm")
-    state: Literal["high", "low"] = Field(default="high", description="the violated limit")
+    alarm: Literal[1, 2] = Field(1, description="number of the alarm")
+    state: Literal["high", "low"] = Field("high", description="the violated limit")
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("chamber", WithAlarms)
-
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         chamber = bench.capable("chamber", WithAlarms)
         chamber.raise_alarm(self.alarm, self.state == "high")
-        occurrence.record()
         return partial(chamber.end_alarm, self.alarm)
 
 
@@ -95,12 +80,10 @@ class DoorOpened(Fault):
     fault: Literal["door_opened"]
     share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(0.3, description="share of the jump at once")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         air = bench.world.air
         air.disturb(self.share * (air.parameters.ambient_c - air.air_c))
         air.faults.door_open = True
-        occurrence.record()
         return partial(setattr, air.faults, "door_open", False)
 
 
@@ -109,35 +92,20 @@ class SwitchedOffAtPanel(Fault):
 
     fault: Literal["switched_off_at_panel"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         faults = bench.world.air.faults
         faults.stopped = True
-        occurrence.record()
         return partial(setattr, faults, "stopped", False)
 
 
 class SetPointChangedAtPanel(Fault):
     """An operator enters another set point at the chamber's controller."""
 
-    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
+    persistence = Persistence.MOMENTARY
 
     fault: Literal["set_point_changed_at_panel"]
     to_c: float = Field(ge=-60.0, le=100.0, description="the new set point, degC")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         bench.world.air.set_point_c = self.to_c
-        occurrence.record()
         return None
-
-
-ChamberFault = (
-    TemperatureNotReached
-    | TemperatureOvershoots
-    | ChamberSensorError
-    | ChamberAlarm
-    | DoorOpened
-    | SwitchedOffAtPanel
-    | SetPointChangedAtPanel
-)

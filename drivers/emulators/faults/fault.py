@@ -135,7 +135,7 @@ class Occurrence:
     random : Generator
         Random numbers of the entry.
     record : callable
-        To be called when the fault takes effect; only the first call of an occurrence counts.
+        Called when the fault takes effect; only the first call of an occurrence counts.
     """
 
     now_s: Callable[[], float]
@@ -144,7 +144,18 @@ class Occurrence:
 
 
 class Fault(Timing):
-    """One entry of the list; a subclass is one kind, named by its key ``fault``."""
+    """One entry of the list; a subclass is one kind, named by its key ``fault``.
+
+    Attributes
+    ----------
+    requires : tuple of (str, type) or None
+        ``table`` or ``chamber``, and the capability that its emulator needs for this fault.
+    immediate : bool
+        Whether it takes effect when it starts; otherwise the kind itself calls ``occurrence.record``.
+    """
+
+    requires: ClassVar[tuple[str, type] | None] = None
+    immediate: ClassVar[bool] = True
 
     @property
     def kind(self) -> str:
@@ -153,7 +164,14 @@ class Fault(Timing):
 
     def check(self, bench: BenchParts) -> None:
         """Raise UnsupportedFaultError where this bench does not support the fault."""
+        if self.requires is not None:
+            bench.capable(*self.requires)
 
     def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         """Start the fault on the bench, whose world is at the present; returns what ends it."""
+        if self.immediate:
+            occurrence.record()
+        return self._begin(bench, occurrence)
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         raise NotImplementedError

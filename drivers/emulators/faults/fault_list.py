@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from gyrobench.bench.foundations.documents import Problem, StrictModel, read_document, validate
-from gyrobench.drivers.emulators.faults.can_faults import CanFault
-from gyrobench.drivers.emulators.faults.chamber_faults import ChamberFault
-from gyrobench.drivers.emulators.faults.fault import BenchParts, UnsupportedFaultError
-from gyrobench.drivers.emulators.faults.ins_faults import InsFault
-from gyrobench.drivers.emulators.faults.serial_faults import SerialFault
-from gyrobench.drivers.emulators.faults.table_faults import TableFault
+from gyrobench.drivers.emulators.faults import (
+    can_faults,
+    chamber_faults,
+    ins_faults,
+    serial_faults,
+    table_faults,
+)
+from gyrobench.drivers.emulators.faults.fault import BenchParts, Fault, UnsupportedFaultError
 
-#: One entry; the key ``fault`` names its kind.
-AnyFault = Annotated[
-    SerialFault | CanFault | InsFault | TableFault | ChamberFault, Field(discriminator="fault")
+_MODULES = (serial_faults, can_faults, ins_faults, table_faults, chamber_faults)
+#: The kinds: each class of these modules with a key ``fault``.
+_KINDS = [
+    kind
+    for module in _MODULES
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Fault) and "fault" in kind.model_fields
 ]
+if TYPE_CHECKING:
+    AnyFault = Fault
+else:
+    AnyFault = Annotated[functools.reduce(operator.or_, _KINDS), Field(discriminator="fault")]
 
 
 class FaultList(StrictModel):
     """What fails, and when."""
 
-    description: str = Field(default="", description="purpose of the list")
+    description: str = Field("", description="purpose of the list")
     log: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")] | None = Field(
         None, description="name of a file beside this one; each injection appends a line of JSON to it"
     )

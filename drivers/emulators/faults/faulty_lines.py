@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,26 +20,18 @@ class Reply(NamedTuple):
     delay_s: float = 0.0
 
 
+@dataclass
 class Exchange:
-    """One request, and the correct answer to it.
+    """One request, the reply to the previous one, and how to get the correct answer."""
 
-    Attributes
-    ----------
-    request : bytes
-        What was sent.
-    earlier_reply : bytes
-        The reply to the previous request.
-    """
-
-    def __init__(self, request: bytes, earlier_reply: bytes, ask: Callable[[], bytes]) -> None:
-        self.request = request
-        self.earlier_reply = earlier_reply
-        self._ask = ask
+    request: bytes
+    earlier_reply: bytes
+    ask: Callable[[], bytes]
 
     @cached_property
     def answer(self) -> bytes:
         """The correct reply; the instrument executes the request when this is first read."""
-        return self._ask()
+        return self.ask()
 
 
 #: Gives the reply in place of the correct one; None leaves the exchange unchanged.

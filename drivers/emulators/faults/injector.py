@@ -26,15 +26,8 @@ class Injection(NamedTuple):
     kind: str
 
 
-class InjectionLog:
-    """Keeps the injections, and appends each to a log file.
-
-    Parameters
-    ----------
-    injections : list of Injection
-        Where they are kept.
-    path : Path, optional
-        File of JSON lines, created if missing.
+class InjectionLog(list[Injection]):
+    """The injections so far, each also appended to a file of JSON lines, if a path is given.
 
     Raises
     ------
@@ -42,14 +35,13 @@ class InjectionLog:
         The file can't be written.
     """
 
-    def __init__(self, injections: list[Injection], path: Path | None) -> None:
-        self._injections = injections
+    def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._write("")
 
     def add(self, time_s: float, kind: str) -> None:
         """Add one injection."""
-        self._injections.append(Injection(time_s, kind))
+        self.append(Injection(time_s, kind))
         self._write(json.dumps({"time_s": round(time_s, 3), "fault": kind}) + "\n")
 
     def _write(self, line: str) -> None:
@@ -73,11 +65,6 @@ class Schedule:
         For the spacing of ``every_s``: exponential gaps, so the rate is constant.
     start_s : float
         Start of the bench. Occurrences that ended before it are skipped; one that still lasts starts there.
-
-    Attributes
-    ----------
-    next_s : float
-        Next time at which something is due; infinite for none.
     """
 
     def __init__(self, timing: Timing, random: np.random.Generator, start_s: float = 0.0) -> None:
@@ -91,7 +78,7 @@ class Schedule:
 
     @property
     def next_s(self) -> float:
-        """Next time at which something is due."""
+        """Next time at which something is due; infinite for none."""
         return self._begin_s if self._end_s is None else self._end_s
 
     def observe(self, in_phase: bool, now_s: float) -> None:

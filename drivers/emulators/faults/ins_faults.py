@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import struct
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal, get_args
 
 import can
 from pydantic import Field
-from typing_extensions import override
 
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, ROLL_PITCH, VELOCITY_NE
 from gyrobench.drivers.emulators.faults.can_faults import filter_while
@@ -33,10 +32,8 @@ _PLACES: dict[str, tuple[int, int]] = {
     "pitch": (ROLL_PITCH, 4),
     "heading": (HEADING, 0),
 }
-_ALL: list[Signal] = ["velocity_north", "velocity_east", "roll", "pitch", "heading"]
-_SENSORS: tuple[Sensor, ...] = (
-    "case", "optics_x", "optics_y", "optics_z", "electronics_x", "electronics_y", "electronics_z",
-)  # fmt: skip
+_ALL: list[Signal] = list(get_args(Signal))
+_SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _INVALID = struct.pack("<i", -(2**31))
 _LARGEST = struct.pack("<i", 2**31 - 1)
 _SENSOR_LIMIT_C = 327.67
@@ -45,12 +42,12 @@ _SENSOR_LIMIT_C = 327.67
 class InsRestarts(Fault):
     """The INS's supply drops out for a moment: it boots, resets its counters and loses its compensation."""
 
-    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
+    immediate = False
+    persistence = Persistence.MOMENTARY
 
     fault: Literal["ins_restarts"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         if bench.world.unit.powered:
             bench.world.power_unit(False)
             bench.world.power_unit(True)
@@ -62,12 +59,12 @@ class InsRestarts(Fault):
 class FallsBackToAlignment(Fault):
     """The INS restarts its alignment without a command."""
 
-    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
+    immediate = False
+    persistence = Persistence.MOMENTARY
 
     fault: Literal["falls_back_to_alignment"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         if bench.world.unit.mode is Mode.NAVIGATE:
             bench.world.unit.align()
             occurrence.record()
@@ -79,25 +76,23 @@ class AlignmentNeverDone(Fault):
 
     fault: Literal["alignment_never_done"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         unit = bench.world.unit
         unit.never_aligns = True
-        occurrence.record()
         return partial(setattr, unit, "never_aligns", False)
 
 
 class OutputFault(Fault):
     """Signals of the navigation output are wrong, while counters continue."""
 
+    immediate = False
     signals: Signals = Field(_ALL, description="affected signals of the navigation output")
 
-    def value(self, first: bytes) -> bytes:
+    def _value(self, first: bytes) -> bytes:
         """Value sent in place of the correct one; ``first`` was correct when the fault began."""
         raise NotImplementedError
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         first: dict[str, bytes] = {}
 
         def replaced(messages: list[can.Message]) -> list[can.Message]:
@@ -106,7 +101,7 @@ class OutputFault(Fault):
                     identifier, place = _PLACES[signal]
                     if message.arbitration_id == identifier:
                         correct = bytes(message.data[place : place + 4])
-                        message.data[place : place + 4] = self.value(first.setdefault(signal, correct))
+                        message.data[place : place + 4] = self._value(first.setdefault(signal, correct))
                         occurrence.record()
             return messages
 
@@ -118,8 +113,7 @@ class StuckOutput(OutputFault):
 
     fault: Literal["stuck_output"]
 
-    @override
-    def value(self, first: bytes) -> bytes:
+    def _value(self, first: bytes) -> bytes:
         return first
 
 
@@ -128,8 +122,7 @@ class InvalidOutput(OutputFault):
 
     fault: Literal["invalid_output"]
 
-    @override
-    def value(self, first: bytes) -> bytes:
+    def _value(self, first: bytes) -> bytes:
         return _INVALID
 
 
@@ -138,8 +131,7 @@ class SaturatedOutput(OutputFault):
 
     fault: Literal["saturated_output"]
 
-    @override
-    def value(self, first: bytes) -> bytes:
+    def _value(self, first: bytes) -> bytes:
         return _LARGEST
 
 
@@ -148,16 +140,14 @@ class SensorFault(Fault):
 
     sensor: Sensor = Field(description="faulty temperature sensor")
 
-    def reading_c(self, bench: BenchParts) -> float:
+    def _reading_c(self, bench: BenchParts) -> float:
         """Constant reading during the fault."""
         raise NotImplementedError
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         place = _SENSORS.index(self.sensor)
         broken = bench.world.broken_sensors
-        broken[place] = self.reading_c(bench)
-        occurrence.record()
+        broken[place] = self._reading_c(bench)
 
         def end() -> None:
             broken.pop(place, None)
@@ -169,10 +159,9 @@ class TemperatureSensorBroken(SensorFault):
     """A temperature sensor reads the end of its range."""
 
     fault: Literal["temperature_sensor_broken"]
-    end: Literal["high", "low"] = Field(default="high", description="end of its range that it reads")
+    end: Literal["high", "low"] = Field("high", description="end of its range that it reads")
 
-    @override
-    def reading_c(self, bench: BenchParts) -> float:
+    def _reading_c(self, bench: BenchParts) -> float:
         return _SENSOR_LIMIT_C if self.end == "high" else -_SENSOR_LIMIT_C
 
 
@@ -181,18 +170,5 @@ class TemperatureSensorFrozen(SensorFault):
 
     fault: Literal["temperature_sensor_frozen"]
 
-    @override
-    def reading_c(self, bench: BenchParts) -> float:
+    def _reading_c(self, bench: BenchParts) -> float:
         return float(bench.world.thermal.nodes_c[_SENSORS.index(self.sensor)])
-
-
-InsFault = (
-    InsRestarts
-    | FallsBackToAlignment
-    | AlignmentNeverDone
-    | StuckOutput
-    | InvalidOutput
-    | SaturatedOutput
-    | TemperatureSensorBroken
-    | TemperatureSensorFrozen
-)

@@ -6,7 +6,7 @@ Without ``for_s`` a disturbance affects the next ``replies``, with it all replie
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,23 +26,23 @@ _CRC_BYTES = 2
 class LineFault(Fault):
     """A disturbance of exchanges."""
 
-    persistence: ClassVar[Persistence] = Persistence.UNTIL_USED
+    immediate = False
+    persistence = Persistence.UNTIL_USED
 
     target: LineName = Field(description="affected line: table or chamber")
     replies: Count = Field(1, description="without for_s: number of affected replies")
 
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         """Give the reply in place of the correct one; None leaves the exchange unchanged."""
         raise NotImplementedError
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line = bench.lines[self.target]
         remaining = self.replies
 
         def disturbance(exchange: Exchange) -> Reply | None:
             nonlocal remaining
-            reply = self.disturb(exchange, bench, occurrence.random)
+            reply = self._disturb(exchange, bench, occurrence.random)
             if reply is not None:
                 occurrence.record()
                 remaining -= 1
@@ -59,8 +59,7 @@ class LostReply(LineFault):
 
     fault: Literal["lost_reply"]
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         return Reply(b"") if exchange.answer else None
 
 
@@ -69,8 +68,7 @@ class LostRequest(LineFault):
 
     fault: Literal["lost_request"]
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         return Reply(b"")
 
 
@@ -80,8 +78,7 @@ class LateReply(LineFault):
     fault: Literal["late_reply"]
     delay_s: Positive = Field(description="additional delay of the reply, s")
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         return Reply(exchange.answer, self.delay_s) if exchange.answer else None
 
 
@@ -90,8 +87,7 @@ class HalfReply(LineFault):
 
     fault: Literal["half_reply"]
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         return Reply(exchange.answer[: len(exchange.answer) // 2]) if exchange.answer else None
 
 
@@ -100,8 +96,7 @@ class EarlierReply(LineFault):
 
     fault: Literal["earlier_reply"]
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         return Reply(exchange.earlier_reply) if exchange.answer and exchange.earlier_reply else None
 
 
@@ -109,11 +104,10 @@ class Garbage(LineFault):
     """Random bytes come before the reply, or in place of it."""
 
     fault: Literal["garbage"]
-    bytes: Count = Field(default=8, description="number of random bytes")
-    instead: bool = Field(default=False, description="in place of the reply instead of before it")
+    bytes: Count = Field(8, description="number of random bytes")
+    instead: bool = Field(False, description="in place of the reply instead of before it")
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         if not exchange.answer:
             return None
         return Reply(random.bytes(self.bytes) + (b"" if self.instead else exchange.answer))
@@ -123,10 +117,9 @@ class DamagedReply(LineFault):
     """One bit is wrong in each of ``bytes`` bytes of the reply."""
 
     fault: Literal["damaged_reply"]
-    bytes: Count = Field(default=1, description="number of bytes with a wrong bit")
+    bytes: Count = Field(1, description="number of bytes with a wrong bit")
 
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         if not exchange.answer:
             return None
         data = bytearray(exchange.answer)
@@ -138,15 +131,11 @@ class DamagedReply(LineFault):
 class WrongCrc(LineFault):
     """The CRC of a Modbus reply is wrong, its content correct."""
 
+    requires = ("chamber", SpeaksModbus)
     fault: Literal["wrong_crc"]
-    target: Literal["chamber"] = Field(default="chamber", description="affected line: the chamber's")
+    target: Literal["chamber"] = Field("chamber", description="affected line: the chamber's")
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("chamber", SpeaksModbus)
-
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         answer = exchange.answer
         return Reply(answer[:-_CRC_BYTES] + bytes(b ^ 0xFF for b in answer[-_CRC_BYTES:])) if answer else None
 
@@ -154,16 +143,12 @@ class WrongCrc(LineFault):
 class ExceptionCode(LineFault):
     """The chamber controller refuses the request with a Modbus exception code."""
 
+    requires = ("chamber", SpeaksModbus)
     fault: Literal["exception_code"]
-    target: Literal["chamber"] = Field(default="chamber", description="affected line: the chamber's")
+    target: Literal["chamber"] = Field("chamber", description="affected line: the chamber's")
     code: Annotated[int, Field(ge=1, le=255)] = Field(6, description="4 device failure, 6 busy")
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("chamber", SpeaksModbus)
-
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         if len(exchange.request) <= _CRC_BYTES:
             return None
         return Reply(bench.capable("chamber", SpeaksModbus).refusal(exchange.request[1], self.code))
@@ -172,18 +157,14 @@ class ExceptionCode(LineFault):
 class ErrorWord(LineFault):
     """The table controller refuses the request with an error word and its text."""
 
+    requires = ("table", Acutrol3000Emulator)
     fault: Literal["error_word"]
-    target: Literal["table"] = Field(default="table", description="affected line: the table's")
+    target: Literal["table"] = Field("table", description="affected line: the table's")
     error: Literal["syntax", "unknown_command", "parameter_out_of_range", "not_available"] = Field(
-        default="not_available", description="error word of the answer"
+        "not_available", description="error word of the answer"
     )
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("table", Acutrol3000Emulator)
-
-    @override
-    def disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
+    def _disturb(self, exchange: Exchange, bench: BenchParts, random: np.random.Generator) -> Reply | None:
         return Reply(bench.capable("table", Acutrol3000Emulator).refusal(ErrorCode[self.error.upper()]))
 
 
@@ -193,11 +174,9 @@ class PortGone(Fault):
     fault: Literal["port_gone"]
     target: LineName = Field(description="affected line: table or chamber")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         connection = bench.lines[self.target].connection
         connection.disconnect()
-        occurrence.record()
         return connection.reconnect
 
 
@@ -216,12 +195,10 @@ class InstrumentRestarts(Fault):
     def check(self, bench: BenchParts) -> None:
         bench.capable(self.target, Restartable)
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         line: FaultySerial = bench.lines[self.target]
         instrument = bench.capable(self.target, Restartable)
         line.powered = False
-        occurrence.record()
         instrument.power_off(occurrence.now_s())
 
         def restart() -> None:
@@ -229,19 +206,3 @@ class InstrumentRestarts(Fault):
             instrument.power_on(occurrence.now_s())
 
         return restart
-
-
-SerialFault = (
-    LostReply
-    | LostRequest
-    | LateReply
-    | HalfReply
-    | EarlierReply
-    | Garbage
-    | DamagedReply
-    | WrongCrc
-    | ExceptionCode
-    | ErrorWord
-    | PortGone
-    | InstrumentRestarts
-)

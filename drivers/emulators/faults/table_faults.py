@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 from typing_extensions import override
@@ -28,7 +28,7 @@ Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss"
 class AxisFault(Fault):
     """A fault of one axis."""
 
-    axis: Literal["outer", "inner"] = Field(default="inner", description="affected axis")
+    axis: Literal["outer", "inner"] = Field("inner", description="affected axis")
 
     @property
     def number(self) -> int:
@@ -37,6 +37,7 @@ class AxisFault(Fault):
 
     @override
     def check(self, bench: BenchParts) -> None:
+        super().check(bench)
         try:
             self.is_servoed(bench)
         except KeyError:
@@ -56,11 +57,9 @@ class TableStalls(AxisFault):
 
     fault: Literal["table_stalls"]
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         axis = self.physics(bench)
         axis.overcome(occurrence.now_s())
-        occurrence.record()
         return lambda: axis.let_go(occurrence.now_s(), servo=self.is_servoed(bench))
 
 
@@ -68,13 +67,11 @@ class PositionNotReached(AxisFault):
     """Moves end before their target; beyond a degree the controller trips on the tracking error."""
 
     fault: Literal["position_not_reached"]
-    short_by_deg: Positive = Field(default=0.05, description="distance from the target, deg")
+    short_by_deg: Positive = Field(0.05, description="distance from the target, deg")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         axis = self.physics(bench)
         axis.friction_deg = self.short_by_deg
-        occurrence.record()
 
         def end() -> None:
             axis.friction_deg = 0.0
@@ -92,53 +89,38 @@ class MovedByHand(AxisFault):
 
     fault: Literal["moved_by_hand"]
     by_deg: float = Field(ge=-180.0, le=180.0, description="angle by which it is moved, deg")
-    back: bool = Field(default=True, description="whether it returns at the end")
+    back: bool = Field(True, description="whether it returns at the end")
 
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         axis = self.physics(bench)
         axis.overcome(occurrence.now_s(), self.by_deg)
-        occurrence.record()
         return lambda: axis.let_go(occurrence.now_s(), servo=self.back and self.is_servoed(bench))
 
 
 class TableTrips(AxisFault):
     """The controller detects a fault and opens the servo; latched until a reset."""
 
-    persistence: ClassVar[Persistence] = Persistence.MOMENTARY
+    persistence = Persistence.MOMENTARY
 
+    requires = ("table", Acutrol3000Emulator)
     fault: Literal["table_trips"]
-    trip: Trip = Field(default="rate_trip", description="the detected fault")
+    trip: Trip = Field("rate_trip", description="the detected fault")
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("table", Acutrol3000Emulator)
-
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         bench.capable("table", Acutrol3000Emulator).trip(
             self.number, SoftwareFault[self.trip.upper()], occurrence.now_s()
         )
-        occurrence.record()
         return None
 
 
 class InterlockOpens(AxisFault):
     """A hardware interlock opens for ``for_s``; the servo opens, latched until a reset after that."""
 
+    requires = ("table", Acutrol3000Emulator)
     fault: Literal["interlock_opens"]
     bit: Annotated[int, Field(ge=0, le=15)] = Field(0, description="bit of the interlock register")
 
-    @override
-    def check(self, bench: BenchParts) -> None:
-        bench.capable("table", Acutrol3000Emulator)
-
-    @override
-    def begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         table = bench.capable("table", Acutrol3000Emulator)
         table.open_interlock(self.number, occurrence.now_s(), self.bit)
-        occurrence.record()
         return lambda: table.close_interlock(self.number, self.bit)
-
-
-TableFault = TableStalls | PositionNotReached | MovedByHand | TableTrips | InterlockOpens

@@ -42,10 +42,8 @@ class AirFaults:
 
     Attributes
     ----------
-    stopped : bool
-        Heater and compressor are off although the controller runs.
-    blind : bool
-        The controller has no temperature reading.
+    stopped, blind : bool
+        Heater and compressor are off although the controller runs; it has no temperature reading.
     error_c : float
         Offset of the controlled air from its set point.
     door_open : bool
@@ -63,16 +61,12 @@ class ChamberAir:
 
     Attributes
     ----------
-    air_c : float
-        Temperature of the air.
-    set_point_c : float
-        Final set point.
+    air_c, set_point_c, working_set_point_c : float
+        Temperature of the air, final set point, ramped set point.
     ramp_rate_c_per_min : float or None
-        Rate of the working set point towards it; None for a step.
+        Rate of the ramped set point; None for a step.
     running : bool
         Whether the air is controlled; otherwise it drifts to the room's temperature.
-    working_set_point_c : float
-        The ramped set point.
     power : float
         Share of full power: 1 heats, -1 cools.
     faults : AirFaults

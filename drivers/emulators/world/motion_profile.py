@@ -108,11 +108,8 @@ def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[P
     if peak > ceiling:
         peak = ceiling
         hold_s = max(0.0, change - (2.0 * peak * peak - first * first) / (2.0 * jerk)) / peak
-    return [
-        Piece(sign * jerk, (peak - first) / jerk),
-        Piece(0.0, hold_s),
-        Piece(-sign * jerk, peak / jerk),
-    ]
+    ramp_up, ramp_down = Piece(sign * jerk, (peak - first) / jerk), Piece(-sign * jerk, peak / jerk)
+    return [ramp_up, Piece(0.0, hold_s), ramp_down]
 
 
 def rest_position(start: AxisState, limits: AxisLimits) -> float:
@@ -168,13 +165,9 @@ class Motion:
     """
 
     def __init__(
-        self,
-        start_s: float,
-        start: AxisState,
-        pieces: Sequence[Piece],
-        settling: Settling,
+        self, start_s: float, start: AxisState, pieces: Sequence[Piece], settling: Settling,
         target_deg: float | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         pieces = [piece for piece in pieces if piece.duration_s > 0.0]
         endless = bool(pieces) and math.isinf(pieces[-1].duration_s)
         finite = pieces[:-1] if endless else pieces
@@ -220,9 +213,7 @@ class Motion:
         t, _, rate, acceleration, jerk = self._pieces_at(time_s)
         return rate + t * (acceleration + t * jerk / 2.0) + self._settling.rate_dps(time_s - self.end_s)
 
-    def _pieces_at(
-        self, time_s: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _pieces_at(self, time_s: FloatArray) -> tuple[FloatArray, ...]:
         """Time since the piece's start, its start state (three arrays) and its jerk, at each time."""
         times_s = np.array(self._times_s)
         index = np.maximum(np.searchsorted(times_s, time_s, side="right") - 1, 0)

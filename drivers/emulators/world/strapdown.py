@@ -77,8 +77,7 @@ def _rotation_vector(C: FloatArray) -> FloatArray:
 @numba.njit(cache=True)
 def true_increments(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: FloatArray,
-    inner: FloatArray,
-    latitude: float, height: float, dt: float,
+    inner: FloatArray, latitude: float, height: float, dt: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Output of ideal sensors at the table's centre.
 
@@ -119,14 +118,9 @@ def true_increments(
 
 @numba.njit(cache=True)
 def sense(
-    true: FloatArray,
-    error_matrix: FloatArray,
-    bias: FloatArray,
-    noise: FloatArray,
-    dt: float,
-    pulse: float,
+    true: FloatArray, error_matrix: FloatArray, bias: FloatArray, noise: FloatArray, dt: float, pulse: float,
     remainder: FloatArray,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Sensor output for true increments, the paper's (1) or (2) integrated over each sample.
 
     Parameters
@@ -202,17 +196,9 @@ def add_up(increments: FloatArray, total: FloatArray) -> None:
 
 @numba.njit(cache=True)
 def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Attitude from rotation and velocity increments summed at rest.
+    """Unit quaternion body to ENU (w, x, y, z) from measured increments summed at rest, each of shape (3,).
 
-    Parameters
-    ----------
-    rotation, velocity : ndarray, shape (3,)
-        Sums of the measured increments, body axes: their directions are the Earth's rotation and Up.
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Unit quaternion body to ENU (w, x, y, z).
+    The directions of the sums are those of the Earth's rotation and Up, body axes.
     """
     up = velocity / math.sqrt((velocity**2).sum())
     east = np.array(
@@ -255,14 +241,9 @@ def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True)
 def navigate(
-    state: FloatArray,
-    rotation: FloatArray,
-    velocity: FloatArray,
-    dt: float,
-    height: float,
-    first: int,
-    every: int,
-) -> FloatArray:
+    state: FloatArray, rotation: FloatArray, velocity: FloatArray, dt: float, height: float,
+    first: int, every: int,
+) -> FloatArray:  # fmt: skip
     """Strapdown navigation at fixed altitude; ``state`` is changed in place.
 
     Parameters
@@ -342,14 +323,7 @@ def euler_angles(C: FloatArray, pitch_first: bool) -> tuple[float, float, float]
 
 @numba.njit(cache=True)
 def euler_output(states: FloatArray, pitch_first: bool) -> FloatArray:
-    """Velocity and Euler angles of navigation states.
-
-    Parameters
-    ----------
-    states : ndarray, shape (n, 8)
-        See :data:`STATE_SIZE`.
-    pitch_first : bool
-        See :func:`euler_angles`.
+    """Velocity and :func:`euler_angles` of navigation states (n, 8), laid out as in :data:`STATE_SIZE`.
 
     Returns
     -------

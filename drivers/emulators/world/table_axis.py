@@ -136,11 +136,8 @@ class TableAxis:
             pieces = [*up, *along, *down]
         else:
             target_deg = None
-            hard = replace(
-                limits,
-                acceleration_dps2=_JAM * limits.acceleration_dps2,
-                jerk_dps3=_JAM**2 * limits.jerk_dps3,
-            )
+            acceleration_dps2, jerk_dps3 = _JAM * limits.acceleration_dps2, _JAM**2 * limits.jerk_dps3
+            hard = replace(limits, acceleration_dps2=acceleration_dps2, jerk_dps3=jerk_dps3)
             pieces = change_rate(start, 0.0, hard)
         commanded = self._commanded or self._motions[-1]
         self._follow(Motion(now_s, start, pieces, self._settling([]), target_deg))
@@ -220,11 +217,10 @@ class TableAxis:
     def _settling(self, braking: list[Piece]) -> Settling:
         """Overshoot after braking in three pieces, in proportion to the deceleration."""
         deceleration_dps2 = braking[-1].jerk_dps3 * braking[-1].duration_s if braking else 0.0
-        share = deceleration_dps2 / self.parameters.acceleration_limit_dps2
-        return Settling(
-            share * self.parameters.settling_amplitude_arcsec * _ARCSEC_DEG,
-            self.parameters.settling_time_constant_s,
-        )
+        parameters = self.parameters
+        share = deceleration_dps2 / parameters.acceleration_limit_dps2
+        size_deg = share * parameters.settling_amplitude_arcsec * _ARCSEC_DEG
+        return Settling(size_deg, parameters.settling_time_constant_s)
 
     def _select(self, evaluate: Callable[[Motion, FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
         """Evaluate for each time the motion that was under way."""

@@ -20,10 +20,6 @@ class ThermalNetwork:
     ----------
     nodes_c : ndarray, shape (7,)
         All temperatures: case, then optics and electronics of the x, y and z gyro.
-    case_c : float
-        Temperature of the case.
-    optics_c, electronics_c : ndarray, shape (3,)
-        Temperatures of each gyro's optics and electronics.
     optics_rate_c_per_h : ndarray, shape (3,)
         Change of each gyro's optics in the last step.
     convected_w : ndarray, shape (3,)
@@ -68,16 +64,10 @@ class ThermalNetwork:
 
 def _row(gyro: GyroThermal) -> list[float]:
     return [
-        gyro.optics_j_per_k,
-        gyro.electronics_j_per_k,
-        gyro.optics_power_w,
-        gyro.electronics_power_w,
-        gyro.optics_to_case_w_per_k,
-        gyro.electronics_to_case_w_per_k,
-        gyro.electronics_to_optics_w_per_k,
-        gyro.convection_w_per_k,
-        gyro.convection_gravity_share,
-    ]
+        gyro.optics_j_per_k, gyro.electronics_j_per_k, gyro.optics_power_w, gyro.electronics_power_w,
+        gyro.optics_to_case_w_per_k, gyro.electronics_to_case_w_per_k, gyro.electronics_to_optics_w_per_k,
+        gyro.convection_w_per_k, gyro.convection_gravity_share,
+    ]  # fmt: skip
 
 
 @numba.njit(cache=True)

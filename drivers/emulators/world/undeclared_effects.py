@@ -6,10 +6,12 @@ order of time, and add up.
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag
@@ -34,10 +36,8 @@ class Conditions:
 
     Attributes
     ----------
-    time_s : float
-        Since the start of the world.
-    since_power_on_s : float or None
-        Time since power-on; None while the unit is off.
+    time_s, since_power_on_s : float
+        Time since the start of the world, and since power-on (None while the unit is off).
     optics_c, electronics_c : ndarray, shape (3,)
         Temperatures of each gyro.
     optics_rate_c_per_h : ndarray, shape (3,)
@@ -69,11 +69,14 @@ class Effect(StrictModel):
 
     def start(self) -> AddedBias:
         """Start the effect, with its memory if it has one."""
-        return self.added_dph
+        return self._added_dph
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Bias that an effect without memory adds under these conditions, deg/h, shape (3,)."""
-        raise NotImplementedError(f"{type(self).__name__} defines neither added_dph nor start")
+        return self._added_dph(now)
+
+    def _added_dph(self, now: Conditions) -> FloatArray:
+        raise NotImplementedError(f"{type(self).__name__} defines neither _added_dph nor start")
 
 
 class TemperatureRate(Effect):
@@ -84,8 +87,7 @@ class TemperatureRate(Effect):
         description="bias of each gyro per rate of its optics, deg/h per K/h"
     )
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
 
 
@@ -97,8 +99,7 @@ class ThermalGradient(Effect):
         description="bias of each gyro per kelvin of electronics above optics, deg/h/K"
     )
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c) * (now.electronics_c - now.optics_c)
 
 
@@ -113,11 +114,10 @@ class AttitudeThermal(Effect):
     sensitivity_dph_per_w: Vector = Field(
         description="bias of each gyro per watt of heat that depends on attitude, deg/h/W"
     )
-    onset_c: Positive = Field(default=50.0, description="below this the effect grows, degC")
-    onset_width_c: Positive = Field(default=2.0, description="width of the onset, K")
+    onset_c: Positive = Field(50.0, description="below this the effect grows, degC")
+    onset_width_c: Positive = Field(2.0, description="width of the onset, K")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         below = (self.onset_c - now.optics_c) / self.onset_width_c
         onset = np.logaddexp(0.0, below) * self.onset_width_c / self.onset_c
         return np.asarray(np.array(self.sensitivity_dph_per_w) * now.convected_w * onset)
@@ -156,8 +156,7 @@ class WarmUp(Effect):
     bias_dph: Vector = Field(description="bias at power-on of each gyro, deg/h")
     time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         if now.since_power_on_s is None:
             return np.zeros(3)
         return np.array(self.bias_dph) * math.exp(-now.since_power_on_s / self.time_constant_s)
@@ -169,8 +168,7 @@ class TimeDrift(Effect):
     kind: Literal["time_drift"] = Field(description="name of the effect")
     drift_dph_per_day: Vector = Field(description="drift of each gyro, deg/h per day")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.drift_dph_per_day) * now.time_s / _DAY_S
 
 
@@ -181,8 +179,7 @@ class BiasJump(Effect):
     bias_dph: Vector = Field(description="jump of each gyro, deg/h")
     at_h: NotNegative = Field(description="time of the jump since the start of the world, h")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * (now.time_s >= self.at_h * _HOUR_S)
 
 
@@ -192,10 +189,9 @@ class SupplyRipple(Effect):
     kind: Literal["supply_ripple"] = Field(description="name of the effect")
     amplitude_dph: Vector = Field(description="amplitude of each gyro, deg/h")
     period_h: Positive = Field(description="period, h")
-    phase_deg: float = Field(default=0.0, description="phase at the start of the world, deg")
+    phase_deg: float = Field(0.0, description="phase at the start of the world, deg")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         phase = math.tau * now.time_s / (self.period_h * _HOUR_S) + math.radians(self.phase_deg)
         return np.array(self.amplitude_dph) * math.sin(phase)
 
@@ -222,8 +218,7 @@ class GSensitivity(Effect):
         description="bias per g along the gyro's own axis, three values, or three rows of three, deg/h/g"
     )
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         sensitivity = np.array(self.sensitivity_dph_per_g)
         return np.asarray((np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity) @ now.up_body)
 
@@ -234,8 +229,7 @@ class ChamberState(Effect):
     kind: Literal["chamber_state"] = Field(description="name of the effect")
     bias_dph: Vector = Field(description="bias of each gyro while the compressor runs, deg/h")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * now.compressor_duty
 
 
@@ -251,8 +245,7 @@ class ModeHop(Effect):
     first_reset_c: float = Field(description="temperature of the first change of mode, degC")
     reset_every_c: Positive = Field(description="kelvin between changes of mode")
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         mode = np.floor((now.optics_c - self.first_reset_c) / self.reset_every_c)
         return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
 
@@ -280,8 +273,7 @@ class DitherCrossing(Effect):
         description="bias of each of the two at the crossing, deg/h"
     )
 
-    @override
-    def added_dph(self, now: Conditions) -> FloatArray:
+    def _added_dph(self, now: Conditions) -> FloatArray:
         pair = ["xyz".index(gyro) for gyro in self.gyros]
         detuning = (now.optics_c[pair].mean() - self.crossing_c) / self.half_width_c
         added_dph = np.zeros(3)
@@ -289,22 +281,13 @@ class DitherCrossing(Effect):
         return added_dph
 
 
-#: One entry of a world file's ``undeclared_effects``.
-UndeclaredEffect = Annotated[
-    TemperatureRate
-    | ThermalGradient
-    | AttitudeThermal
-    | ThermalHysteresis
-    | WarmUp
-    | TimeDrift
-    | BiasJump
-    | SupplyRipple
-    | GSensitivity
-    | ChamberState
-    | ModeHop
-    | DitherCrossing,
-    Field(discriminator="kind"),
-]
+if TYPE_CHECKING:
+    UndeclaredEffect = Effect
+else:
+    #: One entry of a world file's ``undeclared_effects``: each class above is a kind.
+    UndeclaredEffect = Annotated[
+        functools.reduce(operator.or_, Effect.__subclasses__()), Field(discriminator="kind")
+    ]
 
 
 class UndeclaredBias:

@@ -25,6 +25,7 @@ from gyrobench.drivers.emulators.world.world_file import TableGeometry, WorldFil
 
 OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
+_AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "position_error_arcsec"}
 _OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
 _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
 
@@ -64,15 +65,9 @@ class World:
         self._unit_random = np.random.default_rng((seed, 1, start_s) if start_s else (seed, 1))
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _Geometry(file.table)
-        self.axes = {number: TableAxis(_axis_parameters(file.table)) for number in (OUTER, INNER)}
-        self.air = ChamberAir(
-            ChamberParameters(
-                heating_limit_c_per_min=file.chamber.heating_limit_c_per_min,
-                cooling_limit_c_per_min=file.chamber.cooling_limit_c_per_min,
-                control_time_constant_s=file.chamber.control_time_constant_s,
-                ambient_c=file.chamber.ambient_c,
-            )
-        )
+        axis = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
+        self.axes = {number: TableAxis(axis) for number in (OUTER, INNER)}
+        self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)
         self.on_epochs: Callable[[Epochs], None] | None = None
@@ -229,15 +224,6 @@ class _Geometry:
         self.inner_axis: FloatArray = tilt @ np.array(_INNER_AXES[table.outer_axis])
         error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
         self.mounting: FloatArray = np.ascontiguousarray(tilt @ error)
-
-
-def _axis_parameters(table: TableGeometry) -> AxisParameters:
-    return AxisParameters(
-        rate_limit_dps=table.rate_limit_dps,
-        acceleration_limit_dps2=table.acceleration_limit_dps2,
-        jerk_limit_dps3=table.jerk_limit_dps3,
-        position_error_arcsec=table.position_error_arcsec,
-    )
 
 
 def _sensed(

@@ -43,88 +43,70 @@ OverTemperature = float | Annotated[list[float], Field(min_length=1, max_length=
 class PerAxis(StrictModel):
     """One value for each body axis: a number, or a polynomial in temperature from degree 0 up."""
 
-    x: OverTemperature = Field(default=0.0, description="of the x axis: number or polynomial")
-    y: OverTemperature = Field(default=0.0, description="of the y axis: number or polynomial")
-    z: OverTemperature = Field(default=0.0, description="of the z axis: number or polynomial")
+    x: OverTemperature = Field(0.0, description="of the x axis: number or polynomial")
+    y: OverTemperature = Field(0.0, description="of the y axis: number or polynomial")
+    z: OverTemperature = Field(0.0, description="of the z axis: number or polynomial")
 
 
 class PerPair(StrictModel):
     """One value for each ordered pair of axes, as in (1) and (2): a number, or a polynomial as above."""
 
-    xy: OverTemperature = Field(
-        default=0.0, description="of the x sensor to the y axis: number or polynomial"
-    )
-    xz: OverTemperature = Field(
-        default=0.0, description="of the x sensor to the z axis: number or polynomial"
-    )
-    yx: OverTemperature = Field(
-        default=0.0, description="of the y sensor to the x axis: number or polynomial"
-    )
-    yz: OverTemperature = Field(
-        default=0.0, description="of the y sensor to the z axis: number or polynomial"
-    )
-    zx: OverTemperature = Field(
-        default=0.0, description="of the z sensor to the x axis: number or polynomial"
-    )
-    zy: OverTemperature = Field(
-        default=0.0, description="of the z sensor to the y axis: number or polynomial"
-    )
+    xy: OverTemperature = Field(0.0, description="x sensor to y axis: number or polynomial")
+    xz: OverTemperature = Field(0.0, description="x sensor to z axis: number or polynomial")
+    yx: OverTemperature = Field(0.0, description="y sensor to x axis: number or polynomial")
+    yz: OverTemperature = Field(0.0, description="y sensor to z axis: number or polynomial")
+    zx: OverTemperature = Field(0.0, description="z sensor to x axis: number or polynomial")
+    zy: OverTemperature = Field(0.0, description="z sensor to y axis: number or polynomial")
 
 
 class GyroErrors(StrictModel):
     """The gyros' twelve coefficients of the paper's equation (2), and their noise."""
 
-    bias_dph: PerAxis = Field(default=PerAxis(), description="bias, deg/h")
-    scale_factor_ppm: PerAxis = Field(default=PerAxis(), description="scale factor error, ppm")
-    misalignment_arcsec: PerPair = Field(default=PerPair(), description="misalignment, arcsec")
-    angle_random_walk_deg_per_sqrt_h: NotNegative = Field(
-        default=0.0, description="angle random walk of each gyro, deg/sqrt(h)"
-    )
+    bias_dph: PerAxis = Field(PerAxis(), description="bias, deg/h")
+    scale_factor_ppm: PerAxis = Field(PerAxis(), description="scale factor error, ppm")
+    misalignment_arcsec: PerPair = Field(PerPair(), description="misalignment, arcsec")
+    angle_random_walk_deg_per_sqrt_h: NotNegative = Field(0.0, description="angle random walk, deg/sqrt(h)")
     power_on_repeatability_dph: NotNegative = Field(
-        default=0.0, description="standard deviation of the bias from power-on to power-on, deg/h"
+        0.0, description="standard deviation of the bias over power-ons, deg/h"
     )
-    pulse_arcsec: NotNegative = Field(default=0.0, description="angle of one output pulse, arcsec")
+    pulse_arcsec: NotNegative = Field(0.0, description="angle of one output pulse, arcsec")
 
 
 class AccelerometerErrors(StrictModel):
     """The accelerometers' twelve coefficients of the paper's equation (1), and their noise."""
 
-    bias_ug: PerAxis = Field(default=PerAxis(), description="bias, ug")
-    scale_factor_ppm: PerAxis = Field(default=PerAxis(), description="scale factor error, ppm")
-    misalignment_arcsec: PerPair = Field(default=PerPair(), description="misalignment, arcsec")
+    bias_ug: PerAxis = Field(PerAxis(), description="bias, ug")
+    scale_factor_ppm: PerAxis = Field(PerAxis(), description="scale factor error, ppm")
+    misalignment_arcsec: PerPair = Field(PerPair(), description="misalignment, arcsec")
     velocity_random_walk_ug_per_sqrt_hz: NotNegative = Field(
-        default=0.0, description="velocity random walk of each accelerometer, ug/sqrt(Hz)"
+        0.0, description="velocity random walk, ug/sqrt(Hz)"
     )
-    pulse_um_per_s: NotNegative = Field(default=0.0, description="velocity of one output pulse, um/s")
+    pulse_um_per_s: NotNegative = Field(0.0, description="velocity of one output pulse, um/s")
 
 
 class GyroThermal(StrictModel):
     """Heat capacities and conductances of one gyro: electronics, optics, and the case around both."""
 
-    optics_j_per_k: HeatCapacity = Field(default=500.0, description="heat capacity of the optics, J/K")
-    electronics_j_per_k: HeatCapacity = Field(
-        default=250.0, description="heat capacity of the electronics, J/K"
-    )
-    optics_power_w: NotNegative = Field(default=1.0, description="heat dissipated in the optics, W")
-    electronics_power_w: NotNegative = Field(default=6.0, description="heat dissipated in the electronics, W")
+    optics_j_per_k: HeatCapacity = Field(500.0, description="heat capacity of the optics, J/K")
+    electronics_j_per_k: HeatCapacity = Field(250.0, description="heat capacity of the electronics, J/K")
+    optics_power_w: NotNegative = Field(1.0, description="heat dissipated in the optics, W")
+    electronics_power_w: NotNegative = Field(6.0, description="heat dissipated in the electronics, W")
     optics_to_case_w_per_k: PositiveHeatConductance = Field(
-        default=0.3, description="conductance from optics to case, W/K"
+        0.3, description="conductance from optics to case, W/K"
     )
     electronics_to_case_w_per_k: PositiveHeatConductance = Field(
-        default=0.25, description="conductance from electronics to case, W/K"
+        0.25, description="conductance from electronics to case, W/K"
     )
     electronics_to_optics_w_per_k: HeatConductance = Field(
-        default=0.06, description="conductance from electronics to optics, W/K"
+        0.06, description="conductance from electronics to optics, W/K"
     )
-    convection_w_per_k: HeatConductance = Field(
-        default=0.04, description="conductance of the air between them, W/K"
-    )
+    convection_w_per_k: HeatConductance = Field(0.04, description="conductance of the air between them, W/K")
     convection_gravity_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        default=0.6, description="share of the convection that depends on the direction of gravity"
+        0.6, description="share of the convection that depends on gravity"
     )
 
     heat_path: Annotated[Vector, AfterValidator(_is_direction)] = Field(
-        description="body direction from electronics to optics: warm air rises along it"
+        description="body direction from electronics to optics, the path of the rising warm air"
     )
 
 
@@ -132,12 +114,12 @@ class Thermal(StrictModel):
     """The thermal network of the unit."""
 
     case_j_per_k: Annotated[float, Field(ge=500.0)] = Field(
-        default=4000.0, description="heat capacity of the case, J/K"
+        4000.0, description="heat capacity of the case, J/K"
     )
     case_to_air_w_per_k: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
-        default=5.0, description="conductance from case to chamber air, W/K"
+        5.0, description="conductance from case to chamber air, W/K"
     )
-    sensor_noise_c: NotNegative = Field(default=0.003, description="noise of each temperature sensor, K")
+    sensor_noise_c: NotNegative = Field(0.003, description="noise of each temperature sensor, K")
     x: GyroThermal = Field(description="the x gyro")
     y: GyroThermal = Field(description="the y gyro")
     z: GyroThermal = Field(description="the z gyro")
@@ -147,77 +129,59 @@ class InsBehaviour(StrictModel):
     """How the INS behaves."""
 
     serial_number: Annotated[int, Field(ge=0, lt=2**32)] = Field(
-        default=1001, description="serial number that it reports"
+        1001, description="serial number that it reports"
     )
-    boot_s: NotNegative = Field(default=8.0, description="from power-on to the first data, s")
-    levelling_s: NotNegative = Field(default=10.0, description="levelling at the start of an alignment, s")
-    coarse_alignment_s: Positive = Field(
-        default=30.0, description="from the start of an alignment to coarse, s"
-    )
-    fine_alignment_s: Positive = Field(default=240.0, description="from the start of an alignment to fine, s")
-    latitude_error_arcmin: float = Field(
-        default=0.0, description="error of the latitude entered into the INS, arcmin"
-    )
+    boot_s: NotNegative = Field(8.0, description="from power-on to the first data, s")
+    levelling_s: NotNegative = Field(10.0, description="levelling at the start of an alignment, s")
+    coarse_alignment_s: Positive = Field(30.0, description="alignment time to coarse, s")
+    fine_alignment_s: Positive = Field(240.0, description="alignment time to fine, s")
+    latitude_error_arcmin: float = Field(0.0, description="error of the entered latitude, arcmin")
     epoch_period_s: Annotated[
         float, Field(ge=0.01, le=1.0, multiple_of=0.01), AfterValidator(_divides_one_second)
-    ] = Field(default=0.1, description="time between navigation outputs, s")
+    ] = Field(0.1, description="time between navigation outputs, s")
 
 
 class TableGeometry(StrictModel):
     """Installation of the table in the laboratory and of the unit on the table."""
 
-    outer_axis: Literal["east", "up"] = Field(default="east", description="direction of the outer axis")
-    tilt_arcsec: Vector = Field(
-        default=[0.0, 0.0, 0.0], description="tilt of the table about East, North and Up, arcsec"
-    )
+    outer_axis: Literal["east", "up"] = Field("east", description="direction of the outer axis")
+    tilt_arcsec: Vector = Field([0.0, 0.0, 0.0], description="tilt about East, North and Up, arcsec")
     mounting_error_arcsec: Vector = Field(
-        default=[0.0, 0.0, 0.0], description="rotation of the unit on its mount about x, y and z, arcsec"
+        [0.0, 0.0, 0.0], description="rotation of the unit about x, y, z, arcsec"
     )
-    position_error_arcsec: NotNegative = Field(
-        default=1.0, description="bound of the position error of an axis, arcsec"
-    )
-    rate_limit_dps: Positive = Field(default=60.0, description="maximum rate of an axis, deg/s")
-    acceleration_limit_dps2: Positive = Field(default=60.0, description="maximum acceleration, deg/s2")
-    jerk_limit_dps3: Positive = Field(default=240.0, description="maximum jerk, deg/s3")
+    position_error_arcsec: NotNegative = Field(1.0, description="bound of an axis's error, arcsec")
+    rate_limit_dps: Positive = Field(60.0, description="maximum rate of an axis, deg/s")
+    acceleration_limit_dps2: Positive = Field(60.0, description="maximum acceleration, deg/s2")
+    jerk_limit_dps3: Positive = Field(240.0, description="maximum jerk, deg/s3")
 
 
 class ChamberBehaviour(StrictModel):
     """The chamber's capability and the laboratory around it."""
 
-    heating_limit_c_per_min: Positive = Field(
-        default=5.0, description="maximum heating rate of the air, degC/min"
-    )
-    cooling_limit_c_per_min: Positive = Field(
-        default=4.0, description="maximum cooling rate of the air, degC/min"
-    )
-    control_time_constant_s: Positive = Field(
-        default=90.0, description="lag of the air behind its set point, s"
-    )
-    ambient_c: float = Field(default=23.0, description="temperature of the laboratory, degC")
+    heating_limit_c_per_min: Positive = Field(5.0, description="maximum heating rate, degC/min")
+    cooling_limit_c_per_min: Positive = Field(4.0, description="maximum cooling rate, degC/min")
+    control_time_constant_s: Positive = Field(90.0, description="lag of the air behind its set point, s")
+    ambient_c: float = Field(23.0, description="temperature of the laboratory, degC")
 
 
 class WorldFile(StrictModel):
     """A simulated bench."""
 
     world: str = Field(description="name of the world")
-    description: str = Field(default="", description="purpose of the world")
+    description: str = Field("", description="purpose of the world")
     latitude_deg: Annotated[float, Field(ge=-85.0, le=85.0)] = Field(description="geodetic latitude, deg")
-    height_m: float = Field(default=0.0, description="height above the ellipsoid, m")
-    reference_temperature_c: float = Field(
-        default=25.0, description="zero of the polynomials in temperature, degC"
-    )
-    gyro: GyroErrors = Field(default=GyroErrors(), description="errors of the gyros")
+    height_m: float = Field(0.0, description="height above the ellipsoid, m")
+    reference_temperature_c: float = Field(25.0, description="zero of the polynomials in temperature, degC")
+    gyro: GyroErrors = Field(GyroErrors(), description="errors of the gyros")
     accelerometer: AccelerometerErrors = Field(
-        default=AccelerometerErrors(), description="errors of the accelerometers"
+        AccelerometerErrors(), description="errors of the accelerometers"
     )
     thermal: Thermal = Field(description="thermal network of the unit")
-    ins: InsBehaviour = Field(default=InsBehaviour(), description="behaviour of the INS")
-    table: TableGeometry = Field(default=TableGeometry(), description="installation and limits of the table")
-    chamber: ChamberBehaviour = Field(
-        default=ChamberBehaviour(), description="limits of the chamber, and the room around it"
-    )
+    ins: InsBehaviour = Field(InsBehaviour(), description="behaviour of the INS")
+    table: TableGeometry = Field(TableGeometry(), description="installation and limits of the table")
+    chamber: ChamberBehaviour = Field(ChamberBehaviour(), description="limits of the chamber, and its room")
     undeclared_effects: list[UndeclaredEffect] = Field(
-        default=[], description="effects on the gyro biases beyond the polynomials; they add up"
+        [], description="effects on the gyro biases beyond the polynomials; they add up"
     )
 
 

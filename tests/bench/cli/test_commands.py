@@ -106,7 +106,7 @@ steps:
       steps:
         - go_to: {position: z_up, azimuth_deg: $azimuth_deg, rate_dps: 30}
         - align: {duration_s: 120}
-        - navigate: {duration_s: 120, purpose: verification}
+        - navigate: {duration_s: 120, purpose: calibration_check}
 """
 
 
@@ -142,9 +142,9 @@ def test_plan_reports_which_effects_its_dwells_report_apart(tmp_path):
 
 
 def test_plan_of_a_verification_has_no_effects_to_report_apart(tmp_path):
-    result = gyrobench("plan", "verification", "--separability", cwd=tmp_path)
+    result = gyrobench("plan", "calibration_check", "--separability", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "verification has no dwell that measures a bias" in result.stdout
+    assert "calibration_check has no dwell that measures a bias" in result.stdout
 
 
 def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
@@ -194,12 +194,12 @@ def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
     command = [*PROCESS, "run", "quick_campaign", "--station", "quick", "--world", "quick"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
         journal = tmp_path / "runs/quick_campaign-001/journal.jsonl"
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 600
         while not (journal.is_file() and "dwell_finished" in journal.read_text()):
             assert time.monotonic() < deadline
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)
-        printed, _ = process.communicate(timeout=60)
+        printed, _ = process.communicate(timeout=600)
     assert process.returncode == EXIT_NOT_FINISHED
     assert "stopped by SIGTERM" in printed
     assert "rate table stopped" in printed

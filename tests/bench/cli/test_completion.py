@@ -45,7 +45,7 @@ def offered(typed, cwd):
         ("run x --faults ev", {"every_kind"}),
         ("verify r --station ex", {"example_bench"}),
         ("new procedure x --like ch", {"check"}),
-        ("new procedure x --like ver", {"verification", "verify_compensation"}),
+        ("new procedure x --like ver", {"verify_compensation"}),
         ("emulate --station sing", {"single_axis"}),
         ("message qui", {"quick"}),
         ("import log.csv --map ex", {"example_log"}),

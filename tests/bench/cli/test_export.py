@@ -33,8 +33,8 @@ def test_files_that_are_there_are_kept_and_that_is_reported(run_folder, tmp_path
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--what", "dwels"), "'dwels' is none of dwells, bins"),
-        (("--format", "xlsx"), "'xlsx' is none of parquet, csv"),
+        (("--what", "dwels"), "'dwels' is not one of dwells, bins"),
+        (("--format", "xlsx"), "'xlsx' is not one of parquet, csv"),
         (("--what", "can", "--format", "csv"), "does not fit can"),
         (("--dwell", "1"), "--what navigation"),
     ],

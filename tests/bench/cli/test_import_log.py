@@ -22,7 +22,7 @@ def test_a_wrong_mapping_and_a_useless_log_have_their_exit_codes(log, tmp_path):
     assert "there is no column 'a'. It has 5: time, gx, gy, gz, temp" in wrong.stderr
     useless = gyrobench("import", path, "--map", log.mapping(window_s=7200), cwd=tmp_path)
     assert useless.returncode == EXIT_NOT_FINISHED
-    assert "no window of 7200 s is good" in useless.stderr
+    assert "no window of 7200 s is valid" in useless.stderr
     assert not (tmp_path / "dwells.csv").exists()
 
 

@@ -40,7 +40,7 @@ def test_it_serves_until_ctrl_c_and_then_ends_quietly(tmp_path):
 def test_a_folder_that_is_not_there_is_reported(tmp_path):
     ended = gyrobench("monitor", "nowhere", cwd=tmp_path)
     assert ended.returncode == 1
-    assert "nowhere: there is no such folder" in ended.stderr
+    assert "nowhere: no such folder" in ended.stderr
 
 
 def test_a_port_in_use_is_reported(tmp_path):
@@ -48,4 +48,4 @@ def test_a_port_in_use_is_reported(tmp_path):
     with served(tmp_path / "mine") as server:
         ended = gyrobench("monitor", "mine", "--port", server.server_port, "--for-s", "1", cwd=tmp_path)
     assert ended.returncode == 1
-    assert "Give another --port" in ended.stderr
+    assert "Choose another --port" in ended.stderr

@@ -17,7 +17,7 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
     path.write_text("precious")
     made = gyrobench("new", "station", "mine", cwd=tmp_path)
     assert made.returncode == 2
-    assert "mine.yaml: is there already" in made.stderr
+    assert "mine.yaml: exists already" in made.stderr
     assert path.read_text() == "precious"
 
 
@@ -45,8 +45,8 @@ def test_right_files_are_named_for_what_they_are(tmp_path):
     answer = gyrobench("validate", "mine.yaml", "bench.yaml", "--station", "emulated", cwd=tmp_path)
     assert answer.returncode == 0
     assert answer.stdout == (
-        "mine.yaml: a good procedure file, 7 steps, 1 dwells, 0:09 h on emulated\n"
-        "bench.yaml: a good station file\n"
+        "mine.yaml: valid procedure file, 7 steps, 1 dwells, 0:09 h on emulated\n"
+        "bench.yaml: valid station file\n"
     )
 
 

@@ -70,7 +70,7 @@ def test_the_ins_is_switched_on_listened_to_and_logged(tmp_path):
 def test_the_lines_of_another_command_are_recorded_on_the_same_station(tmp_path):
     result = record(tmp_path, "--out", "lines", "--", "check", "--world", "ideal")
     assert result.returncode == 0
-    assert "ready for a run" in result.stdout
+    assert ": ready for a run" in result.stdout
     assert result.stdout.endswith("Recorded lines/chamber-001.rec, lines/table-001.rec\n")
     table = read_recording(tmp_path / "lines/table-001.rec")
     assert table.transfers[0].data == b"*IDN?\r\n"
@@ -83,20 +83,20 @@ def test_the_exit_code_of_the_other_command_is_kept(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reason"),
     [
-        (("--out", "a.rec"), "say which instrument"),
-        (("--out", "a", "--proxy", "--", "check"), "leave the options out"),
+        (("--out", "a.rec"), "give --instrument"),
+        (("--out", "a", "--proxy", "--", "check"), "omit --instrument"),
         (("--out", "ins.txt", "--instrument", "ins"), r"a CAN log is named \*.log"),
         (("--out", "there.rec", "--instrument", "table"), "there.rec: exists already"),
         (("--out", "a.rec", "--instrument", "ins", "--proxy"), "a proxy needs an INS on slcan"),
     ],
 )
-def test_what_can_not_be_done_is_refused_with_a_reason(tmp_path, options, told):
+def test_what_can_not_be_done_is_refused_with_a_reason(tmp_path, options, reason):
     (tmp_path / "there.rec").write_text("")
     result = record(tmp_path, *options)
     assert result.returncode == 2
-    assert told.replace("\\", "") in result.stderr
+    assert reason.replace("\\", "") in result.stderr
 
 
 def test_the_proxy_passes_on_and_records_until_its_time_is_over(tmp_path):

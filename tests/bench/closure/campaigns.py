@@ -40,7 +40,7 @@ _KEYS = {
 EFFECTS = {kind: {"kind": kind, **keys} for kind, keys in _KEYS.items()}
 
 
-class Truth(LinesView):
+class TruthRecorder(LinesView):
     """Watches a run and keeps what is true in the emulated world while the INS navigates.
 
     Attributes
@@ -112,12 +112,12 @@ def _powered_on_anew(steps):
 
 def watched_campaign(
     folder: Path, effects=(), *, power_on_each_cycle=False, cycles=3, seed=0, **sections
-) -> tuple[RunFolder, Truth]:
+) -> tuple[RunFolder, TruthRecorder]:
     """Run the quick campaign as the command line does; ``folder`` is an empty folder for its files."""
     world = write_world(folder, effects, **sections)
     procedure = write_procedure(folder, power_on_each_cycle, cycles)
     job = prepare_job(str(procedure), STATION, Emulation(str(world), seed))
-    with Truth(job) as truth:
+    with TruthRecorder(job) as truth:
         run, outcome = run_job(job, folder / "run", truth, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     return run, truth

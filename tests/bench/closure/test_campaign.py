@@ -35,8 +35,8 @@ def test_dwells_with_flags_are_left_out(rows):
     assert len(campaign_of(flagged)) == len(rows) - 2
 
 
-def test_a_table_with_flags_alone_is_told(rows):
-    with pytest.raises(MeasurementError, match="nothing to search"):
+def test_a_table_of_flagged_dwells_is_refused(rows):
+    with pytest.raises(MeasurementError, match="has a result without flags"):
         campaign_of([replace(row, flags="vibration") for row in rows])
 
 
@@ -77,7 +77,7 @@ def test_a_table_with_good_dwells_alone_is_whole(rows):
     assert campaign.whole is campaign
 
 
-def test_what_the_course_of_temperatures_tells_is_told_by_flagged_dwells_too(rows):
+def test_flagged_dwells_contribute_to_the_course_of_temperatures(rows):
     # One of them is the dwell with the power-on, and one the first of the second cycle.
     flagged = [replace(row, flags="vibration") if row.dwell in (7, 38, 39) else row for row in rows]
     campaign, undisturbed = campaign_of(flagged), campaign_of(rows)
@@ -146,10 +146,10 @@ def test_the_record_given_is_the_one_used(rows):
     assert campaign_of(rows, record).record is record
 
 
-def test_electronics_are_above_the_optics_by_what_the_sensors_say():
+def test_electronics_are_above_the_optics_by_the_reading_of_the_sensors():
     campaign = campaign_of(measure(cycles=2).rows)
     np.testing.assert_array_equal(campaign.above_optics_c, campaign.board_c - campaign.gyro_c)
 
 
-def test_nothing_tells_the_electronics_temperature_without_sensors_at_them_and_at_the_case():
+def test_the_electronics_temperature_is_unknown_without_sensors_at_them_and_at_the_case():
     assert campaign_of(measure(cycles=2, sensors=("set", "air")).rows).above_optics_c is None

@@ -52,7 +52,7 @@ def test_all_dwells_are_measured_in_three_cycles(dwells):
     assert not any(row.flags for row in dwells)
 
 
-def test_each_power_on_is_a_run_of_its_own(dwells):
+def test_each_power_on_is_a_separate_run(dwells):
     assert [row.run[-1] for row in dwells] == [str(row.cycle) for row in dwells]
     for cycle in (1, 2, 3):
         since_s = [row.since_power_on_s for row in dwells if row.cycle == cycle]
@@ -75,8 +75,8 @@ def test_biases_are_as_far_from_the_truth_as_their_uncertainties_say(campaign):
     assert np.abs(errors.mean(axis=0)).max() < 4.0 / np.sqrt(len(errors))
 
 
-def test_the_plan_tells_the_uncertainty_of_the_vertical_gyro_and_leaves_the_accelerometers_out(dwells):
-    """They add to the level gyros what the prediction lacks: much in windows of a minute."""
+def test_the_plan_predicts_the_uncertainty_of_the_vertical_gyro_without_accelerometers(dwells):
+    """They increase the uncertainty of the level gyros, most in windows of a minute."""
     _, plan = shipped(PROCEDURE, STATION)
     told_dph = planned_campaign(plan, planned_unit(station(STATION))).sigma_dph
     ratios = np.array([row.sigma_dph for row in dwells]) / told_dph
@@ -139,7 +139,7 @@ def test_every_effect_is_one_that_a_world_file_takes(kind, tmp_path):
     assert effect.kind == kind
 
 
-def test_the_station_is_the_emulated_one_but_for_what_its_unit_makes_different():
+def test_the_station_is_the_emulated_one_except_for_its_unit():
     def changed(one, other, at=""):
         if isinstance(one, dict) and isinstance(other, dict):
             keys = {*one, *other}

@@ -52,7 +52,7 @@ def test_the_document_has_every_key_that_the_formats_name(explained):
     assert of_an_effect <= set(document["effects"][0])
 
 
-def test_the_document_says_what_was_found(explained):
+def test_the_document_lists_the_effects_found(explained):
     document = closure_document(explained)
     [effect] = document["effects"]
     assert effect["effect"] == "g_sensitivity"
@@ -100,25 +100,25 @@ def test_dwells_without_a_result_are_predicted_too_and_those_without_temperature
     rows[4] = replace(rows[4], flags="vibration", bias_dph=(np.nan,) * 3)
     rows[8] = replace(rows[8], gyro_c=(np.nan,) * 3)
     closure = close_loop(campaign_of(rows), effects=[g_sensitivity.EFFECT])
-    told = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}
-    assert [*told] == [row.dwell for row in rows]
-    assert told[9] == [""] * 6
-    after_dph = np.array([float(value) for value in told[5][3:]])
+    predicted = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}
+    assert [*predicted] == [row.dwell for row in rows]
+    assert predicted[9] == [""] * 6
+    after_dph = np.array([float(value) for value in predicted[5][3:]])
     undisturbed = measure({"g_sensitivity": 4.0}, cycles=2)
     np.testing.assert_allclose(after_dph, undisturbed.bias_dph[4], atol=4.0 * SIGMA_DPH)
-    before_dph = np.array([float(value) for value in told[5][:3]])
+    before_dph = np.array([float(value) for value in predicted[5][:3]])
     assert (
         np.abs(before_dph - undisturbed.bias_dph[4]).max()
         > 2.0 * np.abs(after_dph - undisturbed.bias_dph[4]).max()
     )
 
 
-def test_predictions_give_the_errors_told(explained):
+def test_predictions_give_the_stated_errors(explained):
     held_out = ~explained.searched
-    for kind, told in (("before", explained.error_before_dph), ("after", explained.error_after_dph)):
+    for kind, predicted in (("before", explained.error_before_dph), ("after", explained.error_after_dph)):
         values = [[float(row[f"bias_{axis}_{kind}_dph"]) for axis in "xyz"] for row in predictions(explained)]
         errors = (explained.campaign.bias_dph - values)[held_out]
-        assert np.sqrt(np.mean(errors**2)) == pytest.approx(told, rel=1e-5)
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(predicted, rel=1e-5)
 
 
 def test_in_clean_data_nothing_is_predicted_otherwise_after(closed):
@@ -159,7 +159,7 @@ def test_a_search_that_is_written_is_known_again_with_its_cycles_held_out(closed
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"held_out_cycles": ["last"]}'])
-def test_a_search_that_cannot_be_read_is_told(text, tmp_path):
+def test_a_damaged_closure_file_is_refused(text, tmp_path):
     (tmp_path / "closure.json").write_text(text)
-    with pytest.raises(RunFolderError, match="close the run again"):
+    with pytest.raises(RunFolderError, match="run gyrobench close again"):
         read_held_out_cycles(tmp_path)

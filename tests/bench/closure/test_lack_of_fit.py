@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from gyrobench.bench.closure.loop import LEFT_OVER_P
+from gyrobench.bench.closure.loop import LACK_OF_FIT_P
 from gyrobench.bench.closure.validation import lack_of_fit
 
 
@@ -20,16 +20,16 @@ def test_without_anything_left_the_sum_of_squares_is_uniform(of_clean_data):
     assert kstest([each.p_noise for each in of_clean_data], "uniform").pvalue > 0.01
 
 
-def test_without_anything_left_neighbours_are_not_called_alike_too_often(of_clean_data):
+def test_serial_correlation_of_noise_is_rarely_significant(of_clean_data):
     # A fitted model makes neighbours a little unlike: large values are frequent, small ones are not.
-    p_values = [each.p_structure["the dwell before"] for each in of_clean_data]
+    p_values = [each.p_structure["the previous dwell"] for each in of_clean_data]
     assert kstest(p_values, "uniform", alternative="greater").pvalue > 0.01
 
 
 def test_without_anything_left_few_tests_say_that_there_is(of_clean_data):
     # As many tests as there are would give 3 below 0.05 if they had nothing in common.
     assert sum(each.p_value < 0.05 for each in of_clean_data) <= 6
-    assert sum(each.p_value < LEFT_OVER_P for each in of_clean_data) <= 1
+    assert sum(each.p_value < LACK_OF_FIT_P for each in of_clean_data) <= 1
 
 
 def test_the_noise_ratio_is_that_of_the_noise(of_clean_data):
@@ -47,13 +47,13 @@ def test_residuals_that_follow_something_are_seen_to(problem, effect, followed):
     assert left.p_any_structure < 1e-6
 
 
-def test_what_follows_the_temperature_rate_is_seen(problem):
+def test_residuals_that_follow_the_temperature_rate_are_significant(problem):
     assert lack_of_fit(problem({"temperature_rate": 2.0}, seed=3), 0).p_structure["temperature rate"] < 1e-6
 
 
-def test_residuals_that_follow_the_dwell_before_are_seen(problem):
+def test_residuals_that_follow_the_previous_dwell_are_significant(problem):
     left = lack_of_fit(problem({"sinusoid": 2.0}, seed=3), 0)
-    assert left.p_structure["the dwell before"] < 1e-6
+    assert left.p_structure["the previous dwell"] < 1e-6
 
 
 @pytest.mark.parametrize("noise", [0.5, 2.0])
@@ -82,5 +82,5 @@ def test_p_values_count_how_many_tests_were_made(problem):
 
 def test_parameters_fitted_beside_count_as_unknowns(problem):
     one = problem()
-    assert lack_of_fit(one, 6).noise_ratio == pytest.approx(np.sqrt(one.chi2 / (one.freedom - 6)))
+    assert lack_of_fit(one, 6).noise_ratio == pytest.approx(np.sqrt(one.chi2 / (one.dof - 6)))
     assert lack_of_fit(one, 6).p_noise < lack_of_fit(one, 0).p_noise

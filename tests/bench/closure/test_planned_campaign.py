@@ -1,4 +1,4 @@
-"""The campaign that a plan would give, beside the one that a run of it gives."""
+"""The campaign predicted from a plan, compared with a run of the plan."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def test_each_power_on_begins_a_run():
     assert len(campaign.power_on_s) == 2
 
 
-def test_what_a_unit_does_not_measure_is_not_known(fig7):
+def test_temperatures_without_sensors_are_unknown(fig7):
     plan, campaign = fig7
     without = planned_campaign(plan, PlannedUnit(has_boards=False, has_case=False))
     assert np.isfinite(campaign.board_c).all()
@@ -79,7 +79,7 @@ def test_noise_that_a_station_does_not_declare_is_taken_as_typical(tmp_path):
     assert planned_unit(station()).is_noise_declared
 
 
-def test_it_is_near_what_a_run_measures(short_run):
+def test_it_is_close_to_the_measurements_of_a_run(short_run):
     _, plan = shipped("ten_minute_check")
     folder = short_run[0]
     measured = campaign_of(read_dwells(folder.dwells))

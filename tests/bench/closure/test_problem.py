@@ -36,41 +36,43 @@ def left_by_least_squares(problem, terms=None, kept=ALL):
     return total
 
 
-def test_the_declared_model_leaves_what_a_direct_fit_leaves(one):
+def test_the_residual_of_the_declared_model_is_that_of_a_direct_fit(one):
     assert one.chi2 == pytest.approx(left_by_least_squares(one))
-    assert one.freedom == 3 * (one.searched.sum() - DEGREE - 2)
+    assert one.dof == 3 * (one.searched.sum() - DEGREE - 2)
 
 
 def test_the_gain_of_terms_is_the_fall_of_the_sum_of_squares(one, terms):
-    gain, rank = one.gain(terms)
+    gain, rank = one.chi2_reduction(terms)
     assert gain == pytest.approx(one.chi2 - left_by_least_squares(one, terms))
     assert rank == 6
 
 
 def test_each_gyro_gains_from_the_terms_that_it_keeps(one, terms):
     kept = np.array([[True, False], [False, True], [False, False]])
-    gain, rank = one.gain(terms, kept)
+    gain, rank = one.chi2_reduction(terms, kept)
     assert gain == pytest.approx(one.chi2 - left_by_least_squares(one, terms, kept))
     assert rank == 2
 
 
-def test_a_problem_with_columns_leaves_what_the_gain_says(one, terms):
+def test_columns_reduce_chi2_as_predicted(one, terms):
     after = one.with_columns(terms)
-    assert after.chi2 == pytest.approx(one.chi2 - one.gain(terms)[0])
-    assert after.freedom == one.freedom - 6
+    assert after.chi2 == pytest.approx(one.chi2 - one.chi2_reduction(terms)[0])
+    assert after.dof == one.dof - 6
 
 
 def test_terms_gain_nothing_twice(one, terms):
     after = one.with_columns(terms)
-    gain, rank = after.gain(terms)
+    gain, rank = after.chi2_reduction(terms)
     assert gain == pytest.approx(0.0, abs=1e-6)
     assert rank == 0
-    assert after.with_columns(terms).freedom == after.freedom
+    assert after.with_columns(terms).dof == after.dof
 
 
 def test_gains_of_one_term_after_the_other_add_up(one, terms):
     after = one.with_columns(terms[:, :, :1])
-    assert one.gain(terms[:, :, :1])[0] + after.gain(terms[:, :, 1:])[0] == pytest.approx(one.gain(terms)[0])
+    assert one.chi2_reduction(terms[:, :, :1])[0] + after.chi2_reduction(terms[:, :, 1:])[0] == pytest.approx(
+        one.chi2_reduction(terms)[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,20 +85,20 @@ def test_gains_of_one_term_after_the_other_add_up(one, terms):
     ],
     ids=["zeros", "a constant", "a power of the temperature", "only held out"],
 )
-def test_what_the_declared_model_has_or_nobody_sees_determines_nothing(one, columns):
-    assert one.gain(columns(one.campaign)) == (pytest.approx(0.0, abs=1e-6), 0)
+def test_terms_of_the_declared_model_or_outside_the_search_determine_nothing(one, columns):
+    assert one.chi2_reduction(columns(one.campaign)) == (pytest.approx(0.0, abs=1e-6), 0)
     assert one.with_columns(columns(one.campaign)).chi2 == pytest.approx(one.chi2)
 
 
 def test_a_duplicate_adds_no_gain_and_no_rank(one, terms):
     twice = np.concatenate([terms, 3.0 * terms], axis=2)
-    gain, rank = one.gain(twice)
-    assert (gain, rank) == (pytest.approx(one.gain(terms)[0]), 6)
-    assert one.with_columns(twice).freedom == one.freedom - 6
+    gain, rank = one.chi2_reduction(twice)
+    assert (gain, rank) == (pytest.approx(one.chi2_reduction(terms)[0]), 6)
+    assert one.with_columns(twice).dof == one.dof - 6
 
 
 def test_units_of_a_term_do_not_matter(one, terms):
-    assert one.gain(terms * np.array([1e6, 1e-6]))[0] == pytest.approx(one.gain(terms)[0])
+    assert one.chi2_reduction(terms * np.array([1e6, 1e-6]))[0] == pytest.approx(one.chi2_reduction(terms)[0])
 
 
 def test_twice_the_noise_leaves_a_quarter(one):
@@ -111,14 +113,14 @@ def test_held_out_dwells_have_no_part_in_it(one, terms):
     garbage[~one.searched] = 1e6
     changed = declared_problem(replace(campaign, bias_dph=garbage), one.searched)
     assert changed.chi2 == one.chi2
-    assert changed.gain(terms) == one.gain(terms)
+    assert changed.chi2_reduction(terms) == one.chi2_reduction(terms)
 
 
 def test_share_left_is_nothing_of_a_case_and_all_of_something_else(one, terms):
     after = one.with_columns(terms)
-    assert after.share_left(terms @ np.array([[1.0], [2.0]])) < 1e-6
+    assert after.independent_share(terms @ np.array([[1.0], [2.0]])) < 1e-6
     other = np.random.default_rng(2).standard_normal(terms.shape)
-    assert after.share_left(other) > 0.8
+    assert after.independent_share(other) > 0.8
 
 
 def test_the_declared_model_is_recovered_without_noise():

@@ -15,11 +15,11 @@ BY_NAME = {change.what: change for change in CHANGES}
 ON_RAMPS = ("measure two positions on each ramp",)
 CYCLE = ("add a cycle",)
 POWER = ("switch the unit off for an hour between cycles",)
-RETURN = ("return to the first position at the end of each temperature",)
-MIDDLE = ("come back to the middle temperature at the end of each cycle",)
+RETURN = ("return to the first position at the end of each plateau",)
+MIDDLE = ("return to the middle temperature at the end of each cycle",)
 SLOWER = ("run every second cycle at half the ramp rate",)
 LEFT_ON = ("leave the unit on for 12 h before the second cycle",)
-ALL = ("take all six positions at each temperature",)
+ALL = ("measure all six positions at each temperature",)
 
 
 def changed(what, document):
@@ -72,14 +72,14 @@ def test_dwells_on_ramps_see_the_temperature_move(fig7):
     assert fast.sum() >= 2 * 8
 
 
-def test_each_stop_ends_where_it_began(fig7):
+def test_each_plateau_ends_in_its_first_position(fig7):
     _, campaign = changed(RETURN, fig7)
     assert len(campaign) == 60 + 10
     assert campaign.position[0] == campaign.position[6] == "z_up"
     assert campaign.set_c[0] == campaign.set_c[6] == 62.0
 
 
-def test_each_cycle_comes_back_to_its_middle_temperature(fig7, shift):
+def test_each_cycle_returns_to_its_middle_temperature(fig7, shift):
     _, campaign = changed(MIDDLE, shift)
     assert list(dict.fromkeys(campaign.set_c.tolist())) == [57.0, 22.0, -13.0]
     assert campaign.set_c[-4:].tolist() == [22.0] * 4
@@ -99,7 +99,7 @@ def test_the_unit_stays_on_for_long_before_the_second_cycle(fig7):
     assert campaign.run.max() == 0
 
 
-def test_positions_that_a_stop_lacks_are_added_once(fig7, shift):
+def test_missing_positions_of_a_plateau_are_added_once(fig7, shift):
     _, campaign = changed(ALL, shift)
     assert set(campaign.position[:6]) == set(POSITIONS)
     assert changed(ALL, fig7) is None
@@ -107,6 +107,6 @@ def test_positions_that_a_stop_lacks_are_added_once(fig7, shift):
 
 @pytest.mark.parametrize("what", sorted(BY_NAME))
 @pytest.mark.parametrize("name", ["six_position_fig7", "three_temperature_shift", "ten_minute_check"])
-def test_what_a_change_gives_can_be_run(what, name):
+def test_a_changed_procedure_can_be_run(what, name):
     result = changed(what, shipped(name)[0])
     assert result is None or result[0].dwell_count >= len(result[1]) > 0

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.candidates import evaluate
+from gyrobench.bench.closure.candidates import TIE_MARGIN, evaluate
 from gyrobench.bench.closure.effects import all_effects, bias_jump, time_drift
 from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.search import SIGNIFICANCE, TIE_MARGIN, Search
+from gyrobench.bench.closure.search import SIGNIFICANCE, Search
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
 CLEAN_SEEDS = range(20)
@@ -61,7 +61,7 @@ def test_an_effect_is_found_alone(search, effect, size):
 def test_the_gradient_is_found_where_the_electronics_power_changes(search):
     one, best = search({"thermal_gradient": 4.0}, power_steps_h=5.3)
     assert best.names == {"thermal_gradient"}
-    assert one.rivals(best, 0) == ()
+    assert one.alternatives(best, 0) == ()
 
 
 def test_in_clean_data_nothing_is_found(problem):
@@ -81,7 +81,7 @@ def test_two_effects_are_found_together(search):
     assert max(one.p_value(best, 0), one.p_value(best, 1)) < 1e-9
 
 
-def test_power_on_and_drift_are_told_apart_over_several_cycles(search):
+def test_warm_up_and_drift_are_distinguished_over_several_cycles(search):
     _, best = search({"warm_up": 4.0, "time_drift": 6.0}, seed=7, sensors=())
     assert best.names == {"warm_up", "time_drift"}
 
@@ -97,17 +97,17 @@ def test_no_effect_of_the_best_set_has_a_better_one_in_its_place(search):
         others = evaluate(one.problem, [each for each in best.candidates if each is not left_out])
         for effect in one.effects:
             instead = None if effect.name in best.names else one.add(others, effect)
-            assert instead is None or instead.score > best.score
+            assert instead is None or instead.bic > best.bic
 
 
 def test_the_first_of_several_effects_may_be_one_that_is_none_of_them(search):
     """Of one effect at a time a stand-in for several does best; it is exchanged for them later."""
     one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
-    first = min(one.alone.values(), key=lambda each: each.score)
+    first = min(one.alone.values(), key=lambda each: each.bic)
     assert first.names.isdisjoint(best.names)
 
 
-def test_what_rests_on_one_dwell_is_not_found(problem):
+def test_an_effect_in_one_dwell_is_not_found(problem):
     one = problem()
     bias_dph = one.campaign.bias_dph.copy()
     bias_dph[20] += 10.0 * SIGMA_DPH
@@ -117,7 +117,7 @@ def test_what_rests_on_one_dwell_is_not_found(problem):
     assert "dwells" not in searching.best().names
 
 
-def test_what_rests_on_several_dwells_alike_is_found(problem):
+def test_an_effect_in_several_dwells_is_found(problem):
     one = problem()
     bias_dph = one.campaign.bias_dph.copy()
     bias_dph[[20, 31, 45]] += 10.0 * SIGMA_DPH
@@ -140,8 +140,8 @@ def test_each_gyro_says_by_itself_whether_it_shows_an_effect(problem):
 def test_a_special_case_at_the_lower_bound_of_a_parameter_is_no_tie(search):
     """A lag of a second follows the rate as well as the rate itself."""
     one, best = search({"temperature_rate": 4.0}, cycles=2, seed=1)
-    assert one.alone["thermal_lag"].score < best.score + TIE_MARGIN
-    assert one.rivals(best, 0) == ()
+    assert one.alone["thermal_lag"].bic < best.bic + TIE_MARGIN
+    assert one.alternatives(best, 0) == ()
 
 
 def test_the_probability_of_an_effect_does_not_go_by_its_place_in_the_set(search):
@@ -157,10 +157,10 @@ def test_terms_that_explain_nothing_are_not_added(problem):
     assert Search(problem({"time_drift": 4.0}), [nothing]).alone == {}
 
 
-def test_a_weak_effect_of_one_ramp_rate_is_not_told_from_those_like_it(search):
+def test_a_weak_effect_of_one_ramp_rate_is_not_distinguished_from_similar_ones(search):
     one, best = search({"temperature_rate": 1.0}, profile=TRIANGLE, cycles=2)
     [found] = best.names
-    assert {"temperature_rate", "thermal_gradient", "thermal_lag"} <= {found, *one.rivals(best, 0)}
+    assert {"temperature_rate", "thermal_gradient", "thermal_lag"} <= {found, *one.alternatives(best, 0)}
 
 
 def test_a_slow_warm_up_in_few_hours_looks_like_a_drift(search):
@@ -170,20 +170,20 @@ def test_a_slow_warm_up_in_few_hours_looks_like_a_drift(search):
         return 2.0 ** (-course.time_h / 20.0)[:, None]
 
     one, best = search({slow_decay: 4.0}, profile=((20.0, 1.0, 6.0),), cycles=3)
-    assert best.names | {*one.rivals(best, 0)} >= {"warm_up", "time_drift"}
+    assert best.names | {*one.alternatives(best, 0)} >= {"warm_up", "time_drift"}
 
 
-def test_the_simpler_cause_has_no_rival_in_one_that_has_it_as_a_case(search):
+def test_an_effect_that_contains_the_one_found_is_no_alternative(search):
     one, best = search({"g_sensitivity": 3.0}, cycles=2, seed=1)
-    assert one.rivals(best, 0) == ()
+    assert one.alternatives(best, 0) == ()
     # Alone, heat flow that depends on attitude at all temperatures says nearly the same.
-    assert one.alone["attitude_thermal"].chi2 < 0.5 * one.nothing.chi2
+    assert one.alone["attitude_thermal"].chi2 < 0.5 * one.declared.chi2
 
 
-def test_rivals_have_another_name_than_the_set(search):
+def test_alternatives_are_not_in_the_hypothesis(search):
     one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0}, cycles=2, seed=7)
     for index in range(2):
-        assert best.names.isdisjoint(one.rivals(best, index))
+        assert best.names.isdisjoint(one.alternatives(best, index))
 
 
 def test_an_effect_in_the_set_is_not_added_twice(search):
@@ -197,6 +197,6 @@ def test_each_effect_of_the_best_set_is_significant(search):
     assert all(one.p_value(best, index) < SIGNIFICANCE for index in range(len(best.candidates)))
 
 
-def test_effects_whose_inputs_lack_are_not_tried(search):
+def test_effects_with_missing_inputs_are_not_fitted(search):
     one, _ = search({"bias_jump": 3.0}, sensors=())
     assert one.alone.keys().isdisjoint({"chamber_state", "thermal_gradient"})

@@ -1,4 +1,4 @@
-"""Sizes that a campaign tells, beside what the search does with made-up biases of such sizes."""
+"""Sizes found and distinguished in a campaign, compared with searches of simulated biases."""
 
 from dataclasses import replace
 
@@ -25,12 +25,12 @@ def campaign():
 
 
 @pytest.fixture(scope="module")
-def told(campaign):
+def result(campaign):
     return separability(campaign, all_effects())
 
 
-def detection(told, name):
-    [found] = [each for each in told.detections if each.effect.name == name]
+def detection(result, name):
+    [found] = [each for each in result.detections if each.effect.name == name]
     return found
 
 
@@ -65,33 +65,35 @@ def share_found(campaign, name, size_dph, repeats=60):
 
 
 @pytest.mark.parametrize("name", ["temperature_rate", "g_sensitivity", "time_drift"])
-def test_the_search_finds_nine_of_ten_effects_of_the_size_told(campaign, told, name):
-    size_dph = detection(told, name).typical_dph
+def test_the_search_finds_nine_of_ten_effects_of_the_stated_size(campaign, result, name):
+    size_dph = detection(result, name).typical_dph
     # Three standard deviations of 60 trials.
     assert share_found(campaign, name, size_dph) == pytest.approx(0.9, abs=0.12)
     assert share_found(campaign, name, 0.5 * size_dph) < 0.3
 
 
-@pytest.mark.parametrize(("factor", "is_told"), [(0.5, False), (2.0, True)])
-def test_the_search_takes_effects_for_tied_below_the_size_told_and_not_above(campaign, told, factor, is_told):
-    true, rival = "time_drift", "warm_up"
-    size_dph = factor * told.told_dph[true, rival]
-    rivals = []
+@pytest.mark.parametrize(("factor", "is_distinguished"), [(0.5, False), (2.0, True)])
+def test_the_search_ties_effects_below_the_stated_size_and_not_above(
+    campaign, result, factor, is_distinguished
+):
+    true, alternative = "time_drift", "warm_up"
+    size_dph = factor * result.distinguished_dph[true, alternative]
+    distinguished = []
     for seed in range(8):
-        search = searched(campaign, true, size_dph, seed, beside=(rival,))
-        rivals.append(rival not in search.rivals(search.alone[true], 0))
-    assert np.mean(rivals) == pytest.approx(float(is_told), abs=0.3)
+        search = searched(campaign, true, size_dph, seed, beside=(alternative,))
+        distinguished.append(alternative not in search.alternatives(search.alone[true], 0))
+    assert np.mean(distinguished) == pytest.approx(float(is_distinguished), abs=0.3)
 
 
-def test_a_special_case_of_another_effect_is_told_as_soon_as_it_is_found(told):
-    size_dph = told.told_dph["thermal_gradient", "attitude_thermal"]
-    assert size_dph == detection(told, "thermal_gradient").typical_dph
-    assert told.correlation["thermal_gradient", "attitude_thermal"] == pytest.approx(1.0, abs=1e-3)
+def test_a_special_case_of_another_effect_is_distinguished_as_soon_as_it_is_found(result):
+    size_dph = result.distinguished_dph["thermal_gradient", "attitude_thermal"]
+    assert size_dph == detection(result, "thermal_gradient").typical_dph
+    assert result.correlation["thermal_gradient", "attitude_thermal"] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_sizes_go_with_the_noise(campaign, told):
+def test_sizes_go_with_the_noise(campaign, result):
     noisier = separability(replace(campaign, sigma_dph=2.0 * campaign.sigma_dph), all_effects())
-    for one, other in zip(told.detections, noisier.detections, strict=True):
+    for one, other in zip(result.detections, noisier.detections, strict=True):
         assert other.typical_dph == pytest.approx(2.0 * one.typical_dph)
         assert other.inflation == pytest.approx(one.inflation, rel=1e-3)
 
@@ -101,27 +103,27 @@ def test_independent_effects_inflate_nothing_and_equal_ones_without_bounds(campa
     one, two = np.cos(2.0 * np.pi * order / 5.0), np.sin(2.0 * np.pi * order / 3.0)
     apart = separability(campaign, [following("one", one), following("two", two)])
     assert max(each.inflation for each in apart.detections) < 1.3
-    assert apart.hardest_rival("one") == ("two", detection(apart, "one").typical_dph)
+    assert apart.nearest_alternative("one") == ("two", detection(apart, "one").typical_dph)
     same = separability(campaign, [following("one", one), following("same", -3.0 * one)])
     assert [each.inflation for each in same.detections] == [np.inf, np.inf]
     assert same.correlation["one", "same"] == pytest.approx(1.0)
-    assert same.told_dph["one", "same"] == np.inf
-    assert same.not_told(1.0) == [("one", "same")]
+    assert same.distinguished_dph["one", "same"] == np.inf
+    assert same.not_distinguished(1.0) == [("one", "same")]
     assert not same.is_settled("one", 1.0)
 
 
-def test_what_the_declared_model_takes_is_not_seen(campaign):
-    told = separability(campaign, [following("cubic", (campaign.gyro_c[:, 0] / 50.0) ** 3)])
-    assert told.detections[0].typical_dph == np.inf
-    assert told.detections[0].lacks is not None
-    assert told.hardest_rival("cubic") is None
-    assert told.not_found(1.0) == ["cubic"]
+def test_an_effect_within_the_declared_model_is_not_observable(campaign):
+    result = separability(campaign, [following("cubic", (campaign.gyro_c[:, 0] / 50.0) ** 3)])
+    assert result.detections[0].typical_dph == np.inf
+    assert result.detections[0].missing_input is not None
+    assert result.nearest_alternative("cubic") is None
+    assert result.not_found(1.0) == ["cubic"]
 
 
-def test_an_effect_that_needs_what_is_not_measured_says_so(campaign):
-    told = separability(replace(campaign, set_c=np.full(len(campaign), np.nan)), all_effects())
-    assert detection(told, "chamber_state").lacks == "the chamber's set point"
-    assert not any("chamber_state" in pair for pair in told.told_dph)
+def test_an_effect_with_a_missing_input_names_it(campaign):
+    result = separability(replace(campaign, set_c=np.full(len(campaign), np.nan)), all_effects())
+    assert detection(result, "chamber_state").missing_input == "the chamber's set point"
+    assert not any("chamber_state" in pair for pair in result.distinguished_dph)
 
 
 def test_the_worst_value_of_a_parameter_counts(campaign):

@@ -29,7 +29,7 @@ def test_a_ramp_over_several_dwells_is_recovered_from_the_means(begin_min, rate_
     end_min = begin_min + 50.0 / rate_c_per_min
     corners = [(0, 10), (begin_min, 10), (end_min, 10 + sign * 50), (end_min + 120, 10 + sign * 50)]
     set_c, course_c = means_and_course(corners, int((end_min + 100) // DWELL_MIN))
-    # A minute of a ramp at the edge of a dwell can't be told from a hold.
+    # A minute of a ramp at the edge of a dwell can't be distinguished from a hold.
     np.testing.assert_allclose(path_of(set_c), course_c, atol=rate_c_per_min)
     assert np.sqrt(np.mean((path_of(set_c) - course_c) ** 2)) < 0.05
 

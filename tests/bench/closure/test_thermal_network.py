@@ -21,20 +21,22 @@ def above_optics(measured):
 
 @pytest.mark.parametrize("attitude_convection", [0.0, 0.3])
 def test_with_sensors_the_network_agrees_with_the_truth(attitude_convection):
-    told_c, true_c = above_optics(measure(cycles=2, attitude_convection=attitude_convection, sensors=ALL))
-    np.testing.assert_allclose(told_c, true_c, atol=0.3)
-    assert np.sqrt(np.mean((told_c - true_c) ** 2)) < 0.06
+    estimated_c, true_c = above_optics(
+        measure(cycles=2, attitude_convection=attitude_convection, sensors=ALL)
+    )
+    np.testing.assert_allclose(estimated_c, true_c, atol=0.3)
+    assert np.sqrt(np.mean((estimated_c - true_c) ** 2)) < 0.06
 
 
 def test_where_no_network_describes_the_temperatures_the_sensors_say_it():
     measured = measure(cycles=2, power_steps_h=5.3, sensors=ALL)
-    told_c, true_c = above_optics(measured)
-    np.testing.assert_allclose(told_c, true_c, atol=0.03)
+    estimated_c, true_c = above_optics(measured)
+    np.testing.assert_allclose(estimated_c, true_c, atol=0.03)
 
 
 def test_pauses_leave_the_sensors_alone_to_say_it():
-    told_c, true_c = above_optics(measure(cycles=2, pause_s=600.0, sensors=ALL))
-    np.testing.assert_allclose(told_c, true_c, atol=0.03)
+    estimated_c, true_c = above_optics(measure(cycles=2, pause_s=600.0, sensors=ALL))
+    np.testing.assert_allclose(estimated_c, true_c, atol=0.03)
     assert campaign_of(measure(cycles=2, pause_s=600.0, sensors=("case",)).rows).above_optics_c is None
 
 
@@ -45,20 +47,20 @@ def test_flagged_dwells_in_between_are_no_pauses():
     np.testing.assert_array_equal(campaign_of(flagged).above_optics_c, campaign_of(rows).above_optics_c[good])
 
 
-def test_after_a_dwell_without_temperatures_the_network_starts_anew():
+def test_after_a_dwell_without_temperatures_the_network_is_initialized_again():
     rows = measure(cycles=2, attitude_convection=0.3, sensors=("case",)).rows
     whole_c = campaign_of(rows).above_optics_c
     rows[9] = replace(rows[9], gyro_c=(np.nan,) * 3)
-    told_c = campaign_of(rows).above_optics_c
-    for told, whole in zip(told_c.T, np.delete(whole_c, 9, axis=0).T, strict=True):
-        assert np.corrcoef(told, whole)[0, 1] > 0.99
+    estimated_c = campaign_of(rows).above_optics_c
+    for estimated, whole in zip(estimated_c.T, np.delete(whole_c, 9, axis=0).T, strict=True):
+        assert np.corrcoef(estimated, whole)[0, 1] > 0.99
 
 
 def test_many_pauses_leave_the_network_nothing_to_go_by():
     assert campaign_of(measure(cycles=2, pause_s=600.0, sensors=("case",)).rows).above_optics_c is None
 
 
-def test_temperatures_held_out_do_not_change_what_the_others_are_told():
+def test_held_out_temperatures_do_not_change_the_others():
     rows = measure(cycles=3, attitude_convection=0.3, sensors=("case", "board")).rows
     few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]
     seen, short = (campaign_of(each).holding_out([3]).part for each in (rows, few))
@@ -67,7 +69,7 @@ def test_temperatures_held_out_do_not_change_what_the_others_are_told():
 
 
 def test_without_sensors_at_the_electronics_the_difference_is_known_but_for_scale_and_offset():
-    told_c, true_c = above_optics(measure(cycles=2, attitude_convection=0.3, sensors=("case",)))
-    for told, true in zip(told_c.T, true_c.T, strict=True):
-        line = np.polyval(np.polyfit(told, true, 1), told)
+    estimated_c, true_c = above_optics(measure(cycles=2, attitude_convection=0.3, sensors=("case",)))
+    for estimated, true in zip(estimated_c.T, true_c.T, strict=True):
+        line = np.polyval(np.polyfit(estimated, true, 1), estimated)
         assert np.std(true - line) < 0.2 * np.std(true)

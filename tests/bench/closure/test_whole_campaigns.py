@@ -1,4 +1,4 @@
-"""Whole campaigns over bytes and frames, each with an effect that nobody declared, and the search on them."""
+"""Whole campaigns over bytes and frames, each with an undeclared effect, and the search on them."""
 
 import numpy as np
 import pytest

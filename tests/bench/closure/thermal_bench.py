@@ -149,7 +149,7 @@ def jump(at: float) -> Callable[[Course], np.ndarray]:
     return lambda c: (c.time_h >= at * (c.time_h[-1] + STEP_S / 3600.0))[:, None] * 1.0
 
 
-#: Undeclared effects, (m, 3) or (m, 1) without scale. The last two are none that a search could know.
+#: Undeclared effects, (m, 3) or (m, 1) without scale. The last two are not among the candidates.
 EFFECTS: Mapping[str, Callable[[Course], np.ndarray]] = {
     "temperature_rate": lambda c: np.gradient(c.optics_c, axis=0),
     "thermal_gradient": lambda c: c.board_c - c.optics_c,

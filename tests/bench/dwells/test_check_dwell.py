@@ -21,7 +21,7 @@ def recorded(short_run):
     entry = next(entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished")
     marks = DwellMarks.from_json(entry["marks"])
     frames = FrameBlock.from_messages(dict(read_can_log(folder.can))[marks.log_part])
-    alone = replace(marks, windows=marks.windows[:1], is_verification=True)
+    alone = replace(marks, windows=marks.windows[:1], is_calibration_check=True)
     return alone, frames, measurement_setup(Station(folder.station)), marks
 
 

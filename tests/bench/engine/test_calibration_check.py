@@ -44,7 +44,7 @@ VERIFICATION = """
             steps:
               - go_to: {position: $position, azimuth_deg: $azimuth_deg}
               - align: {duration_s: 180}
-              - navigate: {duration_s: 300, purpose: verification}
+              - navigate: {duration_s: 300, purpose: calibration_check}
 """
 
 
@@ -98,19 +98,19 @@ def test_without_noise_the_biases_are_those_of_the_world_and_of_the_calibration(
 def test_dwells_of_the_verification_are_no_calibration(one_run):
     folder, outcome = one_run
     assert [row.dwell for row in read_dwells(folder.dwells)] == [1, 4, 5, 8]
-    assert len(outcome.verifications) == 4
+    assert len(outcome.check_dwells) == 4
     finished = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished"]
     assert [entry["marks"]["is_verification"] for entry in finished] == [False, True, True, False] * 2
     assert {entry["flags"] for entry in finished} == {""}
 
 
 def test_the_temperatures_are_those_of_each_part(one_run):
-    verifications = one_run[1].verifications
-    for each in verifications:
+    check_dwells = one_run[1].check_dwells
+    for each in check_dwells:
         assert all(np.less(each.aligning_c, each.temperatures.gyro_c))  # the unit warms up
         assert 180.0 <= each.marks.align_s < 185.0
     alignment = one_run[1].results.calibration_check[0]
-    first_c, second_c = (each.aligning_c[0] for each in verifications[:2])
+    first_c, second_c = (each.aligning_c[0] for each in check_dwells[:2])
     assert first_c < alignment.temperature_c < second_c
 
 

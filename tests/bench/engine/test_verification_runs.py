@@ -59,7 +59,7 @@ steps:
       steps:
         - go_to: {{position: z_up, azimuth_deg: $azimuth_deg, rate_dps: 30}}
         - align: {{duration_s: 30}}
-        - navigate: {{duration_s: 120, purpose: verification}}
+        - navigate: {{duration_s: 120, purpose: calibration_check}}
 """
 
 
@@ -94,11 +94,11 @@ def verified(campaign, tmp_path_factory):
     for name, job in verification.jobs.items():
         _, outcome = verification.measure(name, watched(job), ConsentingOperator())
         assert outcome.ended == "finished", outcome.reason
-    return verification, verification.comparison()
+    return verification, verification.result()
 
 
 def test_with_the_effect_added_noise_is_left_where_the_declared_model_leaves_more(campaign, verified):
-    none, declared, effect = (each.total for each in verified[1].leftovers)
+    none, declared, effect = (each.total for each in verified[1].results)
     assert verified[1].models["effect"].effects == ("attitude_thermal",)
     for before in (none, declared):
         assert before.varying_p_value < 1e-9
@@ -127,7 +127,7 @@ def test_each_run_has_its_compensation_loaded_and_no_other(verified):
 
 def test_the_measurements_are_at_a_temperature_and_in_directions_that_were_not_fitted(verified):
     _, comparison = verified
-    [row] = comparison.leftovers[0].rows
+    [row] = comparison.results[0].rows
     assert row.fit == "between"
     assert comparison.new_attitudes == comparison.dwells == 6
     assert comparison.notes == ()
@@ -137,7 +137,7 @@ def test_runs_that_are_there_are_read_instead_of_made_again(campaign, verified):
     verification, comparison = verified
     again = verification_of(campaign, verification.folder)
     assert all(again.is_there(name) for name in again.jobs)
-    for one, other in zip(comparison.leftovers, again.comparison().leftovers, strict=True):
+    for one, other in zip(comparison.results, again.result().results, strict=True):
         assert one.rows == other.rows
 
 
@@ -164,7 +164,7 @@ def test_what_was_measured_on_another_day_is_compared_with_what_is_measured_now(
     shutil.copytree(verified[0].folder / "none", tmp_path / "none")
     verification = verification_of(campaign, tmp_path, only=["effect"])
     assert (list(verification.jobs), verification.wanted) == (["none", "effect"], ["effect"])
-    assert [each.compensation for each in verification.comparison().leftovers] == ["none"]
+    assert [each.compensation for each in verification.result().results] == ["none"]
 
 
 def test_a_run_without_compensation_in_which_the_ins_kept_its_own_is_told(campaign, verified, tmp_path):
@@ -172,7 +172,7 @@ def test_a_run_without_compensation_in_which_the_ins_kept_its_own_is_told(campai
     entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}}
     with (tmp_path / "none" / "journal.jsonl").open("a") as journal:
         journal.write(json.dumps(entry) + "\n")
-    [note] = verification_of(campaign, tmp_path, only=["none"]).comparison().notes
+    [note] = verification_of(campaign, tmp_path, only=["none"]).result().notes
     assert note == "In the run none the INS kept a compensation of its own (0badcafe)."
 
 
@@ -207,10 +207,10 @@ def test_the_command_prints_what_it_does_and_what_is_left(campaign, verified):
     folder = verified[0].folder
     result = gyrobench("verify", run.path, "--procedure", procedure, "--out", folder, cwd=folder)
     assert result.returncode == 0, result.stderr
-    assert "All runs are there already." in result.stdout
-    assert "Confirmed. The declared model leaves" in result.stdout
+    assert "All runs are complete." in result.stdout
+    assert "Confirmed. Varying bias:" in result.stdout
     assert max(len(line) for line in result.stdout.splitlines() if str(folder) not in line) <= 80
-    assert (folder / "comparison.html").is_file()
+    assert (folder / "verification.html").is_file()
     table = (folder / "comparison.csv").read_text().splitlines()
     assert [line.split(",")[0] for line in table[1:]] == ["none"] * 2 + ["declared"] * 2 + ["effect"] * 2
     # The search was there already, and the same one is not written again.

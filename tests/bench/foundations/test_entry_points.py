@@ -29,7 +29,7 @@ def test_own_dialects_are_installed_each_with_an_emulator():
 
 @pytest.mark.parametrize("name", ["acutrol3000", "ideal_aerosmith"])
 def test_own_dialects_of_tables_can_be_imported(name):
-    assert load(RATE_TABLES, name, TableDialect).most_axes >= 1
+    assert load(RATE_TABLES, name, TableDialect).max_axes >= 1
     assert callable(load(EMULATORS, name, TableEmulation).make)
 
 

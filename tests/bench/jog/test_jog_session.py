@@ -1,4 +1,4 @@
-"""A session by hand on a bench in real time."""
+"""A session of manual control on a bench in real time."""
 
 import os
 import signal
@@ -30,37 +30,37 @@ class Session:
             cwd=cwd,
             env=os.environ | {"TMPDIR": str(cwd)},
         )
-        self.told = []
+        self.printed = []
 
     def type(self, line, until):
-        """Type a line and read on until something is told."""
+        """Type a line and read the output until a text is printed."""
         self._process.stdin.write(f"{line}\n")
         self._process.stdin.flush()
-        for told in self._process.stdout:
-            self.told.append(told.rstrip("\n"))
-            if until in told:
+        for printed in self._process.stdout:
+            self.printed.append(printed.rstrip("\n"))
+            if until in printed:
                 return
-        raise AssertionError(f"{until!r} was never told: {self.told}")
+        raise AssertionError(f"{until!r} was never printed: {self.printed}")
 
     def end(self, number):
-        """Send a signal; gives exit code and what was told from there on."""
+        """Send a signal; returns the exit code and the lines printed after it."""
         self._process.send_signal(number)
-        told = self._process.stdout.read().splitlines()
+        printed = self._process.stdout.read().splitlines()
         code = self._process.wait()
         self._process.stdin.close()
         self._process.stdout.close()
-        return code, told
+        return code, printed
 
 
 @pytest.mark.wall_time
 def test_a_terminal_that_closes_leaves_the_bench_safe(served, tmp_path):
     _, before, _ = served.state()
     session = Session(served.station.path, tmp_path)
-    session.type("chamber 40", until="chamber goes to 40")
-    session.type("table rate inner 10", until="inner turns")
-    code, told = session.end(signal.SIGHUP)
+    session.type("chamber 40", until="chamber set to 40")
+    session.type("table rate inner 10", until="inner axis turns")
+    code, printed = session.end(signal.SIGHUP)
     assert code == 1
-    assert "rate table's interlocks opened" in told
+    assert "rate table's interlocks opened" in printed
     rates_dps, interlocks, set_point_c = served.state()
     assert rates_dps == pytest.approx((0.0, 0.0), abs=0.01)
     assert interlocks == before
@@ -78,6 +78,6 @@ def test_a_turn_ends_at_its_limit_however_fast_commands_come(tmp_path):
         [*PROCESS, "jog", "fast.yaml", "--world", "quick"],
         input="\n".join(commands), capture_output=True, text=True, cwd=tmp_path, check=False,
     )  # fmt: skip
-    assert "the outer axis comes near to its limit" in run.stdout
-    assert run.stdout.index("comes near to its limit") < run.stdout.rindex("jog> show")
+    assert "outer axis is close to its limit" in run.stdout
+    assert run.stdout.index("is close to its limit") < run.stdout.rindex("jog> show")
     assert run.returncode == 0, run.stdout

@@ -1,4 +1,4 @@
-"""What may be asked for by hand."""
+"""Limits of manual control."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def test_an_angle_outside_is_refused_with_the_limits(angle_deg):
 
 
 @pytest.mark.parametrize("rate_dps", [30.1, -30.1, float("nan")])
-def test_a_rate_that_is_too_fast_either_way_is_refused(rate_dps):
+def test_a_rate_too_high_in_either_direction_is_refused(rate_dps):
     LIMITS.check_rate("inner", -30.0)
     with pytest.raises(CommandError, match="limit of 30 deg/s"):
         LIMITS.check_rate("inner", rate_dps)
@@ -43,7 +43,7 @@ def test_a_set_point_or_ramp_outside_is_refused(temperature_c, ramp):
         LIMITS.check_chamber(temperature_c, ramp)
 
 
-def test_room_is_what_is_left_before_braking_has_to_begin():
+def test_room_is_the_angle_left_before_braking_must_begin():
     # A second late at 10 deg/s, and twice the 100/60 deg of a constant deceleration for its jerk.
     assert LIMITS.room_deg("outer", 100.0, 10.0) == pytest.approx(100.0 - 10.0 - 100.0 / 30.0)
     assert LIMITS.room_deg("outer", 100.0, -10.0) == pytest.approx(300.0 - 10.0 - 100.0 / 30.0)
@@ -56,7 +56,7 @@ def test_an_axis_that_the_table_does_not_have_is_refused():
         single.check_angle("outer", 0.0)
 
 
-def test_the_narrower_of_station_and_controller_holds():
+def test_the_narrower_of_station_and_controller_applies():
     clock, station = VirtualClock(), Station(find_document("stations", "emulated"))
     with Outputs(station, clock, Emulation("ideal")) as outputs:
         own = outputs.table.limits()
@@ -69,7 +69,7 @@ def test_the_narrower_of_station_and_controller_holds():
 
 
 class NarrowTable:
-    """A controller whose own limits are narrower than the station's."""
+    """A controller with narrower limits than the station."""
 
     def __init__(self, limits):
         self._limits = limits
@@ -78,7 +78,7 @@ class NarrowTable:
         return self._limits
 
 
-def test_a_controller_with_narrower_limits_of_its_own_has_its_way():
+def test_narrower_limits_of_the_controller_apply():
     clock, station = VirtualClock(), Station(find_document("stations", "emulated"))
     with Outputs(station, clock, Emulation("ideal")) as outputs:
         narrow = tuple(

@@ -115,7 +115,7 @@ def test_answers_that_are_old_say_so():
     bench = replace(made_up_snapshot().bench, chamber_age_s=95.0, ins_age_s=math.nan, table_age_s=40.0)
     text = "\n".join(shown(replace(made_up_snapshot(), bench=bench)))
     assert "(95 s old)" in text
-    assert "INS navigate (not heard)" in text
+    assert "INS navigate (no data)" in text
     assert "table (40 s old)" in text
 
 

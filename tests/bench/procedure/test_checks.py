@@ -148,7 +148,7 @@ def test_the_procedure_may_end_cold(planned: PlanOf, limits: StationLimits) -> N
 
 
 @pytest.mark.parametrize(
-    "name", ["six_position_fig7", "three_temperature_shift", "ten_minute_check", "verification"]
+    "name", ["six_position_fig7", "three_temperature_shift", "ten_minute_check", "calibration_check"]
 )
 def test_shipped_procedures_can_be_run(limits: StationLimits, shipped: Path, name: str) -> None:
     document, procedure = load_procedure(shipped / f"{name}.yaml")

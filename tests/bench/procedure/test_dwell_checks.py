@@ -15,24 +15,24 @@ ALIGN = "- align: {duration_s: 300}\n"
 START = "- power_on\n" + GO_TO + ALIGN
 WINDOW = "- navigate: {duration_s: 600}\n"
 SHORT = "- navigate: {duration_s: 59}\n"
-VERIFY = "- navigate: {duration_s: 600, purpose: verification}\n"
+VERIFY = "- navigate: {duration_s: 600, purpose: calibration_check}\n"
 UNTIL = "- navigate: {until: {bias_sigma_below_dph: 0.002}, at_least_s: 120, at_most_s: 900}\n"
 TURN = "- turn: {angle_deg: 180}\n"
 QUARTER = "- turn: {angle_deg: 90}\n"
 WAIT = "- wait: {duration_s: 5}\n"
-#: What a verification at azimuth 0 needs beside it.
+#: What a calibration check at azimuth 0 needs beside it.
 OPPOSITE = GO_TO.replace("z_up", "z_up, azimuth_deg: 180") + ALIGN + VERIFY
 
 NO_TURN = (
     "no turn: biases and initial errors can't be separated. "
-    "Add a turn and a second navigation, or set purpose: verification"
+    "Add a turn and a second navigation, or set purpose: calibration_check"
 )
-TURNED_VERIFICATION = "directly after the alignment, without a turn before or after it"
+TURNED_CHECK = "directly after the alignment, without a turn before or after it"
 
 WRONG = {
     "too short": (WINDOW + TURN + SHORT, "8:14", "59 s is too short .* 60 s or more"),
     "may end too soon": (WINDOW + TURN + UNTIL.replace("120", "30"), "8:52", "30 s is too short"),
-    "verification too short": (VERIFY.replace("600", "30") + OPPOSITE, "6:14", "30 s is too short"),
+    "calibration check too short": (VERIFY.replace("600", "30") + OPPOSITE, "6:14", "30 s is too short"),
     "loop value too short": (
         "- repeat: {over: {t: [90, 30]}, steps: [{navigate: {duration_s: $t}}, {turn: {angle_deg: 180}}]}",
         "6:27",
@@ -40,7 +40,7 @@ WRONG = {
     ),
     "no turn": (WINDOW, "6:3", NO_TURN),
     "purpose calibration, no turn": (
-        "- navigate: {duration_s: 600, purpose: calibration}", "6:3", "no turn: .* purpose: verification",
+        "- navigate: {duration_s: 600, purpose: calibration}", "6:3", "no turn: .*calibration_check",
     ),
     "no turn before another dwell": (WINDOW + GO_TO + ALIGN + WINDOW + TURN + WINDOW, "6:3", NO_TURN),
     "nothing after the turn": (WINDOW + TURN, "6:3", "one side of the turn only"),
@@ -53,16 +53,17 @@ WRONG = {
         WINDOW + "- turn: {angle_deg: 360}\n" + WINDOW, "7:10", "all navigations are at azimuth 0 deg",
     ),
     "there and back": (WINDOW + TURN + "- turn: {angle_deg: -180}\n" + WINDOW, "8:10", "full circle"),
-    "verification before a turn": (VERIFY + TURN + OPPOSITE, "6:31", TURNED_VERIFICATION),
-    "verification before a wait and a turn": (VERIFY + WAIT + TURN + OPPOSITE, "6:31", TURNED_VERIFICATION),
-    "verification before a turn and a navigation": (VERIFY + TURN + WINDOW, "6:31", TURNED_VERIFICATION),
-    "verification after a turn": (WINDOW + TURN + VERIFY, "8:31", TURNED_VERIFICATION),
-    "verification after a turn alone": (TURN + VERIFY, "7:31", TURNED_VERIFICATION),
-    "verification twice": (VERIFY + VERIFY, "7:3", "a verification has a single one. Make it longer"),
+    "calibration check before a turn": (VERIFY + TURN + OPPOSITE, "6:31", TURNED_CHECK),
+    "calibration check before a wait and a turn": (VERIFY + WAIT + TURN + OPPOSITE, "6:31", TURNED_CHECK),
+    "calibration check before a turn and a navigation": (VERIFY + TURN + WINDOW, "6:31", TURNED_CHECK),
+    "calibration check after a turn": (WINDOW + TURN + VERIFY, "8:31", TURNED_CHECK),
+    "calibration check after a turn alone": (TURN + VERIFY, "7:31", TURNED_CHECK),
+    "calibration check twice": (VERIFY + VERIFY, "7:3", "a calibration check has a single one"),
     "until before the turn": (UNTIL + TURN + WINDOW, "6:14", "until needs a navigation and a turn before it"),
-    "until in a verification": (
-        "- navigate: {purpose: verification, until: {bias_sigma_below_dph: 1}, at_most_s: 900}\n" + OPPOSITE,
-        "6:37",
+    "until in a calibration check": (
+        "- navigate: {purpose: calibration_check, until: {bias_sigma_below_dph: 1}, at_most_s: 900}\n"
+        + OPPOSITE,
+        "6:42",
         "Use duration_s",
     ),
     "alignment interrupted": ("- soak: {for_s: 5}\n" + WINDOW, "7:3", "belongs to no dwell"),
@@ -101,8 +102,8 @@ GOOD = {
     "a turn before and one between": QUARTER + WINDOW + TURN + WINDOW,
     "a turn back at the end": WINDOW + TURN + WINDOW + TURN,
     "waits": WAIT + WINDOW + WAIT + TURN + WAIT + WINDOW + WAIT,
-    "verification": VERIFY + OPPOSITE,
-    "verification with waits": WAIT + VERIFY + WAIT + OPPOSITE,
+    "calibration check": VERIFY + OPPOSITE,
+    "calibration check with waits": WAIT + VERIFY + WAIT + OPPOSITE,
     "an alignment without navigation": "",
 }
 

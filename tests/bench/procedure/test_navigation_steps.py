@@ -64,7 +64,7 @@ def test_the_shortest_navigation_is_that_which_leaves_a_window_long_enough_for_a
     [
         (Navigate(duration_s=600), "navigate 10 min"),
         (early(), "navigate until bias sigma below 0.002 deg/h, 15 min at most"),
-        (Navigate(duration_s=600, purpose="verification"), "navigate 10 min for verification"),
+        (Navigate(duration_s=600, purpose="calibration_check"), "navigate 10 min for a calibration check"),
         (Align(duration_s=300), "align 5 min"),
         (Align(until_fine=True, at_most_s=900), "align until fine, 15 min at most"),
         (Turn(angle_deg=-180), "turn -180 deg"),
@@ -126,7 +126,7 @@ WRONG = [
     (Navigate, {"until": {"bias_sigma_below_dph": 11.0}, "at_most_s": 900}, "less than or equal to 10"),
     (Navigate, {"until": {"bias_sigma_below_dph": "1"}, "at_most_s": 900}, "valid number"),
     (Navigate, {"until": {}, "at_most_s": 900}, "'bias_sigma_below_dph' is missing"),
-    (Navigate, {"duration_s": 600, "purpose": "verify"}, "'calibration' or 'verification'"),
+    (Navigate, {"duration_s": 600, "purpose": "verify"}, "'calibration' or 'calibration_check'"),
 ]
 
 

@@ -93,9 +93,9 @@ def test_a_soak_ends_a_dwell(planned: PlanOf) -> None:
 def test_one_navigation_straight_from_the_alignment_is_a_dwell_that_tells_its_purpose(
     planned: PlanOf,
 ) -> None:
-    verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: verification}\n"
+    verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: calibration_check}\n"
     _, plan = planned(START + verify + "- go_to: {position: z_up, azimuth_deg: 180}\n" + verify + PAIR)
-    assert [(one.dwell, one.is_verification, one.window) for one in plan.steps[2:]] == [
+    assert [(one.dwell, one.is_calibration_check, one.window) for one in plan.steps[2:]] == [
         (1, True, None), (1, True, 0), (None, False, None), (2, True, None), (2, True, 0),
         (3, False, None), (3, False, 0), (3, False, None), (3, False, 1),
     ]  # fmt: skip
@@ -157,5 +157,5 @@ def test_the_times_of_the_shipped_procedures(shipped: Path) -> None:
         hours[path.stem] = expand(document, procedure).duration_s / 3600.0
     assert 40.0 < hours["six_position_fig7"] < 46.0
     assert 7.0 < hours["three_temperature_shift"] < 8.0
-    assert 9.0 < hours["verification"] < 10.5
+    assert 9.0 < hours["calibration_check"] < 10.5
     assert 8.0 < hours["ten_minute_check"] * 60.0 < 11.0

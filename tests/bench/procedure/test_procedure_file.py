@@ -109,7 +109,7 @@ WRONG_FILES = {
     "unknown purpose": (
         "- navigate: {duration_s: 600, purpose: verify}",
         "3:31",
-        ["'calibration' or 'verification'", '"verify"'],
+        ["'calibration' or 'calibration_check'", '"verify"'],
     ),
     "variable after its loop": (
         "- repeat: {over: {a: [1]}, steps: [power_off]}\n- wait: {duration_s: $a}",
@@ -196,7 +196,7 @@ steps:
                   steps:
                     - go_to: {position: $position, azimuth_deg: $azimuth_deg}
                     - align: {duration_s: 600}
-                    - navigate: {duration_s: 600, purpose: verification}
+                    - navigate: {duration_s: 600, purpose: calibration_check}
   - soak: {for_s: 100}
   - power_off
   - chamber_off:

@@ -38,7 +38,7 @@ EVERY_KIND: list[Step] = [
     Align(until_fine=True, at_most_s=900),
     Navigate(duration_s=600),
     Navigate(until=Until(bias_sigma_below_dph=0.002), at_most_s=900),
-    Navigate(duration_s=600, purpose="verification"),
+    Navigate(duration_s=600, purpose="calibration_check"),
     Turn(angle_deg=180),
     Wait(duration_s=10),
     AskOperator(question="Is the cover closed?"),

@@ -89,23 +89,23 @@ def test_visits_of_one_position_in_succession_stand_together_with_their_azimuths
     assert timeline_rows(plan)[0].where == "z_up 0/180 deg, y_up 90 deg, z_up"
 
 
-def test_the_shipped_verification_visits_both_azimuths_of_two_positions_at_each_temperature(
+def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_each_temperature(
     shipped: Path,
 ) -> None:
-    plan = expand(*load_procedure(shipped / "verification.yaml"))
+    plan = expand(*load_procedure(shipped / "calibration_check.yaml"))
     measured = [row for row in timeline_rows(plan) if row.dwells]
     assert [(row.where, row.what, row.dwells) for row in measured] == [
         (
             f"cycle 1, {temperature} degC, z_up 0/180 deg, y_up 0/180 deg",
-            "align 10 min; navigate 10 min for verification",
+            "align 10 min; navigate 10 min for a calibration check",
             4,
         )
         for temperature in ("54", "20.5", "-23")
     ]
-    assert all(one.is_verification for one in plan.steps if one.dwell)
+    assert all(one.is_calibration_check for one in plan.steps if one.dwell)
 
 
-def test_the_verification_is_hot_and_cold_where_the_paper_procedure_was_not_and_at_room_where_it_was(
+def test_the_calibration_check_is_hot_and_cold_where_the_paper_procedure_was_not_and_at_room_where_it_was(
     shipped: Path,
 ) -> None:
     bench = BenchEstimate.at_rest(ThermalEstimate(self_heating_c=12.0))
@@ -114,7 +114,7 @@ def test_the_verification_is_hot_and_cold_where_the_paper_procedure_was_not_and_
         plan = expand(*load_procedure(shipped / f"{name}.yaml"), bench)
         return np.array([one.before.gyro_c for one in plan.steps if one.window is not None])
 
-    distance_c = np.abs(gyro_c("verification")[:, None] - gyro_c("six_position_fig7")).min(axis=1)
+    distance_c = np.abs(gyro_c("calibration_check")[:, None] - gyro_c("six_position_fig7")).min(axis=1)
     hot, room, cold = distance_c.reshape(3, 4)
     assert min(*hot, *cold) > 2.0
     assert max(room) < 2.0

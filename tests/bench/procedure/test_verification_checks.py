@@ -18,7 +18,7 @@ def verify(position: str, azimuth_deg: float | str) -> str:
     return (
         f"- go_to: {{position: {position}, azimuth_deg: {azimuth_deg}}}\n"
         "- align: {duration_s: 300}\n"
-        "- navigate: {duration_s: 600, purpose: verification}\n"
+        "- navigate: {duration_s: 600, purpose: calibration_check}\n"
     )
 
 

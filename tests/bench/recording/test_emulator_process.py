@@ -37,7 +37,7 @@ def served(tmp_path, urls, name="emulated", speed=1.0):
         ("emulated_canaerospace", ["acutrol3000", "watlow_f4", "canaerospace"]),
     ],
 )
-def test_the_station_says_what_is_spoken(name, spoken):
+def test_the_station_sets_the_dialects(name, spoken):
     table, chamber, frames = spoken
     assert serve_options(shipped(name), NOWHERE, tcp=False, can=None) == [
         f"--table-dialect={table}",
@@ -56,7 +56,7 @@ def test_a_served_station_is_served_again_at_its_ports(tmp_path):
     assert options[:3] == [f"--{name}-port={link}" for name, link in links.items()]
 
 
-def test_the_emulators_are_told_how_the_bench_lives():
+def test_the_emulators_receive_the_settings():
     settings = EmulationSettings("gyro_b", 0, 10.0, faults="every_kind", for_s=0.0)
     without = serve_options(shipped(), NOWHERE, tcp=False, can=None)
     options = serve_options(shipped(), NOWHERE, tcp=False, can=None, settings=settings)
@@ -69,7 +69,7 @@ def test_the_emulators_are_told_how_the_bench_lives():
     ]
 
 
-def test_what_is_asked_for_counts_more_than_the_station(tmp_path):
+def test_options_take_precedence_over_the_station(tmp_path):
     station = served(tmp_path, TCP)
     options = serve_options(station, NOWHERE | {"table": "/home/table"}, tcp=True, can="slcan")
     assert options[:2] == ["--table-port=/home/table", "--chamber-port=4001"]
@@ -92,7 +92,7 @@ def test_the_station_file_written_is_the_station_with_other_addresses(tmp_path, 
     assert emulated_dbc(station) == emulated_dbc(original)
 
 
-def test_the_bus_is_named_as_python_can_wants_it(tmp_path):
+def test_the_bus_has_python_cans_names(tmp_path):
     section = served(tmp_path, PTS).file.ins
     assert (section.interface, section.channel, section.bitrate) == ("slcan", "/dev/pts/3", 500000)
     section = served(tmp_path, TCP).file.ins
@@ -112,7 +112,7 @@ def test_a_station_whose_frames_no_emulated_ins_sends_is_not_written(tmp_path):
     assert not (tmp_path / "out.yaml").exists()
 
 
-def test_the_file_says_where_it_comes_from(tmp_path):
+def test_the_file_names_its_origin(tmp_path):
     served(tmp_path, PTS)
     text = (tmp_path / "served.yaml").read_text()
     assert text.startswith("# Written by `gyrobench emulate`")

@@ -12,25 +12,40 @@ from gyrobench.drivers.recording.recording_file import RecordingFile, RecordingH
 from gyrobench.drivers.serial_line import open_port
 from gyrobench.drivers.served_ports import PseudoTerminal, TcpPort
 
+#: Bound against hanging only.
+HANGS_S = 120.0
+
+
+class EndedClock(WallClock):
+    """A wall clock that ends what waits for its time once ``ended`` is set."""
+
+    def __init__(self):
+        super().__init__()
+        self.ended = threading.Event()
+
+    def now(self):
+        return float("inf") if self.ended.is_set() else super().now()
+
 
 @pytest.mark.parametrize("kind", ["terminal", "tcp"])
-def test_a_client_reaches_the_instrument_and_both_are_recorded(tmp_path, kind):
+def test_a_client_reaches_the_instrument_and_both_directions_are_recorded(tmp_path, kind):
     clock, path = WallClock(), tmp_path / "proxy.rec"
     served = PseudoTerminal() if kind == "terminal" else TcpPort()
     port = open_port("emulator://chamber?world=ideal", clock, 9600, "N")
     file = RecordingFile(path, RecordingHeader(instrument="chamber"), clock)
-    proxy = Proxy(served, port, file, clock)
-    thread = threading.Thread(target=proxy.run, args=(3.0,))
+    until = EndedClock()
+    thread = threading.Thread(target=Proxy(served, port, file, until).run, args=(HANGS_S,))
     thread.start()
     if kind == "terminal":
-        client = ModbusSerialClient(served.url, baudrate=9600, timeout=2)
+        client = ModbusSerialClient(served.url, baudrate=9600, timeout=HANGS_S)
     else:
-        client = ModbusTcpClient("127.0.0.1", port=served.number, framer=FramerType.RTU, timeout=2)
+        client = ModbusTcpClient("127.0.0.1", port=served.number, framer=FramerType.RTU, timeout=HANGS_S)
     try:
         assert client.connect()
         assert client.read_holding_registers(0).registers == [5270]
     finally:
         client.close()
+        until.ended.set()
         thread.join()
         served.unplug()
         port.close()

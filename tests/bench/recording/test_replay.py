@@ -16,7 +16,7 @@ def written(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (
             "instrument: chamber\ncalls:\n- ask: read\n- ask: alarmz\n---\n",
@@ -47,8 +47,8 @@ def written(tmp_path, text):
         ),
     ],
 )
-def test_a_call_that_can_not_be_made_is_told_with_its_place(tmp_path, text, told):
-    with pytest.raises(DocumentError, match=rf"test\.rec{told}"):
+def test_a_call_that_can_not_be_made_is_reported_with_its_place(tmp_path, text, message):
+    with pytest.raises(DocumentError, match=rf"test\.rec{message}"):
         replay(written(tmp_path, text))
 
 

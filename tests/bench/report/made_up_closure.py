@@ -33,7 +33,7 @@ def made_up_rows(sensitivity=SENSITIVITY, unknown_dph=0.0, scatter=1.0, boards=T
     sensitivity : array_like, shape (3,)
         deg/h for each K/h.
     unknown_dph : float
-        Amplitude of a bias that swings every two hours, regardless_of else happens.
+        Amplitude of a bias that oscillates with a period of two hours.
     scatter : float
         Scatter of the biases over their stated uncertainties.
     boards : bool

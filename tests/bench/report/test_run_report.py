@@ -20,17 +20,17 @@ from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.report.closure.page import write_closure_page
+from gyrobench.bench.report.closure.closure_page import write_closure_page
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.figures.bias import bias_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
 from gyrobench.bench.report.run_report import render, write_report
-from gyrobench.bench.report.verification.page import write_verify_page
+from gyrobench.bench.report.verification.verification_page import write_verification_page
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.calibration_check_table import write_calibration_check
 from tests.bench.report.made_up_closure import clean
-from tests.bench.report.made_up_comparison import confirmed
+from tests.bench.report.made_up_verification import confirmed
 from tests.bench.report.test_calibration_check import ALIGNMENT, ROW
 
 
@@ -185,7 +185,7 @@ def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
     folder.closure.mkdir()
     write_closure_page(folder.closure, clean(), "the run", folder.dwells)
     folder.verify.mkdir()
-    write_verify_page(folder.verify, confirmed(), folder.dwells)
+    write_verification_page(folder.verify, confirmed(), folder.dwells)
     page = page_with(render(read_run(folder), []))
     assert "Search for effects Clean." in page.text
     assert "Proof of a compensation Confirmed." in page.text
@@ -201,7 +201,7 @@ def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
     for place in (empty_folder.closure, empty_folder.verify):
         place.mkdir()
     (empty_folder.closure / "findings.json").write_text("{}")
-    (empty_folder.verify / "comparison.html").write_text("")
+    (empty_folder.verify / "verification.html").write_text("")
     text = text_of(empty_folder)
     assert "findings.json: not a file of findings" in text
     assert "verify/findings.json is missing" in text

@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.compensation_file import CompensationFile, read_compensation, write_compensation
-from gyrobench.drivers.ins import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
 

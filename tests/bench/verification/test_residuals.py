@@ -25,7 +25,7 @@ from gyrobench.bench.navigation.rotational_ins import (
 )
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.verification.residuals import check_residuals, day_of_navigation
-from gyrobench.drivers.ins import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 #: Of the world "ideal".
 BIAS_DPH = np.array([0.003, -0.002, 0.004])
@@ -45,7 +45,7 @@ steps:
       steps:
         - go_to: {position: z_up, azimuth_deg: $azimuth_deg}
         - align: {duration_s: 60}
-        - navigate: {duration_s: 200, purpose: verification}
+        - navigate: {duration_s: 200, purpose: calibration_check}
 """
 
 
@@ -56,7 +56,7 @@ def run(path, compensation=None):
     with LinesView(Console(file=io.StringIO(), width=80), job.plan) as progress:
         _, outcome = run_job(job, path / "run", progress, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
-    return [dwell.row for dwell in outcome.dwells], outcome.verifications, job.station.site
+    return [dwell.row for dwell in outcome.dwells], outcome.check_dwells, job.station.site
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from gyrobench.drivers.serial_line import SerialLine
 
 
 class FarEnd(threading.Thread):
-    """Serves whatever hangs on the master sides of pseudo-terminals, until it is stopped."""
+    """Serves the master sides of pseudo-terminals, until it is stopped."""
 
     def __init__(self, handlers: dict[int, Callable[[bytes], None]]) -> None:
         super().__init__(daemon=True)
@@ -65,7 +65,7 @@ class Bench:
     def driver(self, clock: Clock | None = None, **options: float) -> WatlowF4:
         line = SerialLine("chamber", self.url, clock or VirtualClock())
         try:
-            self.drivers.append(WatlowF4(line, **{"reply_timeout_s": 5.0, **options}))
+            self.drivers.append(WatlowF4(line, **{"reply_timeout_s": 120.0, **options}))
         except BaseException:
             line.close()
             raise

@@ -56,22 +56,22 @@ class Server(threading.Thread):
 
     def __enter__(self) -> "Server":
         self.start()
-        assert self._ready.wait(5)
+        assert self._ready.wait(120)
         return self
 
     def __exit__(self, *_: object) -> None:
         asyncio.run_coroutine_threadsafe(self._server.shutdown(), self._loop)
-        self.join(5)
+        self.join(120)
         assert not self.is_alive()
 
     def register(self, address: int) -> int:
         future = asyncio.run_coroutine_threadsafe(self._server.async_getValues(1, 3, address), self._loop)
-        return future.result(5)[0]
+        return future.result(120)[0]
 
 
 @pytest.fixture
 def client(bench) -> Iterator[ModbusSerialClient]:
-    client = ModbusSerialClient(bench.url, baudrate=19200, timeout=5, retries=0)
+    client = ModbusSerialClient(bench.url, baudrate=19200, timeout=120, retries=0)
     assert client.connect()
     yield client
     client.close()
@@ -103,7 +103,7 @@ def test_pymodbus_client_understands_the_exceptions(bench, client):
 def test_the_driver_talks_to_pymodbus_server(crossed_ports):
     near, far = crossed_ports
     with Server(far, REGISTERS) as server, SerialLine("chamber", near, WallClock()) as line:
-        chamber = WatlowF4(line, reply_timeout_s=5.0)
+        chamber = WatlowF4(line, reply_timeout_s=120.0)
         assert chamber.identify().startswith("Watlow F4, model number 5270")
         assert chamber.read() == ChamberReading(-12.3, set_point_c=23.0, is_on=False)
         assert chamber.limits_c() == (-70.0, 120.0)
@@ -120,7 +120,7 @@ def test_the_driver_understands_pymodbus_exceptions(crossed_ports):
     near, far = crossed_ports
     without_ramp = {address: values for address, values in REGISTERS.items() if address not in (1100, 2070)}
     with Server(far, without_ramp), SerialLine("chamber", near, WallClock()) as line:
-        chamber = WatlowF4(line, reply_timeout_s=5.0)
+        chamber = WatlowF4(line, reply_timeout_s=120.0)
         assert chamber.identify().endswith("ramps by profiles only")
         with pytest.raises(RefusedError, match="exception 02"):
             chamber.switch_event(8, True)

@@ -47,7 +47,7 @@ def test_without_a_rate_the_ramp_is_zero(bench):
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-40.0, None)
 
 
-def test_a_reading_tells_air_set_point_and_whether_it_runs(bench):
+def test_a_reading_has_air_set_point_and_running_state(bench):
     chamber = bench.driver()
     bench.air.air_c = 22.0
     chamber.set_temperature(60.0, 1.0)
@@ -74,12 +74,12 @@ def test_auxiliaries_are_switched_one_by_one(bench):
 
 
 @pytest.mark.parametrize("number", [0, 17])
-def test_there_are_sixteen_auxiliaries(bench, number):
+def test_auxiliary_numbers_are_1_to_16(bench, number):
     with pytest.raises(RefusedError, match=rf"no auxiliary {number}, only 1 to 16"):
         bench.driver().switch_event(number, True)
 
 
-def test_auxiliaries_that_need_a_running_chamber_are_refused_before_with_what_to_do(make_bench):
+def test_refused_auxiliaries_name_the_need_for_a_running_chamber(make_bench):
     bench = make_bench(auxiliaries_need_run=True)
     chamber = bench.driver()
     with pytest.raises(RefusedError, match=r"AUXE1,2 was refused with code 3\. .*put a chamber step before"):
@@ -127,7 +127,7 @@ def test_clearing_does_not_stop_a_chamber_that_runs(bench):
     assert bench.air.running
 
 
-def test_an_open_input_is_a_fault_until_it_is_mended_and_cleared(bench):
+def test_an_open_input_is_a_fault_until_it_is_repaired_and_cleared(bench):
     chamber = bench.driver()
     chamber.switch(True)
     bench.chamber.break_sensor(1)
@@ -154,8 +154,8 @@ def test_it_comes_back_stopped_from_a_loss_of_power(bench):
     assert (reading.set_point_c, reading.is_on) == (60.0, False)
 
 
-def test_its_limits_can_not_be_asked_for(bench):
-    with pytest.raises(RefusedError, match="look at its panel"):
+def test_there_is_no_query_for_its_limits(bench):
+    with pytest.raises(RefusedError, match="read them from its panel"):
         bench.driver().limits_c()
 
 
@@ -168,7 +168,7 @@ def test_a_set_point_outside_the_controllers_range_is_refused(bench):
     ("temperature_c", "rate"),
     [(math.nan, None), (math.inf, 1.0), (20.0, math.nan), (20.0, 0.0), (20.0, -1.0), (20.0, math.inf)],
 )
-def test_nothing_is_sent_of_what_can_not_be_commanded(bench, temperature_c, rate):
+def test_numbers_that_can_not_be_commanded_are_not_sent(bench, temperature_c, rate):
     chamber = bench.driver()
     bench.heard.requests.clear()
     with pytest.raises(RefusedError, match="can't be commanded"):
@@ -176,11 +176,11 @@ def test_nothing_is_sent_of_what_can_not_be_commanded(bench, temperature_c, rate
     assert bench.heard.requests == []
 
 
-def test_it_says_what_it_is(bench):
+def test_identity(bench):
     assert bench.driver().identify() == "Thermotron 8800, version gyrobench emulator, channel 1"
 
 
-def test_commands_may_end_otherwise(make_bench):
+def test_the_end_of_commands_is_an_option(make_bench):
     bench = make_bench()
     chamber = bench.driver(ending=b"\r\n")
     assert bench.requests_of(lambda: chamber.set_point_c()) == [b"SETP1?\r\n"]
@@ -196,7 +196,7 @@ def test_commands_may_end_otherwise(make_bench):
         ([b"\xff" * 300], ReplyError, r"answered by '\\xff"),
     ],
 )
-def test_a_controller_that_is_none_is_told(rig, replies, error, message):
+def test_another_device_is_an_error(rig, replies, error, message):
     line, _ = rig.line("chamber", Scripted(*replies))
     with pytest.raises(error, match=message):
         Thermotron8800(line)
@@ -209,7 +209,7 @@ def test_a_set_point_that_is_not_kept_is_refused(rig):
         Thermotron8800(line).set_temperature(60.0, None)
 
 
-def test_after_a_late_reply_the_next_question_waits_for_silence(rig):
+def test_after_a_late_reply_the_next_query_waits_for_silence(rig):
     bench = Bench(rig)
     chamber = bench.driver()
     bench.chamber.latency_s = 1.5
@@ -220,7 +220,7 @@ def test_after_a_late_reply_the_next_question_waits_for_silence(rig):
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"0\r", b"22.0\r", b"\r", b"nan\r"])))
-def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
+def test_any_reply_gives_a_value_or_an_instrument_error(replies):
     line, _ = any_rig().line("chamber", Scripted(b"0\r", *replies))
     chamber = Thermotron8800(line)
     for action in (
@@ -238,14 +238,14 @@ def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
 
 
 @pytest.mark.parametrize(("asked", "held"), [(0.06, "0.1"), (0.14, "0.1"), (0.55, "0.6")])
-def test_a_ramp_that_a_controller_of_tenths_makes_another_is_refused(rig, asked, held):
+def test_a_ramp_that_rounding_to_tenths_changes_is_refused(rig, asked, held):
     line, _ = rig.line("chamber", Tenths())
     chamber = Thermotron8800(line)
-    with pytest.raises(RefusedError, match=rf"holds {held} degC/min as MRMP1, asked were {asked}"):
+    with pytest.raises(RefusedError, match=rf"holds {held} degC/min as MRMP1 although {asked} was written"):
         chamber.set_temperature(60.0, asked)
 
 
-def test_a_ramp_that_a_controller_of_tenths_keeps_nearly_is_taken(rig):
+def test_a_ramp_that_rounding_to_tenths_keeps_is_accepted(rig):
     line, _ = rig.line("chamber", Tenths())
     chamber = Thermotron8800(line)
     chamber.set_temperature(60.04, 1.04)

@@ -34,13 +34,13 @@ def bench(request, make_bench):
     return make_bench(decimals=request.param)
 
 
-def test_it_is_asked_who_it_is_and_told_to_speak_of_degrees_celsius(bench):
+def test_it_is_identified_and_set_to_degrees_celsius(bench):
     assert bench.requests_of(bench.driver) == [b"*IDN?\n", b":UNIT:TEMPERATURE C\n"]
     assert "F4T" in bench.driver().identify()
     assert bench.driver().identify().endswith("control loop 1")
 
 
-def test_a_controller_that_spoke_of_fahrenheit_is_understood(rig):
+def test_a_controller_that_was_set_to_fahrenheit_works(rig):
     bench = Bench(rig)
     bench.chamber.feed(b":UNIT:TEMPERATURE F\n", 0.0)
     bench.air.air_c = 25.0
@@ -70,19 +70,19 @@ def test_without_a_rate_the_ramp_is_switched_off(bench):
 
 
 def test_a_ramp_too_slow_for_the_controller_to_hold_is_refused(make_bench):
-    with pytest.raises(RefusedError, match=r"holds 0 degC/min as RRATE, asked were 0\.04"):
+    with pytest.raises(RefusedError, match=r"holds 0 degC/min as RRATE although 0\.04 was written"):
         make_bench(decimals=1).driver().set_temperature(60.0, 0.04)
 
 
-def test_a_ramp_that_a_controller_of_tenths_makes_another_is_refused(make_bench):
+def test_a_ramp_that_rounding_to_tenths_changes_is_refused(make_bench):
     bench = make_bench(decimals=1)
-    with pytest.raises(RefusedError, match=r"holds 0\.1 degC/min as RRATE, asked were 0\.06"):
+    with pytest.raises(RefusedError, match=r"holds 0\.1 degC/min as RRATE although 0\.06 was written"):
         bench.driver().set_temperature(60.0, 0.06)
     assert bench.air.set_point_c != 60.0
     bench.driver().set_temperature(60.0, 1.04)
 
 
-def test_a_reading_tells_air_set_point_and_whether_it_runs(make_bench):
+def test_a_reading_has_air_set_point_and_running_state(make_bench):
     bench = make_bench()
     chamber = bench.driver()
     bench.air.air_c = -12.25
@@ -131,12 +131,12 @@ def test_outputs_drop_with_its_power(bench):
     assert chamber.read().is_on is False
 
 
-def test_its_limits_can_not_be_asked_for(bench):
-    with pytest.raises(RefusedError, match="look at its panel"):
+def test_there_is_no_query_for_its_limits(bench):
+    with pytest.raises(RefusedError, match="read them from its panel"):
         bench.driver().limits_c()
 
 
-def test_a_set_point_that_the_controller_passes_over_is_refused(bench):
+def test_a_set_point_that_the_controller_ignores_is_refused(bench):
     with pytest.raises(RefusedError, match="holds 23 as SPOINT although 180 was written"):
         bench.driver().set_temperature(180.0, None)
 
@@ -145,7 +145,7 @@ def test_a_set_point_that_the_controller_passes_over_is_refused(bench):
     ("temperature_c", "rate"),
     [(math.nan, None), (math.inf, 1.0), (20.0, math.nan), (20.0, 0.0), (20.0, -1.0), (20.0, math.inf)],
 )
-def test_nothing_is_sent_of_what_can_not_be_commanded(bench, temperature_c, rate):
+def test_numbers_that_can_not_be_commanded_are_not_sent(bench, temperature_c, rate):
     chamber = bench.driver()
     bench.heard.requests.clear()
     with pytest.raises(RefusedError, match="can't be commanded"):
@@ -153,14 +153,14 @@ def test_nothing_is_sent_of_what_can_not_be_commanded(bench, temperature_c, rate
     assert bench.heard.requests == []
 
 
-def test_another_loop_has_commands_of_its_own(rig):
+def test_another_loop_has_separate_commands(rig):
     line, heard = rig.line("chamber", Scripted(b"WATLOW,F4T\n", b"", b"25.0\n"))
     assert WatlowF4T(line, loop=2).set_point_c() == 25.0
     assert heard.requests[-1] == b":SOURCE:CLOOP2:SPOINT?\n"
 
 
 @pytest.mark.parametrize(("state", "is_on"), [(b"ON", True), (b"off", False), (b"1", True), (b"0", False)])
-def test_a_state_may_be_told_in_words_or_numbers(rig, state, is_on):
+def test_a_state_is_a_word_or_a_number(rig, state, is_on):
     line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", state + b"\r\n"))
     assert WatlowF4T(line).is_event_on(1) is is_on
 
@@ -183,14 +183,14 @@ def test_a_word_may_come_back_short(rig):
         (b"\xfe\xff\n", ReplyError, r"was answered by '\\xfe\\xff'"),
     ],
 )
-def test_a_controller_that_answers_something_else_is_told(rig, reply, error, message):
+def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
     line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", reply))
     with pytest.raises(error, match=message):
         WatlowF4T(line).read()
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"NONE\n", b"22.0\n", b"ON\n", b"nan\n"])))
-def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
+def test_any_reply_gives_a_value_or_an_instrument_error(replies):
     line, _ = any_rig().line("chamber", Scripted(b"F4T\n", b"", *replies))
     chamber = WatlowF4T(line)
     for action in (

@@ -11,7 +11,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
-from gyrobench.drivers.ins import Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 _STEP_S = 10.0

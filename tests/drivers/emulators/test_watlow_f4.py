@@ -233,7 +233,8 @@ def test_alarm_1_stays_until_it_is_cleared_and_its_cause_is_gone(line):
 
 
 def test_alarm_2_and_sensor_errors_can_be_set(line):
-    line.chamber.alarm_2, line.chamber.sensor_error = 1, 3
+    line.chamber.alarm_2 = 1
+    line.chamber.break_sensor(3)
     assert (line.read(106), line.read(101)) == ([1], [3])
     assert line.write(311, 1) == line.write(313, 1) == line.write(312, 1) == 0
     assert (line.read(106), line.read(101)) == ([0], [3])  # the sensor is still broken

@@ -8,7 +8,10 @@ from numpy.typing import ArrayLike
 
 import gyrobench.drivers.ins
 from gyrobench.bench.foundations.documents import parse_document, validate
-from gyrobench.drivers.ins import CommandMap, DbcCodec, FrameBlock, SignalMap, concatenate, load_dbc
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
+from gyrobench.drivers.ins.command_map import CommandMap
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 DBC = Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc")
 

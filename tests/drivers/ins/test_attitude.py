@@ -8,9 +8,9 @@ from gyrobench.drivers.ins.attitude import (
     EulerSequence,
     QuaternionFrames,
     attitude_matrices,
-    euler_angles,
     quaternion_matrices,
 )
+from tests.drivers.ins.euler_reference import euler_angles
 
 RPY, PRY = EulerSequence.RPY_321, EulerSequence.PRY_231
 EAST, NORTH, UP = np.eye(3)

@@ -13,18 +13,13 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.ins import (
-    CanIns,
-    CommandMap,
-    Compensation,
-    EulerSequence,
-    FrameBlock,
-    InsMode,
-    decode_navigation,
-    open_bus,
-)
-from gyrobench.drivers.ins.command_map import TERMS, TermIndices
+from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.can_bus import FrameBlock, open_bus
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, TermIndices
 from gyrobench.drivers.ins.ins_status import STALE_S
+from gyrobench.drivers.ins.navigation_data import decode_navigation
+from gyrobench.drivers.ins.readout import InsMode
 
 POLYNOMIAL = Compensation(
     np.array([[0.0, 0.0], [0.5, -0.25], [0.0, 0.0]]), np.full(3, -20.0), np.full(3, 70.0)
@@ -264,7 +259,7 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
 
 def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
     unit.obeys = False
-    with pytest.raises(NoReplyError, match=r"INS: no sign of 'align' within 3 s.*STANDBY"):
+    with pytest.raises(NoReplyError, match=r"INS: no confirmation of 'align' within 3 s.*STANDBY"):
         driver.align(timeout_s=3.0)
     assert clock.now() == pytest.approx(3.0, abs=0.1)
     unit.silent = True
@@ -322,7 +317,7 @@ def test_every_term_is_sent_to_its_index(driver, unit):
             3,
         ]
     )
-    assert driver.compensation_terms() == list(TERMS)
+    assert driver._commands.load_compensation.supported_terms() == list(TERMS)
 
 
 def test_numbers_that_are_lost_on_the_way_are_noticed(driver, unit):
@@ -354,11 +349,11 @@ def test_terms_that_the_ins_does_not_take_are_refused_and_nothing_is_sent(
     )
     commands = command_map.model_copy(update={"load_compensation": polynomial_alone})
     driver = CanIns(buses[0], signal_map, codec.database, clock, commands)
-    assert driver.compensation_terms() == []
+    assert driver._commands.load_compensation.supported_terms() == []
     cubic = Compensation(np.ones((3, 4)), np.full(3, -20.0), np.full(3, 70.0), gravity_dph_per_g=np.eye(3))
     with pytest.raises(
         RefusedError,
-        match=r"can't compensate a polynomial of degree 3, g_sensitivity\. It takes a polynomial of degree 1",
+        match=r"can't compensate a polynomial of degree 3, g_sensitivity\. It supports .* of degree 1",
     ):
         driver.load_compensation(cubic)
     clock.sleep(1.0)

@@ -1,3 +1,5 @@
+"""DBC files: decoding and encoding in bulk, and what is refused."""
+
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 import gyrobench.drivers.ins
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.drivers.ins.can_bus import EXTENDED_ID, FrameBlock
-from gyrobench.drivers.ins.dbc_codec import MAX_DBC_BYTES, DbcCodec, load_dbc
+from gyrobench.drivers.ins.dbc_codec import MAX_DBC_BYTES, BitField, DbcCodec, Payloads, load_dbc
 
 
 def block_of(codec, message_name, payloads):
@@ -161,7 +163,7 @@ def test_an_identifier_of_29_bits_is_not_one_of_11(multiplexed):
     assert multiplexed.arbitration_id("MUX") == 512 | EXTENDED_ID
     block = block_of(multiplexed, "MUX", [bytes(8)] * 2)
     block.arbitration_id[1] = 512
-    assert len(multiplexed.select(block, "MUX")) == 1
+    assert len(multiplexed.rows(block, "MUX")) == 1
 
 
 def test_velocity_of_the_example_has_the_bytes_of_the_ins1000_layout(codec):
@@ -188,7 +190,8 @@ def test_fields_of_64_bits_hold_their_extremes(signed, low, high):
     message = Message(1, "M", 8, [Signal("S", 0, 64, is_signed=signed)], strict=True)
     codec = DbcCodec(Database([message]))
     payloads = [row.tobytes() for row in codec.encode("M", {"S": [-1e30, 1e30]})]
-    assert codec.decode_raw(block_of(codec, "M", payloads), "M")["S"].tolist() == [low, high]
+    words = Payloads(np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, 8))
+    assert BitField(codec.signal("M", "S")).raw(words).tolist() == [low, high]
 
 
 def test_not_a_number_fits_no_integer_field(codec):
@@ -200,7 +203,7 @@ def test_not_a_number_fits_no_integer_field(codec):
 def test_frames_that_are_too_short_are_left_out_and_counted(codec):
     block = block_of(codec, "VELOCITY_NE", [bytes(8), bytes(7), bytes(8), b""])
     assert codec.decode(block, "VELOCITY_NE")["VELOCITY_EAST"].shape == (2,)
-    assert codec.select(block, "VELOCITY_NE").timestamp_s.tolist() == [0.0, 2.0]
+    assert block.take(codec.rows(block, "VELOCITY_NE")).timestamp_s.tolist() == [0.0, 2.0]
     assert codec.count_short(block, "VELOCITY_NE") == 2
     assert codec.decode_one(bytes(7), "VELOCITY_NE") == {}
 
@@ -292,3 +295,35 @@ def test_a_file_that_would_take_minutes_or_is_ambiguous_is_refused(tmp_path, tex
     path.write_text(text)
     with pytest.raises(DocumentError, match=message):
         load_dbc(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("TIME_S : 0|32", "TIME_S : 99999999|32", r"line 16: a signal of 32 bits at bit 99999999"),
+        ("SYSTEM_TIME: 8", "SYSTEM_TIME: 99999999", r"line 15: a message of 99999999 bytes"),
+        (
+            "SIG_VALTYPE_",
+            "SG_MUL_VAL_ 1 TIME_S TIME_NS 0-4294967295 ;\nSIG_VALTYPE_",
+            "line 150: 4294967296 multiplexer values",
+        ),
+        (
+            "SIG_VALTYPE_ 513 VALUE",
+            "SIG_VALTYPE_ 512 COMMAND",
+            r"INS_COMMAND\.COMMAND: a floating-point number of 8 bits",
+        ),
+        ("(0.0001,0)", "(0,0)", r"VELOCITY_NE\.VELOCITY_NORTH: scale 0 "),
+        ("(0.0001,0)", "(1,1e999)", r"VELOCITY_NE\.VELOCITY_NORTH: scale 1 and offset inf"),
+    ],
+)
+def test_numbers_that_no_can_message_has_are_refused(tmp_path, dbc_path, old, new, message):
+    # The key word also stands in the file's list of symbols, so the last place is meant there.
+    head, found, tail = (
+        dbc_path.read_text().rpartition(old) if old.startswith("SIG") else dbc_path.read_text().partition(old)
+    )
+    assert found
+    path = tmp_path / "changed.dbc"
+    path.write_text(head + new + tail)
+    with pytest.raises(DocumentError, match=message) as error:
+        load_dbc(path)
+    assert str(error.value).startswith(str(path))

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gyrobench.drivers.ins import Alignment, FrameBlock, InsMode, concatenate, decode_navigation
 from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
-from gyrobench.drivers.ins.navigation_data import EpochCounts
+from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
+from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_navigation
+from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 HEADING_ID, VELOCITY_ID, TIME_ID, STATUS_ID = 0x007, 0x004, 0x001, 0x010
 
@@ -59,7 +60,7 @@ def test_a_heading_is_yaw_with_the_other_sign(recording, signal_map, codec):
     assert found.attitude[5] == pytest.approx(expected, abs=1e-9)
 
 
-def test_the_euler_sequence_is_the_last_one_told_before_each_epoch(recording, signal_map, codec):
+def test_the_euler_sequence_is_the_last_one_received_before_each_epoch(recording, signal_map, codec):
     block = recording(0, 40, roll=10.0, pitch=20.0, sequence=np.array([0, 0, 1, 1]))
     found = decode_navigation(block, signal_map, codec)
     angles = np.radians([10.0, 20.0, 0.0])
@@ -69,7 +70,7 @@ def test_the_euler_sequence_is_the_last_one_told_before_each_epoch(recording, si
         )
 
 
-def test_the_attitude_is_unknown_until_the_sequence_is_told_and_while_it_is_invalid(
+def test_the_attitude_is_unknown_until_the_sequence_is_received_and_while_it_is_invalid(
     recording, signal_map, codec
 ):
     valid = np.ones(30)
@@ -228,7 +229,7 @@ def test_without_a_counter_the_time_that_comes_with_each_epoch_counts(
     assert found.ins_time_s == pytest.approx(np.delete(epochs, 20) / 10, abs=1e-9)
 
 
-def test_without_a_time_the_counter_goes_on_from_the_first_arrival(recording, make_signal_map, codec):
+def test_without_a_time_the_counter_continues_from_the_first_arrival(recording, make_signal_map, codec):
     block = recording(0, 50)
     jitter = np.random.default_rng(0).normal(0, 0.01, len(block))
     jitter[:10] = 0

@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
 
-from gyrobench.drivers.ins import DbcCodec, load_dbc, resolution_report
-from gyrobench.drivers.ins.resolution import horizontal_gyro_errors_dph, vertical_gyro_errors_dph
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.resolution import (
+    horizontal_gyro_errors_dph,
+    resolution_report,
+    vertical_gyro_errors_dph,
+)
 
 WINDOW_S, SAMPLES = 600.0, 6000
 DPH = np.radians(1 / 3600)
@@ -66,7 +70,7 @@ def test_the_projects_ins_is_fine_enough(signal_map, codec):
     assert limits["velocity_east"].lsb == pytest.approx(1e-4)
     assert limits["attitude.euler.yaw"].lsb == pytest.approx(1e-6)
     assert "VELOCITY_NE.VELOCITY_EAST" in limits["velocity_east"].text
-    assert "fine enough" in limits["velocity_east"].text
+    assert "sufficient" in limits["velocity_east"].text
 
 
 def test_an_output_of_centimetres_per_second_and_tenths_of_milliradians_is_too_coarse(signal_map, codec_with):
@@ -94,7 +98,7 @@ def test_the_step_of_a_floating_point_signal_is_that_at_its_largest_value(signal
     assert yaw.sufficient
 
 
-def test_a_coarse_quaternion_is_told_by_its_coarsest_component(make_signal_map, codec_with):
+def test_a_coarse_quaternion_is_found_by_its_coarsest_component(make_signal_map, codec_with):
     codec = codec_with({'(1E-006,0) [-180|180] "deg"': '(3.05e-05,0) [0|0] ""'})
     quaternion = (
         "quaternion: {w: ROLL_PITCH.ROLL, x: ROLL_PITCH.ROLL, y: HEIGHT_VELOCITY_D.HEIGHT, "

@@ -1,7 +1,12 @@
+"""The map of signals, and its binding to a DBC file."""
+
+import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.ins.signal_map import Dimension
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.readout import BlockReader
+from gyrobench.drivers.ins.signal_map import Dimension, bind_signals, check_signals
 
 
 def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):
@@ -31,7 +36,7 @@ def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, mak
         ("    yaw_positive: down\n", "", "the key 'yaw_positive' is missing"),
         ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: 321", "SequenceMap"),
         ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: rpy", "expected MESSAGE.SIGNAL"),
-        ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: {rpy_321: 4}", "the signal that tells"),
+        ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: {rpy_321: 4}", "the signal of the sequence"),
         ("VELOCITY_NE.VELOCITY_EAST", "A.B.C", "expected MESSAGE.SIGNAL"),
         ("sign: -1", "sign: 0", "1 or -1"),
         ("epoch_period_s: 0.1", "epoch_period_s: 0", "greater than 0"),
@@ -51,3 +56,109 @@ def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, mak
 def test_mistakes_of_a_map_are_named(make_signal_map, old, new, message):
     with pytest.raises(DocumentError, match=message):
         make_signal_map({old: new})
+
+
+@pytest.fixture
+def codec_with_units(tmp_path, dbc_path):
+    def make(changes):
+        text = dbc_path.read_text()
+        for old, new in changes.items():
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "changed.dbc"
+        path.write_text(text)
+        return DbcCodec(load_dbc(path))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new", "dbc_value", "expected"),
+    [
+        ("velocity_east", '"m/s"', '"kt"', 2.0, 2 * 1852 / 3600),
+        ("velocity_east", '"m/s"', '"km/h"', 3.6, 1.0),
+        ("velocity_up", '"m/s"', '"m/s"', 2.0, -2.0),
+        ("attitude.euler.roll", '"deg"', '"rad"', 0.5, 0.5),
+        ("attitude.euler.roll", '"deg"', '"deg"', 180.0, np.pi),
+        ("gyro_optics_temperature.x", '"degC"', '"K"', 300.0, 26.85),
+        ("gyro_optics_temperature.x", '"degC"', '"degF"', 212.0, 100.0),
+        ("time_ns", '"ns"', '"us"', 2e6, 2.0),
+        ("time_ns", '"ns"', '"ms"', 2e3, 2.0),
+    ],
+)
+def test_units_of_the_dbc_are_converted_to_si(
+    codec_with_units, signal_map, path, old, new, dbc_value, expected
+):
+    bound = bind_signals(signal_map, codec_with_units({old: new}))[path]
+    assert dbc_value * bound.gain + bound.offset == pytest.approx(expected)
+
+
+def test_a_unit_that_is_unknown_or_of_another_kind_is_an_error_with_the_allowed_ones(
+    codec_with_units, signal_map
+):
+    codec = codec_with_units({'"degC"': '""', '"m/s"': '"deg"'})
+    with pytest.raises(DocumentError) as error:
+        bind_signals(signal_map, codec)
+    text = str(error.value)
+    assert "VELOCITY_NE.VELOCITY_EAST has the unit 'deg', not a unit of speed (m/s" in text
+    assert "GYRO_OPTICS_TEMPERATURE.X has the unit ''" in text
+    assert len(text.splitlines()) == 3 + 7
+
+
+def test_a_unit_given_in_the_map_replaces_that_of_the_dbc(codec_with_units, make_signal_map):
+    codec = codec_with_units({'"m/s" BENCH\n SG_ VELOCITY_EAST': '"" BENCH\n SG_ VELOCITY_EAST'})
+    source = "{signal: VELOCITY_NE.VELOCITY_NORTH, unit: km/h, scale: 2}"
+    signal_map = make_signal_map({"velocity_north: VELOCITY_NE.VELOCITY_NORTH": f"velocity_north: {source}"})
+    assert bind_signals(signal_map, codec)["velocity_north"].gain == pytest.approx(2 / 3.6)
+
+
+def test_names_that_the_dbc_lacks_are_reported_at_their_place(codec, make_signal_map):
+    signal_map = make_signal_map(
+        {"HEADING.HEADING": "HEADINGS.HEADING", "ROLL_PITCH.ROLL\n": "ROLL_PITCH.ROL\n"}
+    )
+    problems = check_signals(signal_map, codec, ("ins", "signals"))
+    assert [problem.location for problem in problems] == [
+        ("ins", "signals", "attitude", "euler", "roll"),
+        ("ins", "signals", "attitude", "euler", "yaw"),
+    ]
+    assert "did you mean ROLL" in problems[0].message
+    assert "did you mean HEADING" in problems[1].message
+
+
+def test_unknown_messages_of_an_epoch_are_reported(codec, make_signal_map):
+    names = "[SYSTEM_TIME, VELOCITY_NE, ROLL_PITCH, HEADING, SPEED]"
+    signal_map = make_signal_map({"epoch_period_s: 0.1": f"epoch_period_s: 0.1\nepoch_messages: {names}"})
+    assert [problem.location for problem in check_signals(signal_map, codec)] == [("epoch_messages", 4)]
+
+
+def test_a_held_value_is_the_last_that_arrived(codec, signal_map, frames_of):
+    block = frames_of("INS_STATUS", [0.0, 1.0, 2.0], {"MODE": [1, 2, 3]})
+    block.arbitration_id[0] = 0x7FF
+    bound = bind_signals(signal_map, codec)["mode"]
+    held = BlockReader(block, codec).held(bound, np.array([0, 1, 2, 100]))
+    assert np.isnan(held[0])
+    assert held[1:].tolist() == [2, 3, 3]
+
+
+@pytest.mark.parametrize("raw", [32767, -32768])
+def test_a_temperature_at_the_end_of_its_field_is_no_value(codec, signal_map, raw):
+    bound = bind_signals(signal_map, codec)["gyro_optics_temperature.x"]
+    values = bound.to_si(np.array([0.01 * raw, 25.0]))
+    assert np.isnan(values[0])
+    assert values[1] == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize(
+    ("value_c", "is_valid"), [(84.99, True), (85.0, False), (90.0, False), (-40.0, False)]
+)
+def test_a_temperature_at_the_limit_of_the_dbc_or_beyond_is_no_value(
+    codec_with_units, signal_map, value_c, is_valid
+):
+    codec = codec_with_units({"X : 0|16@1- (0.01,0) [-327.68|327.67]": "X : 0|16@1- (0.01,0) [-40|85]"})
+    bound = bind_signals(signal_map, codec)["gyro_optics_temperature.x"]
+    assert np.isfinite(bound.to_si(np.array([value_c]))).tolist() == [is_valid]
+
+
+def test_an_angle_at_the_limit_of_the_dbc_is_an_angle(codec, signal_map):
+    bound = bind_signals(signal_map, codec)["attitude.euler.roll"]
+    assert bound.to_si(np.array([180.0, -180.0])) == pytest.approx([np.pi, -np.pi])

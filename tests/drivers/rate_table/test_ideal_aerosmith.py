@@ -129,7 +129,7 @@ def test_an_axis_that_stands_short_of_its_target_is_a_fault(bench):
     table = bench.prepared()
     bench.axis.friction_deg = 0.5
     table.move_to({2: 30.0}, 10.0)
-    with pytest.raises(FaultError, match=r"stands still at 29\.500 deg, where 30\.000 deg was commanded"):
+    with pytest.raises(FaultError, match=r"stands still at 29\.500 deg; 30\.000 deg was commanded"):
         bench.until_in_position(table)
 
 
@@ -153,11 +153,11 @@ def test_a_jog_too_fast_is_refused(bench):
         table.turn_at(2, 1900.0)
 
 
-def test_it_tells_neither_limits_nor_who_it_is(bench):
+def test_limits_and_identity_can_not_be_read(bench):
     table = bench.driver()
     assert bench.requests_of(table.identify) == [b"STA\r"]
-    assert table.identify() == ("Ideal Aerosmith single-axis table, status 0; it tells no serial number")
-    with pytest.raises(RefusedError, match="look at its panel"):
+    assert table.identify() == ("Ideal Aerosmith single-axis table, status 0; no serial number available")
+    with pytest.raises(RefusedError, match="read them from its panel"):
         table.limits()
 
 
@@ -180,7 +180,7 @@ def test_the_position_is_read_as_in_the_field(rig):
         (b"nan\r>", ReplyError, "STA was answered by 'nan'"),
     ],
 )
-def test_a_controller_that_answers_something_else_is_told(rig, reply, error, message):
+def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
     line, _ = rig.line("table", Scripted(reply))
     with pytest.raises(error, match=message):
         IdealAerosmith(line).identify()
@@ -205,7 +205,7 @@ def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
                 assert all(map(math.isfinite, result.position_deg + result.rate_dps))
 
 
-def test_an_axis_that_does_not_come_to_rest_is_told_after_its_motor_is_off(bench):
+def test_an_axis_that_does_not_come_to_rest_is_a_fault_after_its_motor_is_off(bench):
     table = bench.prepared()
     table.turn_at(2, 5.0)
     bench.rig.wait(5.0)
@@ -217,7 +217,7 @@ def test_an_axis_that_does_not_come_to_rest_is_told_after_its_motor_is_off(bench
 
 def test_an_axis_whose_rate_can_not_be_read_is_not_taken_for_one_at_rest(rig):
     line, heard = rig.line("table", NoRates())
-    with pytest.raises(FaultError, match="tells no rate 30 s after the stop and may still turn"):
+    with pytest.raises(FaultError, match="its rate can't be read 30 s after the stop and it may still turn"):
         IdealAerosmith(line).release()
     assert heard.requests[-1] == b"SRV0\r"
 

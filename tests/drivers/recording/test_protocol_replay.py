@@ -29,7 +29,7 @@ def read(line, count, within_s=5.0):
     return line.read(count, Deadline(line.clock, within_s))
 
 
-def test_it_answers_after_the_recorded_delay_whenever_it_is_asked(line):
+def test_it_replies_after_the_recorded_delay_at_any_time(line):
     it = line((1.0, True, b"ask"), (1.25, False, b"reply"), (2.0, True, b"again"), (2.5, False, b"yes"))
     it.clock.sleep(100.0)
     it.write(b"ask")
@@ -49,7 +49,7 @@ def test_on_a_fast_wall_clock_the_delay_is_that_of_the_clock(line):
     assert it.clock.now() - start_s >= 2.0
 
 
-def test_a_reply_that_is_later_than_the_driver_waits_is_none(line):
+def test_a_reply_after_the_time_out_is_no_reply(line):
     it = line((0.0, True, b"ask"), (1.5, False, b"reply"), (3.5, True, b"ask"), (3.6, False, b"fresh"))
     it.write(b"ask")
     with pytest.raises(NoReplyError):
@@ -59,14 +59,14 @@ def test_a_reply_that_is_later_than_the_driver_waits_is_none(line):
     assert read(it, 5) == b"fresh"
 
 
-def test_what_came_unasked_comes_unasked(line):
+def test_unrequested_bytes_are_replayed_unrequested(line):
     it = line((0.5, False, b"hello"), (2.0, True, b"ask"), (2.1, False, b"reply"))
     assert read(it, 5) == b"hello"
     it.write(b"ask")
     assert read(it, 5) == b"reply"
 
 
-def test_a_question_may_be_written_in_pieces_and_two_at_once(line):
+def test_requests_may_be_written_in_pieces_and_two_at_once(line):
     it = line((0.0, True, b"first"), (0.0, True, b"second"), (0.1, False, b"ok"))
     it.write(b"fir")
     it.write(b"stsecond")
@@ -74,33 +74,36 @@ def test_a_question_may_be_written_in_pieces_and_two_at_once(line):
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         (
             b"asq",
-            r"not asked as it was recorded: .*recording\.rec:5: expected 61 73 6b .*; got 61 73 71 \('asq'\)",
+            r"deviates from the recording: .*recording\.rec:5: expected 61 73 6b .*; got 61 73 71 \('asq'\)",
         ),
-        (b"ask more", r"a recording\.rec:6: asks 20 6d 6f 72 65 .* before the reply 72 65 .* has come"),
+        (b"ask more", r"a recording\.rec:6: 20 6d 6f 72 65 .* is sent before the reply 72 65 "),
     ],
 )
-def test_another_question_fails_with_the_place_and_both(line, asked, told):
+def test_another_request_fails_with_the_place_and_both_texts(line, asked, message):
     it = line((0.0, True, b"ask"), (0.2, False, b"reply"))
-    with pytest.raises(ConnectionFailedError, match=told):
+    with pytest.raises(ConnectionFailedError, match=message):
         it.write(asked)
 
 
-def test_a_question_beyond_the_end_fails(line):
+def test_a_request_after_the_end_fails(line):
     it = line((0.0, True, b"ask"))
     it.write(b"ask")
-    with pytest.raises(ConnectionFailedError, match="is at its end, and got 6d 6f 72 65"):
+    with pytest.raises(ConnectionFailedError, match="the recording ends before 6d 6f 72 65"):
         it.write(b"more")
 
 
-def test_a_recording_that_is_not_there_or_wrong_can_not_be_opened(tmp_path):
+def test_a_missing_or_wrong_recording_can_not_be_opened(tmp_path):
     wrong = tmp_path / "wrong.rec"
     wrong.write_text("instrument: toaster\n---\n")
-    for url, told in ((f"replay://{tmp_path}/absent.rec", "can't be read"), (f"replay://{wrong}", ":1:1: ")):
-        with pytest.raises(ConnectionFailedError, match=told):
+    for url, message in (
+        (f"replay://{tmp_path}/absent.rec", "can't be read"),
+        (f"replay://{wrong}", ":1:1: "),
+    ):
+        with pytest.raises(ConnectionFailedError, match=message):
             SerialLine("chamber", url, VirtualClock())
     with pytest.raises(ConnectionFailedError, match="no clock is named"):
         SerialLine("chamber", f"replay://{wrong}?clock=sundial", VirtualClock())

@@ -55,19 +55,19 @@ def test_remarks_and_empty_lines_are_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        ("instrument: table\n", r":1:1: no recording: a line '---'"),
+        ("instrument: table\n", r":1:1: not a recording: the line '---'"),
         ("recording: 2\ninstrument: table\n---\n", r":1:1: 'recording' should be 1"),
         ("instrument: table\ncolour: red\n---\n", r":2:1: unknown key 'colour'"),
         ("instrument: toaster\n---\n", r":1:1: 'instrument' should be"),
-        ("instrument: table\n---\n0.1 > 4\n", r":3:1: no transfer"),
-        ("instrument: table\n---\n0.1 = 41\n", r":3:1: no transfer"),
-        ("instrument: table\n---\n0.2 > 41\n0.1 < 42\n", r":4:1: is before the line above"),
+        ("instrument: table\n---\n0.1 > 4\n", r":3:1: not a transfer"),
+        ("instrument: table\n---\n0.1 = 41\n", r":3:1: not a transfer"),
+        ("instrument: table\n---\n0.2 > 41\n0.1 < 42\n", r":4:1: its time is before that of the line above"),
     ],
 )
-def test_a_mistake_is_told_with_its_place(tmp_path, text, told):
-    with pytest.raises(DocumentError, match=rf"test\.rec{told}"):
+def test_a_mistake_is_reported_with_its_place(tmp_path, text, message):
+    with pytest.raises(DocumentError, match=rf"test\.rec{message}"):
         read_recording(written(tmp_path, text))
 
 

@@ -57,7 +57,7 @@ def test_a_new_module_with_an_effect_is_found(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
-def test_an_effect_says_what_it_is_and_how_to_show_it(effect):
+def test_an_effect_has_a_statement_and_an_experiment(effect):
     for sentence in (effect.statement, effect.experiment):
         assert len(sentence.split()) > 5
         assert not sentence.endswith(".")
@@ -83,16 +83,16 @@ def test_starts_lie_between_the_bounds(clean, effect, form):
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
 def test_an_effect_has_a_form_for_a_table_with_all_sensors(clean, effect):
-    assert any(form.lacks(clean) is None for form in effect.forms)
+    assert any(form.missing_input(clean) is None for form in effect.forms)
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
 def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, effect):
     one = problem({effect.name: 10.0}, noise=0.0)
     misses = [
-        1.0 - one.gain(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
+        1.0 - one.chi2_reduction(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
         for form in effect.forms
-        if form.lacks(one.campaign) is None
+        if form.missing_input(one.campaign) is None
     ]
     assert min(misses) < MISSED.get(effect.name, 0.002)
 

@@ -14,7 +14,7 @@ def along_gravity(form, campaign, values):
 
 
 @pytest.mark.parametrize("form", EFFECT.forms, ids=lambda form: form.name)
-def test_what_follows_gravity_vanishes_in_the_heat(clean, form):
+def test_the_dependence_on_gravity_vanishes_above_the_onset(clean, form):
     hot = clean.gyro_c.min(axis=1) > 55.0
     cold = clean.gyro_c.max(axis=1) < 0.0
     along = np.abs(along_gravity(form, clean, (30.0, 2.0)))
@@ -51,19 +51,19 @@ def test_one_form_is_constant_in_the_cold_and_the_other_grows(clean, has_flow):
     np.testing.assert_allclose(np.abs(growing / flow)[followed], below[followed], rtol=1e-6)
 
 
-def test_the_first_term_is_the_flow_alike_in_all_positions(clean):
+def test_the_first_term_is_the_flow_in_all_positions(clean):
     for form in WITH_FLOW:
         np.testing.assert_allclose(form.columns(clean, (30.0, 2.0))[:, :, 0], clean.board_c - clean.gyro_c)
 
 
-def test_where_nothing_tells_the_flow_the_forms_without_it_are_tried(clean):
+def test_with_an_unknown_flow_the_forms_without_it_are_fitted(clean):
     blind = campaign_of(measure(cycles=2, sensors=()).rows)
-    assert all("temperature sensors" in form.lacks(blind) for form in WITH_FLOW)
+    assert all("temperature sensors" in form.missing_input(blind) for form in WITH_FLOW)
     for form in WITHOUT_FLOW:
-        assert form.lacks(blind) is None
+        assert form.missing_input(blind) is None
         assert form.columns(blind, (30.0, 2.0)).shape == (len(blind), 3, len(form.terms))
 
 
 def test_where_the_flow_is_known_it_is_not_taken_for_constant(clean):
-    assert all(form.lacks(clean) is None for form in WITH_FLOW)
-    assert all("the heat flow is known" in form.lacks(clean) for form in WITHOUT_FLOW)
+    assert all(form.missing_input(clean) is None for form in WITH_FLOW)
+    assert all("the heat flow is known" in form.missing_input(clean) for form in WITHOUT_FLOW)

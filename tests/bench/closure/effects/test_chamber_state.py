@@ -45,5 +45,7 @@ def test_a_set_point_that_only_rises_cools_nothing():
     assert np.all(FORM.columns(campaign_of(rows), (COLD_BELOW_C,)) == 0.0)
 
 
-def test_it_lacks_a_set_point_that_was_not_measured():
-    assert FORM.lacks(campaign_of(measure(cycles=2, sensors=("air",)).rows)) == "the chamber's set point"
+def test_an_unmeasured_set_point_is_a_missing_input():
+    assert (
+        FORM.missing_input(campaign_of(measure(cycles=2, sensors=("air",)).rows)) == "the chamber's set point"
+    )

@@ -11,5 +11,5 @@ def test_it_is_the_electronics_above_the_optics_whatever_the_position(clean):
     np.testing.assert_allclose(FORM.columns(clean, ())[:, :, 0], clean.board_c - clean.gyro_c)
 
 
-def test_it_lacks_electronics_temperatures_where_nothing_tells_them():
-    assert "temperature sensors" in FORM.lacks(campaign_of(measure(cycles=2, sensors=()).rows))
+def test_unknown_electronics_temperatures_are_a_missing_input():
+    assert "temperature sensors" in FORM.missing_input(campaign_of(measure(cycles=2, sensors=()).rows))

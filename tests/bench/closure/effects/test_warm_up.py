@@ -20,7 +20,7 @@ def test_it_is_the_mean_of_the_decay_over_the_dwell(each_cycle):
     np.testing.assert_allclose(column, np.repeat(np.array(expected)[:, None], 3, axis=1), atol=0.012)
 
 
-def test_hours_after_power_on_it_is_gone(clean):
+def test_hours_after_power_on_it_vanishes(clean):
     column = FORM.columns(clean, (TAU_S,))[:, 0, 0]
     assert 0.7 < column[0] < 0.9
     assert column[-1] < 1e-12

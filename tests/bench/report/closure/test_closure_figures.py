@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.report.closure.effect_figure import closure_effect_figure
-from gyrobench.bench.report.closure.error_figure import closure_error_figure, temperature_groups
-from gyrobench.bench.report.closure.evidence_figure import closure_evidence_figure
-from gyrobench.bench.report.closure.residual_figure import closure_residual_figure
-from gyrobench.bench.report.closure.residuals import residuals_dph, rms
+from gyrobench.bench.report.closure.closure_figures import (
+    closure_effect_figure,
+    closure_error_figure,
+    closure_evidence_figure,
+    closure_residual_figure,
+    temperature_groups,
+)
+from gyrobench.bench.report.closure.closure_text import residuals_dph, rms
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
@@ -65,23 +68,23 @@ def test_the_evidence_has_a_bar_for_each_effect_as_long_as_its_share():
     assert len({bar.get_facecolor() for bar in axes.patches}) == 3
 
 
-def test_an_effect_that_was_not_tried_is_there_with_the_reason():
+def test_an_effect_not_fitted_is_shown_with_the_reason():
     figure = closure_evidence_figure(without_boards())
-    assert "not tried: lacks temperature sensors" in texts(figure)
+    assert "not fitted; missing: temperature sensors" in texts(figure)
     low, high = sorted(figure.axes[0].get_ylim())
     assert low < 0
     assert high > len(without_boards().evidence) - 1
 
 
-def test_where_only_noise_is_left_the_bars_are_chances():
+def test_without_excess_variance_the_bars_are_p_values():
     assert "p = 1.000" in texts(closure_evidence_figure(clean()))
 
 
-def test_the_effect_is_drawn_as_partial_residuals_on_the_line_as_fitted():
+def test_the_effect_is_drawn_as_partial_residuals_on_the_fit():
     closure = explained()
     [found] = closure.effects
     figure = closure_effect_figure(closure, found)
-    along, line = points(figure.axes[0], "as fitted")
+    along, line = points(figure.axes[0], "fit")
     assert along == pytest.approx(np.sort(closure.campaign.rate_c_per_h[:, 0]))
     assert np.diff(line) == pytest.approx(1000.0 * found.sizes_dph[0, 0] * np.diff(along))
     dwells, values = points(figure.axes[0], "searched")
@@ -89,10 +92,10 @@ def test_the_effect_is_drawn_as_partial_residuals_on_the_line_as_fitted():
     assert left == pytest.approx(1000.0 * residuals_dph(closure, closure.model)[closure.searched, 0])
 
 
-def test_a_gyro_that_does_not_show_the_effect_says_so():
+def test_a_gyro_without_the_effect_is_marked():
     [found] = explained().effects
     assert "z" not in found.axes
-    assert "does not show it" in texts(closure_effect_figure(explained(), found))
+    assert "not significant" in texts(closure_effect_figure(explained(), found))
 
 
 def test_errors_are_pairs_of_bars_with_the_noise():

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.report.closure.search_files import write_search
+from gyrobench.bench.report.closure.closure_page import write_search
 from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.report.made_up_closure import clean, made_up_rows
 

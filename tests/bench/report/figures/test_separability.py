@@ -26,7 +26,7 @@ def test_every_pair_shows_its_correlation_and_whether_it_is_distinguished():
     frames = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
     centres = {(round(frame.get_y() + 0.44), round(frame.get_x() + 0.46)) for frame in frames}
     framed = {tuple(sorted((names[row], names[column]))) for row, column in centres}
-    assert framed == set(found.not_told(0.002))
+    assert framed == set(found.not_distinguished(0.002))
 
 
 def test_a_plan_that_shows_nothing_says_so():

@@ -21,7 +21,7 @@ TARGET_DPH = 0.002
 
 
 @pytest.fixture(scope="module")
-def separable() -> Separability:
+def result() -> Separability:
     _, plan = shipped("six_position_fig7")
     return separability(searched_dwells(planned_campaign(plan, UNIT)), all_effects())
 
@@ -36,45 +36,45 @@ def printed(renderable: RenderableType) -> str:
     return " ".join(" ".join(lines).split())
 
 
-def test_every_effect_has_its_sizes_and_hardest_rival(separable: Separability) -> None:
-    text = printed(separability_summary(separable, 60, UNIT, TARGET_DPH, []))
-    for each in separable.detections:
+def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability) -> None:
+    text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+    for each in result.detections:
         name = each.effect.name
-        rival, separable_dph = separable.hardest_rival(name) or ("", 0.0)
+        alternative, size_dph = result.nearest_alternative(name) or ("", 0.0)
         sizes = f"{name} {1e3 * each.typical_dph:.2f} {1e3 * each.largest_dph:.2f} x"
         assert sizes in text
-        assert f" {rival} {1e3 * separable_dph:.2f} " in text
+        assert f" {alternative} {1e3 * size_dph:.2f} " in text
 
 
-def test_it_says_what_it_rests_on(separable: Separability) -> None:
-    text = printed(separability_summary(separable, 60, UNIT, TARGET_DPH, []))
-    assert "30 of 60 dwells are searched; the last cycle is held out." in text
+def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
+    text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+    assert "The search uses 30 of 60 dwells; the last cycle is held out." in text
     assert (
-        "uncertainty of each bias ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by the "
-        "station" in text
+        "Standard uncertainty of a bias: ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by "
+        "the station" in text
     )
     undeclared = replace(UNIT, is_noise_declared=False)
     assert "a typical value, none is declared" in printed(
-        separability_summary(separable, 30, undeclared, TARGET_DPH, [])
+        separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )
-    assert "One cycle of 30 dwells" in printed(
-        separability_summary(separable, 30, undeclared, TARGET_DPH, [])
+    assert "There is one cycle of 30 dwells" in printed(
+        separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )
 
 
-def test_it_lists_what_is_not_found_and_not_separable(separable: Separability) -> None:
-    text = printed(separability_summary(separable, 60, UNIT, TARGET_DPH, []))
+def test_it_lists_effects_not_found_and_not_distinguished(result: Separability) -> None:
+    text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "Not found at 2.00: chamber_state." in text
-    assert "Not separable at 2.00: " in text
-    assert "At 900.00 all of them are found and separable." in printed(
-        separability_summary(separable, 60, UNIT, 0.9, [])
+    assert "Not distinguished at 2.00: " in text
+    assert "At 900.00 all effects are found and distinguished." in printed(
+        separability_summary(result, 60, UNIT, 0.9, [])
     )
 
 
-def test_effects_that_can_not_be_seen_are_gathered_by_what_they_lack(separable: Separability) -> None:
-    blind = replace(separable.campaign, set_c=np.full(len(separable.campaign), np.nan))
+def test_effects_not_observable_are_grouped_by_missing_input(result: Separability) -> None:
+    blind = replace(result.campaign, set_c=np.full(len(result.campaign), np.nan))
     text = printed(separability_summary(separability(blind, all_effects()), 60, UNIT, TARGET_DPH, []))
-    assert "Not observable without the chamber's set point: chamber_state." in text
+    assert "Not observable: chamber_state. Missing input: the chamber's set point." in text
     assert "Not found" not in text
 
 
@@ -83,25 +83,25 @@ def test_effects_that_can_not_be_seen_are_gathered_by_what_they_lack(separable: 
     [
         (
             Advice(("add a cycle", "wait"), 2.36, ("warm_up",), (("a", "b"), ("b", "c"))),
-            "With 2.4 h more, add a cycle and wait: finds warm_up and separates it from all others, "
-            "and separates b from a and c.",
+            "With 2.4 h more: add a cycle and wait. This finds warm_up and distinguishes it from all others, "
+            "and distinguishes b from a and c.",
         ),
         (
             Advice(("add a cycle",), -0.5, (), (("a", "b"),)),
-            "With 0.5 h less, add a cycle: separates a from b.",
+            "With 0.5 h less: add a cycle. This distinguishes a from b.",
         ),
         (
             Advice(("wait",), 12.0, (), (("a", "b"),), (("c", "d"),)),
-            "With 12.0 h more, wait: separates a from b; but no longer c from d.",
+            "With 12.0 h more: wait. This distinguishes a from b, but does not distinguish c from d.",
         ),
         (
             Advice((), 0.0, ("x", "y"), ()),
-            "No change known here finds x and y and separates them from all others.",
+            "No known change finds x and y and distinguishes them from all others.",
         ),
     ],
 )
-def test_advice_is_a_sentence(separable: Separability, advice: Advice, sentence: str) -> None:
-    assert sentence in printed(separability_summary(separable, 60, UNIT, TARGET_DPH, [advice]))
+def test_advice_is_a_sentence(result: Separability, advice: Advice, sentence: str) -> None:
+    assert sentence in printed(separability_summary(result, 60, UNIT, TARGET_DPH, [advice]))
 
 
 def test_pairs_are_gathered_by_the_effect_that_most_of_them_have() -> None:

@@ -11,11 +11,12 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
-from gyrobench.drivers.ins.attitude import EulerSequence, euler_angles
+from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
+from tests.drivers.ins.euler_reference import euler_angles
 
 #: Largest errors by the resolution of each: velocity, m/s, and attitude, rad. A 32-bit float has steps of
 #: 2^-20 from 8 m/s on.

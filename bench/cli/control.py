@@ -1,0 +1,47 @@
+"""`gyrobench control`."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+import typer
+
+from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.foundations.errors import RunFolderError
+
+_CommandArgument = Annotated[RunCommand, typer.Argument(help="Command to the run.")]
+
+
+def control(run_folder: RunArgument, command: _CommandArgument) -> None:
+    """Control a run in progress: pause, continue, hold at this temperature, skip the dwell, or abort.
+
+    The same commands can be typed in the terminal of the run.
+
+    Example: gyrobench control runs/six_position_fig7-001 hold
+    """
+    import socket
+
+    from gyrobench.bench.engine.operator import COMMAND_MEANINGS, COMMAND_SIGNALS
+    from gyrobench.bench.station.locks import holder_of
+
+    holder = holder_of(run_folder)
+    if holder is None:
+        raise RunFolderError(f"{run_folder}: no run is in progress there on this machine")
+    if holder.host != socket.gethostname():
+        raise RunFolderError(f"{run_folder}: the run is on {holder.host}. Run gyrobench control there")
+    number = next(number for number, each in COMMAND_SIGNALS.items() if each is command)
+    try:
+        os.kill(holder.pid, number)
+    except OSError as error:
+        raise RunFolderError(
+            f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"
+        ) from error
+    typer.echo(f"Sent to process {holder.pid}: {command} ({COMMAND_MEANINGS[command]}).")
+
+
+def tell(run_folder: RunArgument, command: _CommandArgument) -> None:
+    """Old name of `gyrobench control`."""
+    typer.echo("'gyrobench tell' is an old name. Use 'gyrobench control'.", err=True)
+    control(run_folder, command)

@@ -1,0 +1,351 @@
+"""Figures of a search for effects: residuals, evidence, effects, held-out errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.closure.closure_text import (
+    held_out_cycles,
+    is_noise_only,
+    noise_dph,
+    p_phrase,
+    residuals_dph,
+    rms,
+    scale_of_errors,
+    share_text,
+)
+from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure, say_empty
+from gyrobench.bench.report.number_format import BiasScale
+
+#: Bars before and after; candidates that are found, tied, or neither.
+BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"
+FOUND_COLOUR, TIED_COLOUR, OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
+NOTE_COLOUR, NOISE_COLOUR, BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
+_HELD_OUT_COLOUR = "#D55E00"
+
+
+def draw_dwells(
+    axes: Axes,
+    along: FloatArray,
+    values: FloatArray,
+    searched: BoolArray,
+    gyro: str,
+    size: float = 2.6,
+) -> None:
+    """Draw a point for each dwell (n,) of a gyro; held-out dwells are hollow."""
+    colour, _, marker = GYRO_STYLES[gyro]
+    for label, chosen, edge, face in (
+        ("searched", searched, colour, colour),
+        ("held out", ~searched, _HELD_OUT_COLOUR, "white"),
+    ):
+        axes.plot(
+            along[chosen],
+            values[chosen],
+            linestyle="none",
+            marker=marker,
+            markersize=size,
+            markeredgewidth=0.2 * size,
+            markeredgecolor=edge,
+            markerfacecolor=face,
+            label=label,
+        )
+
+
+_S_PER_H = 3600.0
+_MARGIN = 1.1
+_POINT_SIZE = 2.2
+#: Share of a position's width over which its dwells are spread, in the order of time.
+_SPREAD = 0.7
+
+
+@house_style
+def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
+    """Draw measured minus predicted bias against temperature, time, temperature rate and position.
+
+    Top: declared model, bottom: with the effects found, on the same scale; without effects the declared
+    model alone. The band is one standard deviation of the noise.
+
+    Parameters
+    ----------
+    closure : Closure
+        Outcome of a search.
+    gyro : {"x", "y", "z"}
+        The gyro.
+    """
+    axis = AXES.index(gyro)
+    models = {"declared model": closure.declared}
+    if closure.effects:
+        models["with the effects found"] = closure.model
+    residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models.items()}
+    noise = rms(noise_dph(closure)[:, axis])
+    scale = scale_of_errors(closure)
+    against = _against(closure, axis)
+    largest = _MARGIN * scale.factor * max(float(np.abs(each).max()) for each in residuals.values())
+    figure = new_figure(0.8 + 1.75 * len(residuals))
+    grid = figure.subplots(len(residuals), len(against), sharex="col", sharey=True, squeeze=False)
+    for row, (name, values_dph) in zip(grid, residuals.items(), strict=True):
+        row[0].set_title(f"{gyro_label(gyro)}, {name}")
+        row[0].set_ylim(-largest, largest)
+        for axes, along in zip(row, against.values(), strict=True):
+            draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
+            axes.axhspan(
+                -noise * scale.factor, noise * scale.factor, color=BAND_COLOUR, zorder=0.5, label="± noise"
+            )
+    for axes, label in zip(grid[-1], against, strict=True):
+        axes.set_xlabel(label, fontsize=8)
+    _name_positions(grid[-1, -1], closure)
+    figure.supylabel(f"residual / ({scale.unit})", fontsize=9)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _against(closure: Closure, axis: int) -> dict[str, FloatArray]:
+    campaign = closure.campaign
+    return {
+        "temperature / °C": campaign.gyro_c[:, axis],
+        "time / h": (campaign.middle_s - campaign.start_s[0]) / _S_PER_H,
+        "temperature rate / (K/h)": campaign.rate_c_per_h[:, axis],
+        "position": _places(closure),
+    }
+
+
+def _places(closure: Closure) -> FloatArray:
+    """Index of each dwell's position, spread in the order of time."""
+    names = _positions(closure)
+    place = np.array([names.index(each) for each in closure.campaign.position], dtype=np.float64)
+    part = np.arange(len(place)) / max(len(place) - 1, 1)
+    return place + _SPREAD * (part - 0.5)
+
+
+def _positions(closure: Closure) -> list[str]:
+    return [name for name in POSITIONS if name in closure.campaign.position]
+
+
+def _name_positions(axes: Axes, closure: Closure) -> None:
+    names = _positions(closure)
+    axes.set_xticks(range(len(names)), [position_label(name) for name in names], fontsize=7, rotation=90)
+
+
+_BAR_HEIGHT_IN = 0.27
+_MAX_POWER = 12.0
+_PERCENT = 100.0
+
+
+@house_style
+def closure_evidence_figure(closure: Closure) -> Figure:
+    """Draw the share of excess variance explained by each candidate alone.
+
+    Without excess variance the bars show the p-values, on a logarithmic scale.
+    """
+    figure = new_figure(1.5 + _BAR_HEIGHT_IN * len(closure.evidence))
+    axes = figure.add_subplot()
+    found = {each.effect.name for each in closure.effects}
+    tied = {name for each in closure.effects for name in each.tied_with}
+    by_p_value = is_noise_only(closure)
+    for place, each in enumerate(closure.evidence):
+        name = each.effect.name
+        colour = FOUND_COLOUR if name in found else TIED_COLOUR if name in tied else OTHER_COLOUR
+        if each.missing_input is None:
+            length = _power(each) if by_p_value else _PERCENT * min(max(each.share, 0.0), 1.0)
+            axes.barh(place, length, color=colour, height=0.7)
+            _note(axes, length, place, p_phrase(each.p_value) if by_p_value else _evidence_text(each))
+        else:
+            _note(axes, 0.0, place, f"not fitted; missing: {each.missing_input}")
+    axes.set_yticks(range(len(closure.evidence)), [each.effect.display_name for each in closure.evidence])
+    for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
+        label.set_color(NOTE_COLOUR if each.missing_input else "black")
+    axes.set_ylim(len(closure.evidence) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    if by_p_value:
+        axes.axvline(-math.log10(SIGNIFICANCE), color="#444444", linestyle="--", linewidth=0.9)
+        axes.set(
+            title="Significance of each effect alone", xlabel="-log10(p); found to the right of the line"
+        )
+        axes.set_xlim(0.0, max(1.25 * axes.get_xlim()[1], 4.0))
+    else:
+        axes.set(
+            title="Each effect alone", xlabel="share of excess variance explained / %", xlim=(0.0, 132.0)
+        )
+        axes.set_xticks([0, 20, 40, 60, 80, 100])
+    _legend(figure, found, tied)
+    return figure
+
+
+def _evidence_text(each: Evidence) -> str:
+    return f"{share_text(each.share)}, {p_phrase(each.p_value)}"
+
+
+def _power(each: Evidence) -> float:
+    return min(-math.log10(max(each.p_value, 1e-300)), _MAX_POWER)
+
+
+def _note(axes: Axes, length: float, place: int, text: str) -> None:
+    axes.annotate(
+        text, (length, place), (4, 0), textcoords="offset points", va="center", fontsize=7, color=NOTE_COLOUR
+    )
+
+
+def _legend(figure: Figure, found: set[str], tied: set[str]) -> None:
+    parts = {"found": (found, FOUND_COLOUR), "tied": (tied, TIED_COLOUR)}
+    handles = [Patch(color=colour, label=label) for label, (names, colour) in parts.items() if names]
+    if handles:
+        figure.legend(
+            handles=[*handles, Patch(color=OTHER_COLOUR, label="others")], loc="outside lower center", ncols=3
+        )
+
+
+_S_PER_H = 3600.0
+
+
+@house_style
+def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
+    """Draw partial residuals for each gyro: measured bias minus the model without the main term.
+
+    The main term is the one that changes the gyro's bias most in the dwells searched. A monotonic
+    function of time is drawn over time. The line is the fitted term.
+
+    Parameters
+    ----------
+    closure : Closure
+        Outcome of a search.
+    found : FoundEffect
+        One of its effects.
+    """
+    columns = found.candidate.columns(closure.campaign)
+    rest_dph = residuals_dph(closure, closure.model)
+    parts = {
+        axis: _MainTerm(closure, found, columns, axis) for axis, gyro in enumerate(AXES) if gyro in found.axes
+    }
+    scale = scale_of_errors(closure)
+    figure = new_figure(3.1)
+    all_axes = figure.subplots(1, len(AXES), sharey=True)
+    for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
+        axes.set_title(gyro_label(gyro))
+        if axis not in parts:
+            say_empty(axes, "not significant")
+            axes.set_xticks([])
+            continue
+        noise = rms(noise_dph(closure)[:, axis])
+        _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
+    all_axes[0].set_ylabel(f"partial residual / ({scale.unit})")
+    first = all_axes[min(parts)]
+    figure.suptitle(found.effect.display_name.capitalize(), fontsize=9)
+    figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+class _MainTerm:
+    """The term of an effect that changes one gyro's bias most.
+
+    Attributes
+    ----------
+    label : str
+        Label of the horizontal axis.
+    along, bias_dph : ndarray, shape (n,)
+        Abscissa, and the bias of the term without its mean.
+    """
+
+    def __init__(self, closure: Closure, found: FoundEffect, columns: FloatArray, axis: int) -> None:
+        campaign, searched = closure.campaign, closure.searched
+        parts_dph = columns[:, axis] * found.sizes_dph[axis]
+        term = int(np.argmax(np.std(parts_dph[searched], axis=0)))
+        self.along: FloatArray = columns[:, axis, term]
+        self.label = found.candidate.form.terms[term]
+        self.bias_dph: FloatArray = parts_dph[:, term] - parts_dph[searched, term].mean()
+        if np.all(np.diff(self.along) >= 0.0):
+            self.along = (campaign.middle_s - campaign.start_s[0]) / _S_PER_H
+            self.label = "time / h"
+
+
+def _draw(
+    axes: Axes,
+    main: _MainTerm,
+    rest_dph: FloatArray,
+    noise_dph: float,
+    scale: BiasScale,
+    searched: BoolArray,
+    gyro: str,
+) -> None:
+    values = (rest_dph + main.bias_dph) * scale.factor
+    order = np.argsort(main.along, kind="stable")
+    along, line = main.along[order], main.bias_dph[order] * scale.factor
+    band = noise_dph * scale.factor
+    axes.fill_between(
+        along, line - band, line + band, color=BAND_COLOUR, zorder=0.5, linewidth=0, label="± noise"
+    )
+    draw_dwells(axes, main.along, values, searched, gyro)
+    axes.plot(along, line, color="black", linewidth=1.0, label="fit")
+    axes.set_xlabel(main.label, fontsize=8)
+
+
+_BINS_C = (5.0, 10.0, 20.0, 50.0)
+_MAX_BINS = 12
+
+
+@house_style
+def closure_error_figure(closure: Closure) -> Figure:
+    """Draw the held-out rms error by gyro, position and temperature, with the noise.
+
+    Paired bars: declared model, and with the effects found.
+    """
+    held_out = ~closure.searched
+    scale = scale_of_errors(closure)
+    figure = new_figure(4.6)
+    upper, lower = figure.subplots(2, 1, sharey=True)
+    groups = {gyro_label(gyro): _of_gyro(held_out, axis) for axis, gyro in enumerate(AXES)}
+    for name in POSITIONS:
+        chosen = held_out & (np.array(closure.campaign.position) == name)
+        if chosen.any():
+            groups[position_label(name)] = np.repeat(chosen[:, np.newaxis], len(AXES), axis=1)
+    _bars(upper, closure, groups, scale)
+    _bars(lower, closure, temperature_groups(closure), scale)
+    upper.axvline(len(AXES) - 0.5, color="#bbbbbb", linewidth=0.8)
+    upper.set_title(f"Error in {held_out_cycles(closure)} (held out)")
+    lower.set_xlabel("gyro temperature / °C")
+    for axes in (upper, lower):
+        axes.set_ylabel(f"rms / ({scale.unit})")
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def temperature_groups(closure: Closure) -> dict[str, BoolArray]:
+    """Held-out biases (n, 3) by gyro temperature, in at most twelve bins of equal width."""
+    gyro_c = closure.campaign.gyro_c
+    held_out = np.repeat(~closure.searched[:, np.newaxis], len(AXES), axis=1)
+    low_c, high_c = gyro_c[held_out].min(), gyro_c[held_out].max()
+    width_c = next((each for each in _BINS_C if (high_c - low_c) / each < _MAX_BINS - 1), _BINS_C[-1])
+    edges = np.arange(np.floor(low_c / width_c), np.floor(high_c / width_c) + 1.0) * width_c
+    groups = {
+        f"{edge:g}..{edge + width_c:g}": held_out & (gyro_c >= edge) & (gyro_c < edge + width_c)
+        for edge in edges
+    }
+    return {name: chosen for name, chosen in groups.items() if chosen.any()}
+
+
+def _of_gyro(held_out: BoolArray, axis: int) -> BoolArray:
+    return np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
+
+
+def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: BiasScale) -> None:
+    models = {"declared model": (closure.declared, BEFORE_COLOUR)}
+    if closure.effects:
+        models["with the effects found"] = (closure.model, AFTER_COLOUR)
+    places = np.arange(len(groups))
+    width = 0.8 / len(models)
+    for number, (label, (model, colour)) in enumerate(models.items()):
+        errors_dph = residuals_dph(closure, model)
+        heights = [rms(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
+        axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
+    noise = [rms(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
+    axes.hlines(noise, places - 0.45, places + 0.45, color=NOISE_COLOUR, linewidth=1.4, label="noise")
+    axes.set_xticks(places, list(groups), fontsize=7)
+    axes.grid(visible=False, axis="x")

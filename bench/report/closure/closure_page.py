@@ -1,0 +1,280 @@
+"""The page of a search for effects (closure.html), and all files that a search writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.closure.files import write_closure
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.report.closure import closure_text as text
+from gyrobench.bench.report.closure.closure_figures import (
+    closure_effect_figure,
+    closure_error_figure,
+    closure_evidence_figure,
+    closure_residual_figure,
+)
+from gyrobench.bench.report.closure.closure_text import (
+    effect_table,
+    evidence_caption,
+    evidence_table,
+    held_out_cycles,
+    is_noise_only,
+    noise_dph,
+    residuals_dph,
+    rms,
+    scale_of_errors,
+    verdict_sentence,
+)
+from gyrobench.bench.report.number_format import p_text
+from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+from gyrobench.bench.report.run_report import write_report
+from gyrobench.bench.runs.folder import RunFolder
+
+_RESIDUALS = (
+    "{}: measured minus predicted bias. Each point is a dwell, hollow points are held out; the grey band is "
+    "one standard deviation of the noise. {}"
+)
+_BOTH_MODELS = "Top: declared model; bottom: with the effects found."
+_EFFECT = (
+    "{}: partial residual (measured bias minus the model without this effect's main term) against what that "
+    "term follows. The line is the fit to the filled points; hollow points are held out."
+)
+_EVIDENCE = (
+    "Share of excess variance explained by each effect alone. Effects that are correlated in this campaign "
+    "explain the same share: a long bar alone is no proof."
+)
+_P_VALUES = "Significance of each effect alone. The declared model leaves no excess variance to explain."
+_ERRORS = "Rms of measured minus predicted bias in the held-out cycles; the black lines are the noise."
+_UNEXPLAINED = (
+    "Do not rely on the model below that size: the cause is none of the candidate effects, or follows an "
+    "input that was not measured."
+)
+#: Colours of the template's box, by verdict.
+_COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped", "unexplained": "failed"}
+
+
+def closure_sections(closure: Closure) -> list[Section]:
+    """All parts: residual, effects, alternatives, held-out error, lack of fit."""
+    sections = [
+        _residual(closure),
+        _effects(closure),
+        _alternatives(closure),
+        _error(closure),
+        _lack_of_fit(closure),
+    ]
+    return [section for section in sections if section]
+
+
+def _residual(closure: Closure) -> Section:
+    caption = _BOTH_MODELS if closure.effects else ""
+    figures = [
+        SectionFigure(
+            f"residuals_{gyro}",
+            _RESIDUALS.format(gyro_label(gyro), caption).strip(),
+            closure_residual_figure(closure, gyro),
+        )
+        for gyro in AXES
+    ]
+    return Section(
+        "Residual of the declared model",
+        _paragraphs(text.before_sentence(closure), text.noise_scale_sentence(closure)),
+        figures,
+    )
+
+
+def _effects(closure: Closure) -> Section | None:
+    if not closure.effects:
+        return None
+    figures = []
+    for each in closure.effects:
+        caption = _EFFECT.format(each.effect.display_name.capitalize())
+        figures.append(
+            SectionFigure(f"effect_{each.effect.name}", caption, closure_effect_figure(closure, each))
+        )
+    effects = SectionTable(
+        f"Size: rms in the dwells searched, without its mean, in {scale_of_errors(closure).unit}. "
+        "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles",
+        *effect_table(closure),
+        words=4,
+    )
+    title = "Effect" if len(closure.effects) == 1 else "Effects"
+    return Section(title, text.effect_sentences(closure), figures, [effects, _sizes(closure)])
+
+
+def _sizes(closure: Closure) -> SectionTable:
+    scale = scale_of_errors(closure)
+    rows = [
+        [each.effect.display_name, term, *map(_size, scale.factor * sizes_dph)]
+        for each in closure.effects
+        for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
+    ]
+    return SectionTable(
+        f"Size of each term in {scale.unit} per unit of what it follows; empty: not used for the gyro",
+        ["effect", "follows", *(gyro_label(gyro) for gyro in AXES)],
+        rows,
+        words=2,
+    )
+
+
+def _size(value: float) -> str:
+    return f"{value:.4g}" if value else ""
+
+
+def _alternatives(closure: Closure) -> Section:
+    drawn = not is_noise_only(closure) or bool(closure.effects)
+    caption = _P_VALUES if is_noise_only(closure) else _EVIDENCE
+    figures = [SectionFigure("evidence", caption, closure_evidence_figure(closure))] if drawn else []
+    table = SectionTable(evidence_caption(closure), *evidence_table(closure), words=2)
+    paragraphs = [text.alternative_sentence(closure), *text.tie_sentences(closure)]
+    paragraphs += text.missing_input_sentences(closure)
+    paragraphs += [text.sensitivity_sentence(closure)] if closure.verdict == "clean" else []
+    title = "Alternatives" if closure.effects else "Candidate effects"
+    return Section(title, _paragraphs(*paragraphs), figures, [table])
+
+
+def _error(closure: Closure) -> Section:
+    held_out, scale = ~closure.searched, scale_of_errors(closure)
+    names = ["declared model", "with the effects found"] if closure.effects else ["declared model"]
+    models = [closure.declared, closure.model][: len(names)]
+    rows = [
+        [name, *(scale.text(value) for value in _rms_by_gyro(residuals_dph(closure, model)[held_out]))]
+        for name, model in zip(names, models, strict=True)
+    ]
+    rows.append(["noise", *(scale.text(value) for value in _rms_by_gyro(noise_dph(closure)[held_out]))])
+    table = SectionTable(
+        f"Rms of measured minus predicted bias in the held-out cycles, in {scale.unit}",
+        ["", *(gyro_label(gyro) for gyro in AXES), "all"],
+        rows,
+    )
+    return Section(
+        "Held-out error",
+        _paragraphs(text.error_sentence(closure), text.constants_sentence(closure)),
+        [SectionFigure("errors", _ERRORS, closure_error_figure(closure))],
+        [table],
+    )
+
+
+def _rms_by_gyro(values_dph: FloatArray) -> list[float]:
+    return [*(rms(column) for column in values_dph.T), rms(values_dph)]
+
+
+def _lack_of_fit(closure: Closure) -> Section:
+    before, after = closure.before, closure.after
+    tests = [("chi2", before.p_noise, after.p_noise)]
+    tests += [
+        (f"follows {name}", before.p_structure[name], after.p_structure.get(name, np.nan))
+        for name in before.p_structure
+    ]
+    table = SectionTable(
+        "p-values of the tests of the residual in the dwells searched, not corrected for the number of tests",
+        ["test", "declared model", "with the effects found"],
+        [(name, p_text(one), p_text(other)) for name, one, other in tests],
+    )
+    if not closure.effects:
+        table = SectionTable(table.caption, table.header[:2], [row[:2] for row in table.rows])
+    extra = "" if closure.unexplained_part is None else _UNEXPLAINED
+    return Section("Lack of fit", _paragraphs(text.after_sentence(closure), extra), tables=[table])
+
+
+def _paragraphs(*sentences: str) -> Sequence[str]:
+    return [sentence for sentence in sentences if sentence]
+
+
+def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
+    """Write figures and page into an existing folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write.
+    closure : Closure
+        Outcome of a search.
+    source : str
+        The run folder or table that was searched, as displayed.
+    dwells : Path, optional
+        The dwell table searched; the report of its run includes only findings with its hash.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be written.
+    """
+    findings = Findings(
+        title="Search for effects",
+        source=source,
+        judgement=closure.verdict,
+        colour=_COLOURS[closure.verdict],
+        sentence=verdict_sentence(closure),
+        facts=_facts(closure),
+        sections=closure_sections(closure),
+        dwells_sha256=file_sha256(dwells) if dwells else "",
+    )
+    return write_findings(folder / "closure.html", findings)
+
+
+def _facts(closure: Closure) -> dict[str, str]:
+    campaign, searched = closure.campaign, closure.searched
+    cycles = np.unique(campaign.cycle)
+    hours = (campaign.end_s.max() - campaign.start_s.min()) / 3600.0
+    gyro_c = campaign.gyro_c
+    measured = len(campaign.whole) + len(campaign.without_temperatures)
+    return {
+        "dwells": f"{len(campaign)} of {measured} with a result and without flags, over {hours:.0f} h",
+        "cycles": f"{len(cycles)}; {held_out_cycles(closure)} held out",
+        "searched": f"{counted(int(searched.sum()), 'dwell')}; {int((~searched).sum())} held out",
+        "power cycles": str(len(campaign.run_names)),
+        "gyro temperatures": f"{gyro_c.min():.0f} to {gyro_c.max():.0f} °C",
+    }
+
+
+@dataclass(frozen=True)
+class SearchFiles:
+    """Files written.
+
+    Attributes
+    ----------
+    page : Path
+        The page of the search.
+    report : Path or None
+        The updated report of the run; None if the files are not in a run folder.
+    """
+
+    page: Path
+    report: Path | None
+
+
+def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -> SearchFiles:
+    """Write the files of a search and update the report of its run.
+
+    Parameters
+    ----------
+    closure : Closure
+        Outcome of the search.
+    campaign : Path
+        The run folder or dwell table that was searched.
+    folder : Path, optional
+        Where to write; by default ``closure``, in the run folder or beside the table.
+
+    Raises
+    ------
+    RunFolderError
+        A file can't be written.
+    """
+    run = RunFolder(campaign) if campaign.is_dir() else None
+    folder = folder or (run or RunFolder(campaign.parent)).closure
+    write_closure(folder, closure)
+    page = write_closure_page(folder, closure, str(campaign), run.dwells if run else campaign)
+    return SearchFiles(page, write_report(run) if run and folder == run.closure else None)

@@ -1,0 +1,349 @@
+"""A search for effects in sentences and numbers, the same on the page and in the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from gyrobench.bench.closure.candidates import start_count
+from gyrobench.bench.closure.loop import LACK_OF_FIT_P, Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.problem import Solution
+from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.closure.validation import measured_minus
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.report.number_format import BiasScale, p_text
+
+_VISIBLE_NOISE_SCALE = 1.005
+#: Twice the logarithm of odds of two to one.
+_EVEN = 2.0 * math.log(2.0)
+_NEARLY_ALL, _ALL = 98.5, 100.0
+_PLAIN_POWER, _LARGEST_POWER = 3.0, 12.0
+
+
+def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
+    """Measured bias minus a model in all dwells (n, 3), deg/h, without the mean of runs not searched."""
+    return measured_minus(closure.campaign, closure.searched, model)
+
+
+def noise_dph(closure: Closure) -> FloatArray:
+    """Standard deviation of the noise in all dwells (n, 3), deg/h."""
+    return closure.campaign.sigma_dph * closure.noise_scale
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of all values."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def is_noise_only(closure: Closure) -> bool:
+    """Whether the residual of the declared model is consistent with noise: there is no excess variance."""
+    return bool(closure.before.p_noise >= LACK_OF_FIT_P)
+
+
+def smallest_visible_dph(closure: Closure) -> float:
+    """Rms size at which an effect on one gyro is found, deg/h.
+
+    For an effect of one term that is uncorrelated with the declared model: its reduction of chi2 is the
+    number of dwells searched times the square of its size over the noise.
+    """
+    counts = [start_count(each.effect, closure.campaign) for each in closure.evidence]
+    reduction = float(chi2_distribution.isf(SIGNIFICANCE / (min(counts) * len(counts)), 1))
+    return closure.noise_dph * float(np.sqrt(reduction / closure.searched.sum()))
+
+
+def scale_of_errors(closure: Closure) -> BiasScale:
+    """Unit and decimals for the errors of a closure: they resolve a tenth of the noise."""
+    return BiasScale.of([closure.error_before_dph], [0.1 * closure.noise_dph])
+
+
+def held_out_cycles(closure: Closure) -> str:
+    """Name the held-out cycles: "cycle 3", "cycles 2 and 3"."""
+    cycles = np.unique(closure.campaign.cycle[~closure.searched]).tolist()
+    return f"cycle{'s' if len(cycles) > 1 else ''} {listed(list(map(str, cycles)))}"
+
+
+def size_text(size_dph: float) -> str:
+    """Write a size in deg/h with two digits, never with an exponent: "0.0092"."""
+    if not size_dph > 0.0:
+        return "0"
+    return f"{size_dph:.{max(1 - math.floor(math.log10(size_dph)), 1)}f}"
+
+
+def share_text(share: float) -> str:
+    """Write a share in percent, at most 100 %; less than all is never rounded to 100 %."""
+    percent = 100.0 * min(share, 1.0)
+    is_nearly_all = _NEARLY_ALL <= percent < _ALL
+    return f"{math.floor(percent * 10.0) / 10.0:.1f} %" if is_nearly_all else f"{percent:z.0f} %"
+
+
+def p_phrase(p_value: float) -> str:
+    """Write a p-value in a sentence: "p = 0.02", "p < 1e-9"."""
+    text = p_text(p_value)
+    return f"p < {text[1:]}" if text.startswith("<") else f"p = {text}"
+
+
+def odds_text(log_odds: float) -> str:
+    """Write odds, given twice their logarithm: "20 to 1", "10^7 to 1", ">10^12 to 1"."""
+    power = log_odds / (2.0 * math.log(10.0))
+    if power < _PLAIN_POWER:
+        return f"{10.0**power:.0f} to 1"
+    return f"10^{power:.0f} to 1" if power <= _LARGEST_POWER else f">10^{_LARGEST_POWER:.0f} to 1"
+
+
+def gains_text(gains: dict[int, float]) -> str:
+    """Share of chi2 explained in each cycle left out: "1: 97 %, 2: 96 %"."""
+    return ", ".join(f"{cycle}: {share_text(gain)}" for cycle, gain in gains.items())
+
+
+def found_labels(closure: Closure) -> str:
+    """Labels of the effects found, listed."""
+    return listed([each.effect.display_name for each in closure.effects])
+
+
+def verdict_sentence(closure: Closure) -> str:
+    """The verdict in one sentence."""
+    found = found_labels(closure)
+    match closure.verdict:
+        case "clean":
+            return "The declared model explains the biases: its residual is noise."
+        case "explained":
+            count = (
+                "One effect explains"
+                if len(closure.effects) == 1
+                else f"{len(closure.effects)} effects explain"
+            )
+            return f"{count} the residual: {found}."
+        case "ambiguous":
+            fits = "; ".join(_fit_of(closure, each) for each in closure.effects)
+            return f"An effect is present, but the data do not distinguish the candidates: {fits}."
+        case _:
+            part = f" {found[0].upper()}{found[1:]} explains only a part." if found else ""
+            return f"The residual exceeds the noise, and no candidate effect explains it.{part}"
+
+
+def _fit_of(closure: Closure, found: FoundEffect) -> str:
+    if not found.tied_with:
+        return f"{found.effect.display_name} is certain"
+    return f"{found.effect.display_name} fits best, {_labels(closure, found.tied_with)} nearly as well"
+
+
+def before_sentence(closure: Closure) -> str:
+    """Residual of the declared model in the dwells searched, compared with the noise."""
+    size = rms(residuals_dph(closure, closure.declared)[closure.searched])
+    p = p_phrase(closure.before.p_value)
+    residual = (
+        "The residual of the declared model (a cubic in each gyro's temperature and one constant per run) "
+        f"is {size_text(size)} deg/h rms in the {closure.searched.sum()} dwells searched; the noise of a "
+        f"measured bias is {size_text(closure.noise_dph)} deg/h."
+    )
+    if closure.before.p_value < LACK_OF_FIT_P:
+        return (
+            f"{residual} The lack of fit is significant ({p}): the residual follows {closure.before.follows}."
+        )
+    if closure.effects:
+        return (
+            f"{residual} The overall lack of fit is not significant ({p}); the test for a single effect is "
+            "more sensitive."
+        )
+    return f"{residual} The residual is consistent with noise ({p})."
+
+
+def noise_scale_sentence(closure: Closure) -> str:
+    """Noise above the stated uncertainties; empty if there is none."""
+    if closure.noise_scale < _VISIBLE_NOISE_SCALE:
+        return ""
+    return (
+        f"The scatter of the biases is {closure.noise_scale:.2f} times their stated uncertainties and has no "
+        "structure. It is treated as noise and included in the noise stated here."
+    )
+
+
+def effect_sentences(closure: Closure) -> list[str]:
+    """Each effect with its significance and cross-validation."""
+    is_one_cycle = len(np.unique(closure.campaign.cycle[closure.searched])) == 1
+    return [f"{each.statement} {_evidence_of(each, is_one_cycle)}" for each in closure.effects]
+
+
+def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
+    significance = (
+        f"{p_phrase(found.p_value)}, corrected for {counted(found.candidate_fits, 'candidate fit')}."
+    )
+    if not found.gains:
+        reason = (
+            "only one cycle was searched" if is_one_cycle else "no cycle determines its size in another one"
+        )
+        return f"{significance} Not confirmed by cross-validation: {reason}."
+    cycles = "cycle" if len(found.gains) == 1 else "cycles"
+    parts = [f"{share_text(gain)} of chi2 in cycle {cycle}" for cycle, gain in found.gains.items()]
+    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}."
+
+
+def alternative_sentence(closure: Closure) -> str:
+    """The best other candidate and the odds against it; its share if no effect was found."""
+    names = {each.effect.name for each in closure.effects}
+    others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in names]
+    if not others or closure.verdict == "clean":
+        return ""
+    best = min(others, key=lambda each: each.log_odds_against)
+    if not names and is_noise_only(closure):
+        best = min(others, key=lambda each: each.p_value)
+        return (
+            f"The most significant candidate alone is {best.effect.display_name} ({p_phrase(best.p_value)})."
+        )
+    if not names:
+        return f"The best candidate alone, {best.effect.display_name}, explains {_share_of(best)}."
+    share = "" if is_noise_only(closure) else f" (explains {_share_of(best)})"
+    alternative = f"The best alternative is {best.effect.display_name} alone{share}; the data"
+    if best.log_odds_against < _EVEN:
+        return f"{alternative} do not prefer {found_labels(closure)}."
+    odds = odds_text(best.log_odds_against).replace(">", "more than ")
+    return f"{alternative} prefer {found_labels(closure)} by odds of {odds}."
+
+
+def _share_of(each: Evidence) -> str:
+    return f"{share_text(each.share)} of the excess variance"
+
+
+def tie_sentences(closure: Closure) -> list[str]:
+    """Effects that fit equally well and the measurement that distinguishes them; or that there are none."""
+    not_fitted = {each.effect.name for each in closure.evidence if each.missing_input}
+    sentences = []
+    for each in closure.effects:
+        fitted = [name for name in each.tied_with if name not in not_fitted]
+        others = [name for name in each.tied_with if name in not_fitted]
+        if fitted:
+            sentences.append(
+                f"Tied with {each.effect.display_name}: {_labels(closure, fitted)}. The odds are below 100 "
+                "to 1."
+            )
+        if others:
+            sentences.append(
+                f"Not excluded in place of {each.effect.display_name}: {_labels(closure, others)}, not "
+                "fitted."
+            )
+    if sentences:
+        return [*sentences, closure.separating_measurement or ""]
+    return ["No other candidate fits equally well."] if closure.effects else []
+
+
+def missing_input_sentences(closure: Closure) -> list[str]:
+    """Candidates that were not fitted, by missing input."""
+    labels: dict[str, list[str]] = {}
+    for each in closure.evidence:
+        if each.missing_input is not None:
+            labels.setdefault(each.missing_input, []).append(each.effect.display_name)
+    return [f"Not fitted: {listed(each)}. Missing input: {missing}." for missing, each in labels.items()]
+
+
+def error_sentence(closure: Closure) -> str:
+    """Held-out error, before and after, compared with the noise."""
+    held_out = ~closure.searched
+    before, after = size_text(closure.error_before_dph), size_text(closure.error_after_dph)
+    models = f"{before} deg/h rms with the declared model"
+    if closure.effects:
+        models += f" and {after} deg/h with {found_labels(closure)}"
+    dwells = counted(int(held_out.sum()), "dwell")
+    return (
+        f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted bias is {models}; the "
+        f"noise is {size_text(rms(noise_dph(closure)[held_out]))} deg/h."
+    )
+
+
+def constants_sentence(closure: Closure) -> str:
+    """Runs whose own mean is removed; empty if there is none."""
+    campaign, searched = closure.campaign, closure.searched
+    unseen = set(campaign.run[~searched].tolist()) - set(campaign.run[searched].tolist())
+    if not unseen:
+        return ""
+    return (
+        f"The mean error of {counted(len(unseen), 'run')} that the search did not use is removed before and "
+        "after: the constant of a run is known only from its own dwells."
+    )
+
+
+def after_sentence(closure: Closure) -> str:
+    """The remaining residual: its size and place, or that it is noise."""
+    if closure.unexplained_part:
+        return closure.unexplained_part
+    after = closure.after
+    scaled = "" if closure.noise_scale < _VISIBLE_NOISE_SCALE else " (with the noise as estimated)"
+    return (
+        f"The remaining residual in the dwells searched is {after.noise_ratio:.2f} times the stated "
+        f"uncertainties{scaled} and follows neither time, temperature, position nor temperature rate "
+        f"({p_phrase(after.p_value)})."
+    )
+
+
+def sensitivity_sentence(closure: Closure) -> str:
+    """Size of the smallest effect that a search without a finding would have found."""
+    return (
+        f"An effect on one gyro is found from about {size_text(smallest_visible_dph(closure))} deg/h rms, "
+        "unless it "
+        "is correlated with temperature or with the constants of the runs. An effect of several terms has to "
+        "be larger."
+    )
+
+
+def chain(closure: Closure) -> list[tuple[str, str]]:
+    """All sentences that apply, in order, each with its topic."""
+    pairs = [("Residual", before_sentence(closure)), ("", noise_scale_sentence(closure))]
+    pairs += [("Effect", text) for text in effect_sentences(closure)]
+    pairs += [("Alternatives", alternative_sentence(closure))]
+    pairs += [("", text) for text in (*tie_sentences(closure), *missing_input_sentences(closure))]
+    pairs += [("Held-out", error_sentence(closure)), ("", constants_sentence(closure))]
+    pairs += [("Lack of fit", after_sentence(closure))]
+    pairs += [("Sensitivity", sensitivity_sentence(closure))] if closure.verdict == "clean" else []
+    return [(topic, text) for topic, text in pairs if text]
+
+
+def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the effects found; four columns of words, then size and p-value."""
+    scale = scale_of_errors(closure)
+    rows = [
+        [
+            each.effect.display_name,
+            listed(each.axes),
+            _labels(closure, each.tied_with) or "none",
+            gains_text(each.gains) or "no",
+            scale.text(each.rms_dph),
+            p_text(each.p_value),
+        ]
+        for each in closure.effects
+    ]
+    return ["effect", "gyros", "tied with", "cross-validated", "size", "p"], rows
+
+
+def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of each candidate alone, without columns that would be empty."""
+    found = {each.effect.name for each in closure.effects}
+    tied = {name for each in closure.effects for name in each.tied_with}
+    head = ["effect", "", "p"] if is_noise_only(closure) else ["effect", "", "share", "p"]
+    head += ["odds"] if closure.effects else []
+    rows = []
+    for each in closure.evidence:
+        if each.missing_input is None:
+            name = each.effect.name
+            cells = {
+                "effect": each.effect.display_name,
+                "": "found" if name in found else "tied" if name in tied else "",
+                "share": share_text(each.share),
+                "p": p_text(each.p_value),
+                "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
+            }
+            rows.append([cells[column] for column in head])
+    return head, rows
+
+
+def evidence_caption(closure: Closure) -> str:
+    """Explanation of the columns of :func:`evidence_table`."""
+    share = "" if is_noise_only(closure) else "share: share of excess variance explained; "
+    odds = "; odds: preference of the data for the effects found" if closure.effects else ""
+    return f"Each effect alone. {share}p: corrected for all candidate fits{odds}"
+
+
+def _labels(closure: Closure, names: Iterable[str]) -> str:
+    return listed([closure.label(name) for name in names])

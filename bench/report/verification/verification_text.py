@@ -1,0 +1,219 @@
+"""A verification in sentences and table rows, the same on the page and in the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from gyrobench.bench.closure.loadable_model import LoadableModel
+from gyrobench.bench.closure.loop import LACK_OF_FIT_P, Closure
+from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.report.closure.closure_text import found_labels, p_phrase, size_text
+from gyrobench.bench.verification.compensation_verification import (
+    DECLARED,
+    EFFECT,
+    NONE,
+    CompensationResult,
+    VerificationResult,
+    VerificationRow,
+)
+
+#: The compensations as displayed.
+LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
+#: Judgements of a verification.
+CONFIRMED, IMPROVED, NOT_CONFIRMED, INCONCLUSIVE = "confirmed", "improved", "not confirmed", "inconclusive"
+
+_CONSTANT = (
+    "Bias is the rms over all gyros including the constant of the power cycle, which changes at each "
+    "power-on and "
+    "can't be predicted. Varying is the same without each gyro's mean over the run. The spread between "
+    "positions and the 24 h of a rotational INS do not depend on the constant, the velocity East does."
+)
+_NOISE = (
+    "Noise is the value expected from the uncertainty of the measurement alone: the rms, or the median of a "
+    "maximum; over all plateaus, that of the plateau with the largest value. The uncertainty of the fit is "
+    "not included: its effect is part of the residual."
+)
+_DAY = (
+    "24 h is the largest position error within a day at rest of a dual-axis rotational INS with these "
+    "biases. It "
+    "turns through all six positions, each at two azimuths half a turn apart, with rests of 3 min."
+)
+_SAME_SEED = (
+    "All runs had the same emulated world and seed, different from the campaign: they have the same "
+    "constants of the power cycle, and the same noise as long as their times agree."
+)
+_OTHER_POWER_CYCLES = (
+    "Each run had its own power cycle and noise: runs also differ by the noise stated here, and in bias and "
+    "velocity by the constant of the power cycle."
+)
+
+
+def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> list[str]:
+    """The compensations to load, and the part of the model that an INS can't subtract."""
+    declared = models[DECLARED].compensation
+    low_c, high_c = declared.low_c.min(), declared.high_c.max()
+    limits = f"Temperatures are limited to the fitted range, {low_c:.0f} to {high_c:.0f} °C."
+    if EFFECT in models:
+        effects = listed([closure.label(name) for name in models[EFFECT].effects])
+        what = f"Two compensations: the declared model (a polynomial for each gyro), and one with {effects}."
+    elif closure.effects:
+        what = f"One compensation, the declared model. No INS term exists for {found_labels(closure)}."
+    else:
+        what = "One compensation, the declared model. No effect was found."
+    notes = models[EFFECT].notes if EFFECT in models else models[DECLARED].notes
+    return [f"{what} {limits}", *(f"{note[0].upper()}{note[1:]}." for note in notes)]
+
+
+def outcome(result: VerificationResult) -> str:
+    """Judgement of the most complete compensation measured, by its varying bias."""
+    if len(result.results) < 2:
+        return INCONCLUSIVE
+    before, after = result.results[-2:]
+    is_noise = after.total.varying_p_value >= LACK_OF_FIT_P
+    if is_noise and before.total.varying_p_value >= LACK_OF_FIT_P:
+        return INCONCLUSIVE
+    if not after.total.varying_rms_dph < before.total.varying_rms_dph:
+        return NOT_CONFIRMED
+    return CONFIRMED if is_noise else IMPROVED
+
+
+def outcome_sentence(result: VerificationResult) -> str:
+    """The values behind the judgement."""
+    if len(result.results) < 2:
+        label = LABELS[result.results[0].compensation]
+        return f"Only one compensation was measured ({label}). Measure another one to compare."
+    before, after = result.results[-2:]
+    sizes = (
+        f"Varying bias: {size_text(before.total.varying_rms_dph)} deg/h rms {_with(before)}, "
+        f"{size_text(after.total.varying_rms_dph)} deg/h {_with(after)}; noise "
+        f"{size_text(after.total.bias_noise_dph)} deg/h."
+    )
+    p = p_phrase(after.total.varying_p_value)
+    match outcome(result):
+        case "confirmed":
+            return f"{sizes} The residual is consistent with noise ({p})."
+        case "improved":
+            return f"{sizes} The residual exceeds the noise ({p})."
+        case "not confirmed":
+            return f"{sizes} The new measurements show no improvement."
+        case _:
+            return f"{sizes} Both residuals are consistent with noise."
+
+
+def chain(result: VerificationResult) -> list[tuple[str, str]]:
+    """Topics and sentences: new conditions, and the change of bias, spread, velocity and position."""
+    totals = [each.total for each in result.results]
+    last = totals[-1]
+    changes = [
+        (
+            "Bias",
+            "Bias in deg/h, rms over all dwells, including the constant of the power cycle",
+            [size_text(each.bias_rms_dph) for each in totals if each.bias_rms_dph >= 0.0],
+            size_text(last.bias_noise_dph),
+        ),
+        (
+            "Positions",
+            "Largest difference between positions in deg/h",
+            [size_text(each.spread_dph) for each in totals if each.spread_dph >= 0.0],
+            size_text(last.spread_noise_dph),
+        ),
+        (
+            "Velocity",
+            "Largest error of the velocity East in mm/s",
+            [f"{1000.0 * each.velocity_east_mps:.1f}" for each in totals if each.velocity_east_mps >= 0.0],
+            f"{1000.0 * last.velocity_noise_mps:.1f}",
+        ),
+        (
+            "24 h",
+            "Largest position error of a rotational INS in nmi",
+            [f"{each.position_nmi:.2f}" for each in totals if each.position_nmi >= 0.0],
+            f"{last.position_noise_nmi:.2f}",
+        ),
+    ]
+    topics = [("New", new_conditions_sentence(result))]
+    for topic, what, values, noise in changes:
+        if len(values) == len(totals):
+            steps = listed(
+                [f"{value} {_with(each)}" for value, each in zip(values, result.results, strict=True)]
+            )
+            topics.append((topic, f"{what}: {steps}; noise {noise}."))
+    return topics + [("Note", note) for note in result.notes]
+
+
+def reading_sentences(result: VerificationResult) -> list[str]:
+    """Definitions of the numbers."""
+    return [_CONSTANT, _NOISE, _DAY, _SAME_SEED if result.is_same_seed else _OTHER_POWER_CYCLES]
+
+
+def new_conditions_sentence(result: VerificationResult) -> str:
+    """Temperatures and attitudes of the new measurements that were not in the fit."""
+    rows = result.results[0].rows
+    new = [row for row in rows if row.fit != "fitted"]
+    temperatures = listed([f"{row.gyro_c:.0f} °C" for row in new])
+    return (
+        f"All measurements are new. {len(new)} of {len(rows)} plateaus are at gyro temperatures that were "
+        "not fitted"
+        f"{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {result.dwells} dwells begin in a "
+        "position and azimuth that are not in the campaign."
+    )
+
+
+def _with(each: CompensationResult) -> str:
+    return {
+        NONE: "without compensation",
+        DECLARED: "with the declared model",
+        EFFECT: "with the effects",
+    }[each.compensation]
+
+
+#: Sizes of a row, with the units of :data:`UNITS`.
+SIZES = ("bias", "varying", "spread", "V_E", "24 h")
+UNITS = "bias, varying and spread in 0.001 deg/h, V_E in mm/s, 24 h in nmi"
+_NOISE = "noise"
+
+
+def total_rows(result: VerificationResult) -> list[list[str]]:
+    """Compensation and sizes over all plateaus, followed by the noise."""
+    return _block([each.total for each in result.results])
+
+
+def plateau_rows(result: VerificationResult) -> list[list[str]]:
+    """Temperature, cycle, fit, compensation and sizes for each plateau, followed by its noise."""
+    rows = []
+    for plateau in zip(*(each.rows for each in result.results), strict=False):
+        first = plateau[0]
+        where = [f"{first.gyro_c:.0f}", f"{first.cycle}", first.fit]
+        for line in _block(plateau):
+            rows.append([*where, *line])
+            where = [""] * len(where)
+    return rows
+
+
+def _block(rows: Sequence[VerificationRow]) -> list[list[str]]:
+    lines = [[LABELS[row.compensation], *_sizes(row)] for row in rows]
+    return [*lines, [_NOISE, *_noise(rows[-1])]]
+
+
+def _sizes(row: VerificationRow) -> list[str]:
+    return [
+        _text(row.bias_rms_dph, 1000.0),
+        _text(row.varying_rms_dph, 1000.0),
+        _text(row.spread_dph, 1000.0),
+        _text(row.velocity_east_mps, 1000.0, 1),
+        _text(row.position_nmi),
+    ]
+
+
+def _noise(row: VerificationRow) -> list[str]:
+    return [
+        _text(row.bias_noise_dph, 1000.0),
+        _text(row.bias_noise_dph, 1000.0),
+        _text(row.spread_noise_dph, 1000.0),
+        _text(row.velocity_noise_mps, 1000.0, 1),
+        _text(row.position_noise_nmi),
+    ]
+
+
+def _text(value: float, factor: float = 1.0, decimals: int = 2) -> str:
+    return "" if math.isnan(value) else f"{factor * value:.{decimals}f}"

@@ -1,0 +1,69 @@
+"""`gyrobench control`, its old name, and help with names."""
+
+import subprocess
+import sys
+
+import pytest
+
+import gyrobench
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from tests.bench.command_line import gyrobench as command
+
+#: Holds a run folder as a run does, and prints the signal that it gets.
+HOLDER = """
+import signal, sys
+from pathlib import Path
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.station.locks import RunLock
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
+with RunLock(Path(sys.argv[1]), WallClock()):
+    print("held", flush=True)
+    print(signal.sigwait([signal.SIGUSR1]).name, flush=True)
+"""
+
+
+@pytest.fixture
+def run_in_progress(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    with subprocess.Popen([sys.executable, "-c", HOLDER, run], stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        yield run, holder
+        holder.kill()
+
+
+def test_a_command_is_sent_to_the_process_of_the_run(run_in_progress):
+    run, holder = run_in_progress
+    done = command("control", run, "hold", cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    assert f"Sent to process {holder.pid}: hold" in done.stdout
+    assert holder.stdout.readline() == "SIGUSR1\n"
+
+
+def test_the_old_name_works_and_names_its_replacement(run_in_progress):
+    run, holder = run_in_progress
+    done = command("tell", run, "hold", cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "'gyrobench tell' is an old name. Use 'gyrobench control'.\n"
+    assert holder.stdout.readline() == "SIGUSR1\n"
+    assert "tell" not in command("--help", cwd=run.parent).stdout
+
+
+def test_a_folder_without_a_run_in_progress_is_an_error(tmp_path):
+    done = command("control", tmp_path, "pause", cwd=tmp_path)
+    assert done.returncode == EXIT_NOT_FINISHED
+    assert "no run is in progress there on this machine" in done.stderr
+
+
+def test_the_version_is_printed(tmp_path):
+    assert command("--version", cwd=tmp_path).stdout == f"gyrobench {gyrobench.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("mistyped", "suggestion"),
+    [(("pln",), "Did you mean 'plan'?"), (("plan", "x", "--figur", "a.png"), "--figure")],
+)
+def test_a_mistyped_command_or_option_gets_a_suggestion(tmp_path, mistyped, suggestion):
+    done = command(*mistyped, cwd=tmp_path)
+    assert done.returncode == EXIT_WRONG_INPUT
+    assert suggestion in done.stderr

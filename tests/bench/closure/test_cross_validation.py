@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.candidates import solve_with
+from gyrobench.bench.closure.effects import bias_jump, g_sensitivity, temperature_rate, time_drift, warm_up
+from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.closure.problem import declared_problem
+from gyrobench.bench.closure.validation import (
+    LeftOut,
+    leave_out_cycles,
+    measured_minus,
+    pooled_gain,
+    without_unseen_constants,
+)
+from tests.bench.closure.test_candidates import whole
+from tests.bench.closure.thermal_bench import SIGMA_DPH, WARM_UP_H, jump
+
+
+def gains_by_cycle(problem, candidates, index):
+    fewer = [each for number, each in enumerate(candidates) if number != index]
+    return {cycle: each.gain for cycle, each in leave_out_cycles(problem, fewer, candidates).items()}
+
+
+def test_an_effect_that_is_there_takes_most_away_in_cycles_left_out(problem):
+    gains = gains_by_cycle(problem({"temperature_rate": 5.0}), [whole(temperature_rate.EFFECT)], 0)
+    assert gains.keys() == {1, 2}
+    assert min(gains.values()) > 0.9
+
+
+def test_an_effect_that_is_not_there_takes_nothing_away(problem):
+    gains = [
+        gain
+        for seed in range(10)
+        for gain in gains_by_cycle(problem(seed=seed), [whole(g_sensitivity.EFFECT)], 0).values()
+    ]
+    assert np.mean(gains) < 0.0
+    assert max(gains) < 0.2
+
+
+def test_each_effect_of_two_has_its_own_share(problem):
+    one = problem({"temperature_rate": 5.0, "g_sensitivity": 2.0})
+    both = [whole(temperature_rate.EFFECT), whole(g_sensitivity.EFFECT)]
+    assert min(gains_by_cycle(one, both, 0).values()) > min(gains_by_cycle(one, both, 1).values()) > 0.4
+
+
+def test_the_only_cycle_that_shows_an_effect_is_not_asked(problem):
+    one = problem({"warm_up": 5.0})
+    assert 1 not in gains_by_cycle(one, [whole(warm_up.EFFECT, WARM_UP_H * 3600.0)], 0)
+
+
+def test_a_warm_up_in_each_cycle_is_confirmed_by_the_others(problem):
+    one = problem({"warm_up": 5.0}, power_on_each_cycle=True, dwell_s=1680.0)
+    gains = gains_by_cycle(one, [whole(warm_up.EFFECT, WARM_UP_H * 3600.0)], 0)
+    assert gains.keys() == {1, 2}
+    assert min(gains.values()) > 0.8
+
+
+def test_one_cycle_alone_has_none_to_be_left_out(problem):
+    assert (
+        gains_by_cycle(problem({"temperature_rate": 5.0}, cycles=2), [whole(temperature_rate.EFFECT)], 0)
+        == {}
+    )
+
+
+def test_a_jump_between_two_cycles_is_determined_by_neither_alone(problem):
+    jump_s = 68_343.0  # 57 s before the end of the first cycle's last dwell
+    one = problem({jump(jump_s / (3 * 67_200.0)): 5.0})
+    assert gains_by_cycle(one, [whole(bias_jump.EFFECT, jump_s)], 0) == {}
+
+
+def test_a_term_that_the_declared_model_makes_up_in_the_others_is_not_asked(problem):
+    one = problem(power_on_each_cycle=True, dwell_s=1680.0)
+
+    def columns(campaign, _):
+        grown = np.where(campaign.cycle == 1, campaign.gyro_c[:, 0], campaign.rate_c_per_h[:, 0])
+        return np.repeat(grown[:, None, None], 3, axis=1)
+
+    effect = Effect("like the temperature in one cycle", "", "", (Form(("term",), columns),))
+    assert leave_out_cycles(one, [], [whole(effect)]).keys() == {1}
+
+
+def test_the_gain_is_the_share_of_chi2_explained():
+    assert LeftOut(chi2_fewer=200.0, chi2_more=50.0).gain == pytest.approx(0.75)
+    assert LeftOut(chi2_fewer=100.0, chi2_more=150.0).gain == pytest.approx(-0.5)
+
+
+def test_gains_of_cycles_are_pooled_by_their_squares():
+    assert pooled_gain([LeftOut(300.0, 30.0), LeftOut(100.0, 170.0)]) == pytest.approx(0.5)
+    assert pooled_gain([]) == 0.0
+
+
+def test_a_run_that_was_not_searched_has_no_mean_error(problem):
+    one = problem(power_on_each_cycle=True, dwell_s=1680.0)
+    errors = one.campaign.bias_dph + 1.0
+    centred = without_unseen_constants(one.campaign, one.searched, errors)
+    np.testing.assert_allclose(centred[~one.searched].mean(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(centred[one.searched], errors[one.searched])
+    np.testing.assert_allclose(np.std(centred[~one.searched], axis=0), np.std(errors[~one.searched], axis=0))
+
+
+def test_a_run_that_was_searched_keeps_its_mean_error(problem):
+    one = problem()
+    errors = one.campaign.bias_dph + 1.0
+    np.testing.assert_array_equal(without_unseen_constants(one.campaign, one.searched, errors), errors)
+
+
+def test_chi2_of_a_cycle_left_out_is_that_of_a_fit_to_the_others(problem):
+    one, drift = problem({"time_drift": 20.0}), whole(time_drift.EFFECT)
+    left_out = leave_out_cycles(one, [], [drift])[2]
+    first = declared_problem(one.campaign, one.campaign.cycle == 1)
+    second = one.campaign.cycle == 2
+    for squares, candidates in ((left_out.chi2_fewer, []), (left_out.chi2_more, [drift])):
+        model = solve_with(first, candidates)
+        rest = measured_minus(one.campaign, first.searched, model)[second] / one.campaign.sigma_dph[second]
+        assert squares == pytest.approx(np.sum(rest**2))
+
+
+def test_the_true_effect_leaves_the_noise(problem):
+    one = problem({"time_drift": 20.0})
+    rest = measured_minus(one.campaign, one.searched, solve_with(one, [whole(time_drift.EFFECT)]))
+    assert np.sqrt(np.mean(rest**2)) == pytest.approx(SIGMA_DPH, rel=0.15)

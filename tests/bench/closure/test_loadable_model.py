@@ -1,0 +1,144 @@
+"""What a search found, as numbers that an INS subtracts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import all_effects, attitude_thermal
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
+from gyrobench.bench.closure.loop import close_loop
+from tests.bench.closure.thermal_bench import STEP_S, measure
+from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
+
+POWER_STEPS = {"power_steps_h": 7.0}
+#: What each effect is best shown by.
+LOADED = {
+    "temperature_rate": {},
+    "thermal_gradient": POWER_STEPS,
+    "attitude_thermal": POWER_STEPS,
+    "g_sensitivity": {},
+    "warm_up": {},
+    "thermal_hysteresis": {},
+}
+NOT_LOADED = ["thermal_lag", "chamber_state"]
+
+
+def search(effect, **options):
+    """A campaign with one effect, and a search that knows that one alone."""
+    measured = measure({effect: 6.0}, **options)
+    known = [each for each in all_effects() if each.name == effect]
+    return measured, close_loop(campaign_of(measured.rows), effects=known)
+
+
+def subtracted_dph(compensation, course, rows):
+    """Mean over each dwell of what an INS subtracts that goes through a course, (n, 3)."""
+    conditions = Conditions(
+        optics_c=course.optics_c,
+        board_c=course.board_c,
+        rate_c_per_h=np.gradient(course.optics_c, axis=0) * 3600.0 / STEP_S,
+        up_body=course.up,
+        since_power_on_s=course.since_power_on_h * 3600.0,
+    )
+    bias_dph = compensated_dph(compensation, conditions)
+    spans = [(round(row.start_s / STEP_S), round(row.end_s / STEP_S)) for row in rows]
+    return np.array([bias_dph[first:end].mean(axis=0) for first, end in spans])
+
+
+def rms(values):
+    return np.sqrt(np.mean(values**2))
+
+
+@pytest.mark.parametrize("effect", LOADED)
+def test_an_ins_subtracts_the_bias_of_the_model(effect):
+    measured, closure = search(effect, **LOADED[effect])
+    assert [each.candidate.effect.name for each in closure.effects] == [effect]
+    loadable = model_with_effects(closure)
+    assert loadable.effects == (effect,)
+    of_ins = subtracted_dph(loadable.compensation, measured.course, measured.rows)
+    off = (of_ins - closure.model.bias_dph)[closure.searched]
+    # The model takes means over half an hour where the INS follows each moment.
+    assert rms(off) < 0.1 * closure.effects[0].rms_dph
+
+
+def test_the_declared_model_is_a_polynomial_within_the_fitted_temperatures():
+    _, closure = search("g_sensitivity")
+    loadable = declared_model(closure)
+    assert loadable.effects == ()
+    assert loadable.compensation.terms() == ()
+    campaign, compensation = closure.campaign, loadable.compensation
+    zeros = np.zeros((len(campaign), 3))
+    conditions = Conditions(campaign.gyro_c, zeros, zeros, campaign.up_body, campaign.start_s)
+    off = (compensated_dph(compensation, conditions) - closure.declared.bias_dph)[closure.searched]
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    fitted_c = campaign.gyro_c[closure.searched]
+    np.testing.assert_array_equal(compensation.low_c, fitted_c.min(axis=0))
+    np.testing.assert_array_equal(compensation.high_c, fitted_c.max(axis=0))
+
+
+def test_rates_and_differences_are_limited_to_the_fitted_range():
+    _, closure = search("temperature_rate")
+    rate_c_per_h = closure.campaign.rate_c_per_h[closure.searched]
+    compensation = model_with_effects(closure).compensation
+    np.testing.assert_array_equal(compensation.rate_limit_c_per_h, np.abs(rate_c_per_h).max(axis=0))
+    _, closure = search("thermal_gradient", **POWER_STEPS)
+    above_k = (closure.campaign.board_c - closure.campaign.gyro_c)[closure.searched]
+    compensation = model_with_effects(closure).compensation
+    np.testing.assert_array_equal(compensation.difference_low_k, above_k.min(axis=0))
+    np.testing.assert_array_equal(compensation.difference_high_k, above_k.max(axis=0))
+
+
+@pytest.mark.parametrize("effect", NOT_LOADED)
+def test_an_effect_without_a_term_of_the_ins_is_left_out_with_a_note(effect):
+    _, closure = search(effect)
+    loadable = model_with_effects(closure)
+    assert loadable.effects == ()
+    assert loadable.compensation.terms() == ()
+    assert any(note.startswith(f"{effect} is left out") for note in loadable.notes)
+
+
+def test_a_drift_is_taken_as_it_was_at_the_end():
+    _, closure = search("time_drift")
+    loadable = model_with_effects(closure)
+    days = (closure.campaign.middle_s[-1] - closure.campaign.middle_s[0]) / 86_400.0
+    drifted_dph = days * closure.effects[0].sizes_dph[:, 0]
+    constant_dph = closure.model.declared[:, 3]
+    np.testing.assert_allclose(loadable.compensation.polynomial_dph[:, 0], constant_dph + drifted_dph)
+    assert any("by its value at the end of the campaign" in note for note in loadable.notes)
+
+
+def test_the_constant_is_the_mean_of_the_power_cycles_searched_with_their_scatter():
+    _, closure = search("g_sensitivity", power_on_each_cycle=True)
+    constants = closure.model.declared[:, 3 + np.unique(closure.campaign.run[closure.searched])]
+    loadable = model_with_effects(closure)
+    np.testing.assert_allclose(loadable.compensation.polynomial_dph[:, 0], constants.mean(axis=1))
+    assert "the mean of 2 power cycles, which scatter by" in loadable.notes[0]
+
+
+def test_without_sensors_at_the_electronics_a_gradient_is_left_out():
+    _, closure = search("thermal_gradient", **POWER_STEPS)
+    blind = replace(closure.campaign, board_c=np.full_like(closure.campaign.board_c, np.nan))
+    loadable = model_with_effects(replace(closure, campaign=blind))
+    assert loadable.effects == ()
+    assert "the INS has no sensors there" in loadable.notes[1]
+
+
+def test_a_tied_effect_is_loaded_with_a_note():
+    _, closure = search("g_sensitivity")
+    tied = replace(closure.effects[0], tied_with=("warm_up", "time_drift"))
+    loadable = model_with_effects(replace(closure, effects=(tied,)))
+    assert loadable.effects == ("g_sensitivity",)
+    assert (
+        "g_sensitivity is loaded, but warm_up or time_drift fits the data equally well" in loadable.notes[1]
+    )
+
+
+def test_a_heat_flow_unknown_in_flagged_dwells_is_left_out():
+    rows = [
+        replace(row, flags="vibration", board_c=(np.nan,) * 3) if row.dwell % 7 == 0 else row
+        for row in measure({"attitude_thermal": 5.0}).rows
+    ]
+    closure = close_loop(campaign_of(rows), effects=[attitude_thermal.EFFECT])
+    assert [each.candidate.form.name for each in closure.effects] == ["saturating, flow unknown"]
+    assert model_with_effects(closure).effects == ()

@@ -1,0 +1,326 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import (
+    all_effects,
+    bias_jump,
+    chamber_state,
+    g_sensitivity,
+    temperature_rate,
+    thermal_lag,
+    time_drift,
+    warm_up,
+)
+from gyrobench.bench.closure.loop import CONFIRMED_SHARE, LACK_OF_FIT_P, close_loop
+from gyrobench.bench.closure.problem import declared_columns, declared_problem
+from gyrobench.bench.closure.search import Search
+from gyrobench.bench.foundations.errors import MeasurementError
+from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
+
+TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
+
+
+def residual_of_direct_fit(campaign, searched, terms=None):
+    """Measured bias minus a least-squares fit to the dwells searched; all runs are in them."""
+    rest = np.empty_like(campaign.bias_dph)
+    for gyro in range(3):
+        columns = declared_columns(campaign, gyro)
+        if terms is not None:
+            columns = np.concatenate([columns, terms[:, gyro]], axis=1)
+        fit = np.linalg.lstsq(columns[searched], campaign.bias_dph[searched, gyro], rcond=None)[0]
+        rest[:, gyro] = campaign.bias_dph[:, gyro] - columns @ fit
+    return rest
+
+
+def rms(values):
+    return np.sqrt(np.mean(values**2))
+
+
+def test_clean_data_are_called_clean(closed):
+    closure = closed()
+    assert closure.verdict == "clean"
+    assert closure.effects == ()
+    assert closure.noise_scale == 1.0
+    assert closure.noise_dph == pytest.approx(SIGMA_DPH)
+    assert closure.error_after_dph == closure.error_before_dph == pytest.approx(SIGMA_DPH, rel=0.15)
+
+
+def test_an_effect_is_explained_with_its_size(closed):
+    closure = closed({"g_sensitivity": 4.0})
+    [found] = closure.effects
+    assert closure.verdict == "explained"
+    assert found.candidate.effect.name == "g_sensitivity"
+    assert found.axes == ("x", "y", "z")
+    assert found.p_value < 1e-12
+    assert found.tied_with == ()
+    assert closure.before.p_value < LACK_OF_FIT_P < closure.after.p_value
+
+
+def test_the_stated_size_is_that_in_the_dwells_searched(closed):
+    measured = measure({"time_drift": 4.0}, cycles=2)
+    [found] = closed({"time_drift": 4.0}).effects
+    searched = np.array([row.cycle == 1 for row in measured.rows])
+    part = measured.undeclared_dph[searched]
+    assert found.rms_dph == pytest.approx(rms(part - part.mean(axis=0)), rel=0.15)
+
+
+def test_gyros_that_show_an_effect_are_named_and_others_seldom():
+    named = []
+    for seed in range(10):
+        rows, clean = (measure(each, cycles=2, seed=seed).rows for each in ({"time_drift": 5.0}, None))
+        mixed = [
+            replace(row, bias_dph=(none.bias_dph[0], row.bias_dph[1], none.bias_dph[2]))
+            for row, none in zip(rows, clean, strict=True)
+        ]
+        [found] = close_loop(campaign_of(mixed), effects=[time_drift.EFFECT]).effects
+        named += found.axes
+    assert named.count("y") == 10
+    assert len(named) <= 15
+
+
+def test_two_effects_that_fit_equally_well_are_ambiguous(closed):
+    closure = closed({"temperature_rate": 1.0}, profile=TRIANGLE, cycles=2)
+    [found] = closure.effects
+    assert closure.verdict == "ambiguous"
+    assert "temperature_rate" in {found.candidate.effect.name, *found.tied_with}
+
+
+@pytest.mark.parametrize("outside", ["sinusoid", "square_wave"])
+def test_an_effect_that_no_candidate_has_is_unexplained(closed, outside):
+    closure = closed({outside: 1.5}, seed=1)
+    assert closure.verdict == "unexplained"
+    assert closure.after.p_value < LACK_OF_FIT_P
+
+
+def test_an_effect_without_its_candidate_is_unexplained():
+    others = [each for each in all_effects() if each.name not in {"g_sensitivity", "attitude_thermal"}]
+    closure = close_loop(campaign_of(measure({"g_sensitivity": 2.0}, cycles=2).rows), effects=others)
+    assert closure.verdict == "unexplained"
+
+
+def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept(closed):
+    closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=3, seed=1)
+    [found] = closure.effects
+    assert closure.verdict == "unexplained"
+    assert found.candidate.effect.name == "g_sensitivity"
+    assert min(found.gains.values()) > CONFIRMED_SHARE
+    assert closure.error_after_dph < 0.5 * closure.error_before_dph
+
+
+def test_a_stand_in_for_an_unexplained_residual_is_replaced_by_the_confirmed_effect():
+    """The best hypothesis is without the drift; alone, the drift is best."""
+    candidates = [each.EFFECT for each in (bias_jump, chamber_state, thermal_lag, time_drift)]
+    rows = measure({"time_drift": 8.0, "square_wave": 2.0}, seed=1).rows
+    closure = close_loop(campaign_of(rows), effects=candidates)
+    best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
+    assert "time_drift" not in best.names
+    assert [each.candidate.effect.name for each in closure.effects] == ["time_drift"]
+    assert closure.verdict == "unexplained"
+
+
+def test_with_an_unexplained_residual_an_unconfirmed_effect_is_dropped():
+    candidates = [each.EFFECT for each in (bias_jump, chamber_state, warm_up)]
+    closure = close_loop(campaign_of(measure({"sinusoid": 3.0}, seed=1).rows), effects=candidates)
+    best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
+    assert best.candidates
+    assert closure.effects == ()
+    assert closure.verdict == "unexplained"
+
+
+def test_with_one_cycle_searched_nothing_is_confirmed_beside_an_unexplained_residual(closed):
+    closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=2, seed=1)
+    assert closure.verdict == "unexplained"
+    assert closure.effects == ()
+
+
+def test_where_nothing_is_beyond_the_noise_there_is_no_share_of_it():
+    quiet = close_loop(campaign_of(measure({"time_drift": 1.2}, noise=0.5).rows), effects=[time_drift.EFFECT])
+    [evidence] = quiet.evidence
+    assert quiet.before.noise_ratio < 1.0
+    assert np.isnan(evidence.share)
+    assert evidence.p_value < 1e-3
+
+
+def test_an_effect_that_all_gyros_show_together_has_the_one_that_shows_it_most():
+    rows = measure({"temperature_rate": 0.3}, seed=2).rows
+    [found] = close_loop(campaign_of(rows), effects=[temperature_rate.EFFECT]).effects
+    assert found.axes
+
+
+def test_the_error_falls_to_the_noise_where_an_effect_is_explained(closed):
+    closure = closed({"g_sensitivity": 4.0})
+    assert closure.error_before_dph > 3.0 * SIGMA_DPH
+    assert closure.error_after_dph == pytest.approx(SIGMA_DPH, rel=0.25)
+
+
+def test_errors_are_those_of_a_direct_fit(closed):
+    closure = closed({"g_sensitivity": 4.0})
+    campaign, searched = closure.campaign, closure.searched
+    [found] = closure.effects
+    before = residual_of_direct_fit(campaign, searched)
+    assert closure.error_before_dph == pytest.approx(rms(before[~searched]), rel=1e-6)
+    if found.candidate.kept.all():
+        after = residual_of_direct_fit(campaign, searched, found.candidate.columns(campaign))
+        assert closure.error_after_dph == pytest.approx(rms(after[~searched]), rel=1e-6)
+
+
+def test_errors_of_a_run_that_was_not_searched_are_without_its_mean():
+    rows = measure(power_on_each_cycle=True, dwell_s=1680.0).rows
+    lifted = [
+        replace(row, bias_dph=tuple(np.add(row.bias_dph, 1.0).tolist())) if row.cycle == 3 else row
+        for row in rows
+    ]
+    one, other = (close_loop(campaign_of(each), effects=[]) for each in (rows, lifted))
+    assert other.error_before_dph == pytest.approx(one.error_before_dph, rel=1e-9)
+    assert one.error_before_dph == pytest.approx(SIGMA_DPH, rel=0.15)
+
+
+@pytest.mark.parametrize("each_cycle", [False, True], ids=["one run", "a run a cycle"])
+def test_held_out_biases_change_nothing_but_the_errors(each_cycle):
+    effects = (temperature_rate.EFFECT, g_sensitivity.EFFECT)
+    rows = measure({"temperature_rate": 4.0}, power_on_each_cycle=each_cycle).rows
+    draw = np.random.default_rng(9)
+    garbage = [
+        replace(row, bias_dph=tuple(draw.uniform(-5.0, 5.0, 3).tolist())) if row.cycle == 3 else row
+        for row in rows
+    ]
+    one, other = (close_loop(campaign_of(each), effects=effects) for each in (rows, garbage))
+    assert other.verdict == one.verdict == "explained"
+    assert [each.p_value for each in other.effects] == [each.p_value for each in one.effects]
+    assert [each.gains for each in other.effects] == [each.gains for each in one.effects]
+    for mine, its in zip(one.model.sizes, other.model.sizes, strict=True):
+        np.testing.assert_array_equal(mine, its)
+    np.testing.assert_array_equal(one.model.bias_dph, other.model.bias_dph)
+    assert (other.before, other.after) == (one.before, one.after)
+    assert other.error_after_dph > 100.0 * one.error_after_dph
+
+
+def test_held_out_uncertainties_do_not_change_the_outcome():
+    rows = measure({"g_sensitivity": 4.0}, cycles=2).rows
+    changed = [replace(row, sigma_dph=(1.0,) * 3) if row.cycle == 2 else row for row in rows]
+    one, other = (close_loop(campaign_of(each), effects=[g_sensitivity.EFFECT]) for each in (rows, changed))
+    np.testing.assert_array_equal(one.model.bias_dph, other.model.bias_dph)
+    assert other.noise_dph == one.noise_dph
+
+
+def test_another_cycle_is_held_out():
+    closure = close_loop(campaign_of(measure().rows), [1], effects=[])
+    assert set(closure.campaign.cycle[~closure.searched]) == {1}
+    assert closure.error_before_dph == pytest.approx(SIGMA_DPH, rel=0.2)
+
+
+def test_an_unknown_cycle_is_refused():
+    with pytest.raises(MeasurementError, match="no cycle 7 to hold out"):
+        close_loop(campaign_of(measure().rows), [7])
+
+
+def test_one_cycle_alone_can_not_be_held_out():
+    with pytest.raises(
+        MeasurementError, match=r"no dwells remain to search\. Measure the profile at least twice"
+    ):
+        close_loop(campaign_of(measure(cycles=1).rows))
+
+
+def test_too_few_dwells_are_refused():
+    rows = measure(profile=((10.0, 1.0, 3.0),), cycles=2).rows
+    with pytest.raises(MeasurementError, match="Measure more dwells per cycle or more cycles"):
+        close_loop(campaign_of(rows))
+
+
+def test_a_little_more_noise_than_stated_is_noise(closed):
+    closure = closed(noise=1.18, cycles=3)
+    assert closure.verdict == "clean"
+    assert closure.noise_scale == pytest.approx(1.18, rel=0.06)
+    assert closure.noise_dph == pytest.approx(SIGMA_DPH * closure.noise_scale)
+
+
+def test_much_more_noise_than_stated_is_unexplained_without_any_effect(closed):
+    closure = closed(noise=1.6, cycles=3)
+    assert closure.verdict == "unexplained"
+    assert closure.effects == ()
+    assert closure.after.p_any_structure > 1e-3
+
+
+def test_an_effect_is_found_in_a_little_more_noise_than_stated():
+    closure = close_loop(
+        campaign_of(measure({"g_sensitivity": 4.0}, noise=1.18, seed=4).rows),
+        effects=[g_sensitivity.EFFECT, temperature_rate.EFFECT, time_drift.EFFECT],
+    )
+    [found] = closure.effects
+    assert closure.verdict == "explained"
+    assert found.candidate.effect.name == "g_sensitivity"
+    assert min(found.gains.values()) > 0.8
+    assert closure.noise_scale == pytest.approx(1.18, rel=0.1)
+
+
+def test_evidence_has_the_share_of_each_effect_alone(closed):
+    closure = closed({"g_sensitivity": 4.0})
+    evidence = {each.effect.name: each for each in closure.evidence}
+    assert set(evidence) == {each.name for each in all_effects()}
+    assert evidence["g_sensitivity"].share == pytest.approx(1.0, abs=0.1)
+    assert evidence["g_sensitivity"].log_odds_against == pytest.approx(0.0, abs=1e-6)
+    assert evidence["time_drift"].share < 0.1
+    assert evidence["time_drift"].log_odds_against > 100.0
+
+
+def test_evidence_names_missing_inputs():
+    closure = close_loop(campaign_of(measure(sensors=(), cycles=2).rows))
+    lacks = {each.effect.name: each.missing_input for each in closure.evidence}
+    assert lacks["chamber_state"] == "the chamber's set point"
+    assert "temperature sensors" in lacks["thermal_gradient"]
+    assert lacks["time_drift"] is None
+
+
+def test_positions_in_blocks_give_the_same_answer():
+    blocks = [each for each in UP for _ in range(6)]
+    closure = close_loop(campaign_of(measure({"attitude_thermal": 4.0}, positions=blocks, cycles=2).rows))
+    assert closure.verdict == "explained"
+    assert [each.candidate.effect.name for each in closure.effects] == ["attitude_thermal"]
+
+
+def test_one_position_alone_shows_no_gravity():
+    closure = close_loop(campaign_of(measure(positions=["z_up"], cycles=2).rows))
+    assert closure.verdict == "clean"
+    assert {each.effect.name: each.candidate for each in closure.evidence}["g_sensitivity"] is None
+
+
+def test_an_effect_of_thirty_times_the_noise_is_explained_by_itself_alone():
+    closure = close_loop(campaign_of(measure({"attitude_thermal": 30.0}, cycles=2).rows))
+    assert closure.verdict == "explained"
+    assert [each.candidate.effect.name for each in closure.effects] == ["attitude_thermal"]
+
+
+def test_sizes_follow_the_gyros(closed):
+    [found] = closed({"time_drift": 4.0}).effects
+    np.testing.assert_allclose(found.sizes_dph[:, 0] / found.sizes_dph[0, 0], SHARES, atol=0.2)
+
+
+def test_one_dwell_far_off_is_no_effect_and_left_unexplained():
+    rows = measure(cycles=2).rows
+    rows[0] = replace(rows[0], bias_dph=tuple(np.add(rows[0].bias_dph, 10.0 * SIGMA_DPH).tolist()))
+    closure = close_loop(campaign_of(rows))
+    assert closure.effects == ()
+    assert closure.verdict == "unexplained"
+
+
+def test_not_even_the_length_of_the_held_out_cycle_changes_the_outcome():
+    rows = measure({"thermal_hysteresis": 5.0}, cycles=3).rows
+    few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]
+    one, other = (close_loop(campaign_of(each)) for each in (rows, few))
+    assert [each.candidate.values for each in one.effects] == [
+        each.candidate.values for each in other.effects
+    ]
+    assert [each.p_value for each in one.effects] == [each.p_value for each in other.effects]
+    assert one.after == other.after
+
+
+def test_an_effect_that_an_untried_one_imitates_is_ambiguous():
+    rows = measure({"temperature_rate": 5.0}, cycles=3, sensors=("air", "set")).rows
+    closure = close_loop(campaign_of(rows))
+    assert closure.verdict == "ambiguous"
+    [found] = closure.effects
+    assert found.candidate.effect.name == "temperature_rate"
+    assert "thermal_gradient" in found.tied_with

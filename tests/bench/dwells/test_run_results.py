@@ -1,0 +1,168 @@
+"""What the dwells of a run give together, from the dwells of the eight-hour procedure."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.bins import read_bins
+from gyrobench.bench.dwells.dwell import lack_of_fit_text, measurement_setup
+from gyrobench.bench.dwells.run_dwells import RunResults, evaluate, planned_dwells, write_results
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.plan import expand
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.tables.joint_table import (
+    joint_bias_rows,
+    joint_plateau_rows,
+    read_joint_biases,
+    read_joint_plateaus,
+)
+from gyrobench.bench.runs.tables.noise_file import read_noise
+from gyrobench.bench.station.station import Station
+
+
+@pytest.fixture(scope="module")
+def measured(shift_runs):
+    """The dwells of the run in the world gyro_a, and the set-up that they were measured with."""
+    folder, outcome = shift_runs["gyro_a"]
+    return outcome.dwells, measurement_setup(Station(folder.station))
+
+
+@pytest.fixture(scope="module")
+def results(measured):
+    dwells, setup = measured
+    return evaluate(dwells, setup, 5.0)
+
+
+def flagged(dwell):
+    return replace(dwell, row=replace(dwell.row, flags="door opened"))
+
+
+def counted(bins):
+    return sum(each.count for each in bins)
+
+
+def test_each_plateau_of_the_chamber_is_solved_by_itself(results):
+    assert [[dwell.number for dwell in each.dwells] for each in results.joint] == [
+        [1, 2, 3, 4],
+        [5, 6, 7, 8],
+        [9, 10, 11, 12],
+    ]
+    assert [each.dwells[0].chamber_set_c for each in results.joint] == [57.0, 22.0, -13.0]
+
+
+def test_the_joint_solution_starts_from_the_dwells_own_estimates(measured, results):
+    dwells, _ = measured
+    singles = np.vstack([each.single.bias_radps for each in results.joint])
+    scale = [dwell.estimate.sigma_dph for dwell in dwells]
+    errors = (np.degrees(singles) * 3600.0 - [dwell.estimate.bias_dph for dwell in dwells]) / scale
+    assert np.abs(errors).max() < 0.2  # misalignments of accelerometers are known here, and no more
+
+
+def test_every_dwell_counts_once_for_each_gyro(results):
+    assert counted(results.bins) == 3 * 12
+    assert results.noise.duration_s == pytest.approx(24 * 300.0, abs=30.0)
+    assert set(results.up_rate.weights) == set(range(1, 13))
+
+
+def test_dwells_with_flags_are_left_out(measured, results):
+    dwells, setup = measured
+    without = evaluate([flagged(dwells[0]), *dwells[1:]], setup, 5.0)
+    assert counted(without.bins) == 3 * 11
+    assert [dwell.number for dwell in without.joint[0].dwells] == [2, 3, 4]
+    assert without.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
+    assert 1 not in without.up_rate.weights
+    # The plateaus that lost nothing are as they were.
+    np.testing.assert_array_equal(without.joint[2].together.bias_radps, results.joint[2].together.bias_radps)
+
+
+def test_dwells_without_a_result_are_left_out(measured):
+    dwells, setup = measured
+    lost = replace(
+        flagged(dwells[0]), estimate=None, paper=None, windows=(),
+    )  # fmt: skip
+    assert counted(evaluate([lost, *dwells[1:]], setup, 5.0).bins) == 3 * 11
+
+
+def test_a_run_whose_dwells_are_all_flagged_has_no_results(measured):
+    dwells, setup = measured
+    nothing = evaluate([flagged(dwell) for dwell in dwells], setup, 5.0)
+    assert (nothing.bins, nothing.joint, nothing.verification) == ([], [], [])
+    assert (nothing.up_rate, nothing.noise) == (None, None)
+
+
+def test_bins_are_as_wide_as_asked(measured):
+    dwells, setup = measured
+    (width_c,) = {each.bin_high_c - each.bin_low_c for each in evaluate(dwells, setup, 20.0).bins}
+    assert width_c == 20.0
+
+
+def test_tables_that_were_written_hold_the_results(results, tmp_path):
+    folder = RunFolder(tmp_path)
+    write_results(folder, results)
+    assert counted(read_bins(folder.bias_bins)) == counted(results.bins)
+    assert read_noise(folder.noise).angle_random_walk == results.noise.angle_random_walk
+    written = joint_bias_rows(results.joint, results.up_rate)
+    for row, read in zip(written, read_joint_biases(folder.joint_biases), strict=True):
+        assert (read.plateau, read.dwell, read.position, read.gyro) == (
+            row.plateau, row.dwell, row.position, row.gyro,
+        )  # fmt: skip
+        assert read.joint_dph == pytest.approx(row.joint_dph, rel=1e-8)
+    plateaus = joint_plateau_rows(results.joint, results.up_rate)
+    assert [row.finding for row in read_joint_plateaus(folder.joint)] == [row.finding for row in plateaus]
+    assert not folder.verification.exists()
+
+
+def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
+    folder = RunFolder(tmp_path)
+    write_results(folder, RunResults())
+    assert read_bins(folder.bias_bins) == []
+    assert read_joint_biases(folder.joint_biases) == []
+    assert read_joint_plateaus(folder.joint) == []
+    assert not folder.noise.exists()
+
+
+def test_a_folder_that_can_not_be_written_is_an_error(results, tmp_path):
+    with pytest.raises(RunFolderError, match="can't be written"):
+        write_results(RunFolder(tmp_path / "absent"), results)
+
+
+def test_dwells_without_a_set_point_are_one_stop(measured):
+    dwells, setup = measured
+    nowhere = [replace(dwell, row=replace(dwell.row, chamber_set_c=math.nan)) for dwell in dwells[:4]]
+    (plateau,) = evaluate(nowhere, setup, 5.0).joint
+    assert len(plateau.dwells) == 4
+
+
+def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
+    dwells, setup = measured
+    misfits = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
+    unexplained = [
+        replace(dwell, row=replace(dwell.row, flags=misfit), doubts=(misfit,))
+        for dwell, misfit in zip(dwells, misfits, strict=True)
+    ]
+    found = evaluate(unexplained, setup, 5.0)
+    assert (found.bins, found.joint, found.up_rate) == ([], [], None)
+    assert found.noise.angle_random_walk == results.noise.angle_random_walk
+    row = replace(dwells[0].row, flags=f"door opened; {unexplained[0].row.flags}")
+    disturbed = evaluate([replace(dwells[0], row=row), *unexplained[1:]], setup, 5.0)
+    assert disturbed.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
+
+
+def test_power_ons_are_solved_apart(measured):
+    dwells, setup = measured
+    restarted = [replace(dwell, row=replace(dwell.row, run="later")) for dwell in dwells[2:4]]
+    found = evaluate([*dwells[:2], *restarted], setup, 5.0)
+    assert [[dwell.number for dwell in each.dwells] for each in found.joint] == [[1, 2], [3, 4]]
+
+
+def test_each_dwell_is_planned_with_its_number_cycle_set_point_and_expected_temperature():
+    planned = planned_dwells(expand(*load_procedure(find_document("procedures", "six_position_fig7"))))
+    assert [each.dwell for each in planned] == list(range(1, 61))
+    seventh, last = planned[6], planned[-1]
+    assert (seventh.cycle, seventh.chamber_set_c, seventh.position) == (1, 20.5, "z_up")
+    assert (last.cycle, last.chamber_set_c, last.position) == (2, 20.5, "z_up")
+    assert 20.5 < seventh.gyro_c[0] < 50.0

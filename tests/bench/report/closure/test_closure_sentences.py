@@ -1,0 +1,143 @@
+"""A search for effects in sentences."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.report.closure import closure_text
+from tests.bench.report.made_up_closure import (
+    EFFECTS,
+    SENSITIVITY,
+    ambiguous,
+    clean,
+    explained,
+    made_up_rows,
+    quiet,
+    quiet_unexplained,
+    unexplained,
+    without_boards,
+)
+
+
+@pytest.mark.parametrize(
+    ("search", "verdict", "said"),
+    [
+        (clean, "clean", "its residual is noise"),
+        (explained, "explained", "One effect explains the residual: temperature rate."),
+        (ambiguous, "ambiguous", "temperature rate fits best, twin nearly as well"),
+        (unexplained, "unexplained", "no candidate effect explains it"),
+    ],
+)
+def test_each_verdict_has_a_sentence(search, verdict, said):
+    assert search().verdict == verdict
+    assert said in closure_text.verdict_sentence(search())
+
+
+def test_the_residual_is_compared_with_the_noise():
+    assert "is 0.0050 deg/h rms in the 96 dwells searched" in closure_text.before_sentence(explained())
+    assert "noise of a measured bias is 0.0020 deg/h" in closure_text.before_sentence(explained())
+    assert "The lack of fit is significant (p < 1e-9)" in closure_text.before_sentence(explained())
+    assert "The residual is consistent with noise" in closure_text.before_sentence(clean())
+
+
+def test_an_effect_has_its_p_value_and_cross_validation():
+    [sentence] = closure_text.effect_sentences(explained())
+    assert "on the x and y gyros" in sentence
+    assert "p < 1e-9, corrected for 5 candidate fits." in sentence
+    assert "85 % of chi2 in cycle 1 and 86 % of chi2 in cycle 2" in sentence
+
+
+def test_the_best_alternative_has_its_share_and_odds():
+    assert "bias jump alone (explains 17 % of the excess variance)" in closure_text.alternative_sentence(
+        explained()
+    )
+    assert "prefer temperature rate by odds of more than 10^12 to 1" in closure_text.alternative_sentence(
+        explained()
+    )
+    assert "do not prefer temperature rate" in closure_text.alternative_sentence(ambiguous())
+    assert "explains 3 % of the excess variance" in closure_text.alternative_sentence(unexplained())
+    assert closure_text.alternative_sentence(clean()) == ""
+
+
+def test_without_excess_variance_there_are_p_values_and_no_shares():
+    assert quiet().verdict == "explained"
+    assert "%" not in closure_text.alternative_sentence(quiet())
+    assert quiet_unexplained().verdict == "unexplained"
+    sentence = closure_text.alternative_sentence(quiet_unexplained())
+    assert "most significant candidate alone" in sentence
+    assert "%" not in sentence
+
+
+def test_a_tie_comes_with_the_measurement_that_resolves_it():
+    tie, separating = closure_text.tie_sentences(ambiguous())
+    assert "Tied with temperature rate: twin." in tie
+    assert "separate the twins" in separating
+    assert closure_text.tie_sentences(explained()) == ["No other candidate fits equally well."]
+    assert closure_text.tie_sentences(clean()) == []
+
+
+def test_effects_not_fitted_are_listed_with_the_missing_input():
+    [sentence] = closure_text.missing_input_sentences(without_boards())
+    assert sentence.startswith("Not fitted: thermal gradient. Missing input: temperature sensors")
+    assert closure_text.missing_input_sentences(explained()) == []
+
+
+def test_the_held_out_error_is_stated_before_and_after_with_the_noise():
+    sentence = closure_text.error_sentence(explained())
+    assert "In cycle 3 (held out, 48 dwells)" in sentence
+    assert "0.0051 deg/h rms with the declared model and 0.0020 deg/h with temperature rate" in sentence
+    assert "the noise is 0.0020 deg/h" in sentence
+    assert " and " not in closure_text.error_sentence(clean()).partition("predicted bias")[2]
+
+
+def test_a_removed_mean_is_stated():
+    assert closure_text.constants_sentence(explained()) == ""
+    closure = close_loop(campaign_of(made_up_rows(runs=3)), effects=EFFECTS)
+    assert "1 run that the search did not use" in closure_text.constants_sentence(closure)
+
+
+def test_the_remaining_residual_is_located_or_noise():
+    assert "7.3 times the noise" in closure_text.after_sentence(unexplained())
+    assert "follows neither" in closure_text.after_sentence(explained())
+
+
+def test_scatter_above_the_stated_uncertainties_is_stated():
+    closure = close_loop(campaign_of(made_up_rows(SENSITIVITY, scatter=1.3)), effects=EFFECTS)
+    assert closure_text.noise_scale_sentence(closure).startswith("The scatter of the biases is 1.2")
+    assert closure_text.noise_scale_sentence(explained()) == ""
+
+
+def test_a_clean_search_states_its_sensitivity():
+    assert dict(closure_text.chain(clean()))["Sensitivity"].startswith(
+        "An effect on one gyro is found from about 0.00076 deg/h"
+    )
+    assert "Sensitivity" not in dict(closure_text.chain(explained()))
+
+
+def test_the_chain_goes_from_the_residual_to_the_lack_of_fit():
+    topics = [topic for topic, _ in closure_text.chain(explained()) if topic]
+    assert topics == ["Residual", "Effect", "Alternatives", "Held-out", "Lack of fit"]
+
+
+@pytest.mark.parametrize(
+    ("size_dph", "text"),
+    [(0.0092, "0.0092"), (0.00002, "0.000020"), (0.12, "0.12"), (3.21, "3.2"), (0.0, "0")],
+)
+def test_sizes_have_two_digits_and_no_exponent(size_dph, text):
+    assert closure_text.size_text(size_dph) == text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "100 %"), (1.02, "100 %"), (0.99996, "99.9 %"), (0.987, "98.7 %"), (0.4, "40 %"), (-0.001, "0 %")],
+)
+def test_less_than_all_is_never_rounded_to_all(share, text):
+    assert closure_text.share_text(share) == text
+
+
+@pytest.mark.parametrize(
+    ("odds", "text"), [(1.0, "1 to 1"), (30.0, "30 to 1"), (1e5, "10^5 to 1"), (1e40, ">10^12 to 1")]
+)
+def test_odds_read_as_odds(odds, text):
+    assert closure_text.odds_text(2.0 * np.log(odds)) == text

@@ -1,0 +1,62 @@
+"""A verification in sentences."""
+
+import pytest
+
+from gyrobench.bench.report.verification.verification_text import (
+    chain,
+    model_sentences,
+    new_conditions_sentence,
+    outcome,
+    outcome_sentence,
+    reading_sentences,
+)
+from gyrobench.bench.verification.compensation_verification import VerificationResult
+from tests.bench.report.made_up_verification import alone, confirmed, improved, inconclusive, not_confirmed
+
+
+@pytest.mark.parametrize(
+    ("comparison", "judgement", "reason"),
+    [
+        (confirmed, "confirmed", "The residual is consistent with noise"),
+        (improved, "improved", "The residual exceeds the noise"),
+        (not_confirmed, "not confirmed", "no improvement"),
+        (inconclusive, "inconclusive", "Both residuals are consistent with noise"),
+        (alone, "inconclusive", "Only one compensation was measured"),
+    ],
+)
+def test_the_judgement_compares_the_varying_bias_with_the_noise(comparison, judgement, reason):
+    assert outcome(comparison()) == judgement
+    assert reason in outcome_sentence(comparison())
+
+
+def test_each_size_is_stated_for_each_compensation_with_the_noise():
+    topics = dict(chain(confirmed()))
+    assert list(topics) == ["New", "Bias", "Positions", "24 h"]  # no navigation showed a velocity
+    assert "0.04" in topics["Positions"]
+    assert topics["Positions"].count("with the") == 2
+    assert "noise 0.0032" in topics["Positions"]
+
+
+def test_new_conditions_are_counted():
+    assert new_conditions_sentence(confirmed()).endswith(
+        "14 of 14 dwells begin in a position and azimuth that are not in the campaign."
+    )
+
+
+def test_loaded_and_omitted_parts_are_stated():
+    loaded = model_sentences(confirmed().closure, confirmed().models)
+    assert "(a polynomial for each gyro), and one with temperature rate." in loaded[0]
+    assert "are limited to the fitted range" in loaded[0]
+    assert "one power cycle" in loaded[1]
+    clean = model_sentences(inconclusive().closure, inconclusive().models)
+    assert "No effect was found" in clean[0]
+
+
+def test_notes_are_listed():
+    assert ("Note", "In the run none 1 of 15 dwells have flags.") in chain(inconclusive())
+
+
+def test_separate_power_cycles_are_stated_on_a_real_bench():
+    real = VerificationResult(**{**vars(confirmed()), "is_same_seed": False})
+    assert "its own power cycle and noise" in reading_sentences(real)[-1]
+    assert "same seed" in reading_sentences(confirmed())[-1]

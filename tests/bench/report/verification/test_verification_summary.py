@@ -1,0 +1,47 @@
+"""A verification in a terminal of 80 columns."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from gyrobench.bench.report.verification.verification_summary import verification_plan, verification_summary
+from tests.bench.report.made_up_verification import alone, confirmed, improved, inconclusive, not_confirmed
+
+
+def printed(content):
+    stream = io.StringIO()
+    Console(file=stream, width=80).print(content)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("comparison", [confirmed, improved, not_confirmed, inconclusive, alone])
+def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(comparison):
+    text = printed(verification_summary(comparison()))
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
+    assert "\x1b" not in text
+
+
+def test_it_begins_with_the_judgement_and_has_the_numbers_with_their_noise():
+    text = printed(verification_summary(confirmed()))
+    assert text.startswith("Confirmed. Varying bias:")
+    rows = [line.split() for line in text.splitlines()]
+    first = [row[0] for row in rows if row].index("none")
+    totals = [row for row in rows if row][first : first + 4]
+    assert [row[0] for row in totals] == ["none", "declared", "with", "noise"]
+    assert float(totals[0][2]) > 10.0 > float(totals[3][2])
+
+
+def test_each_plateau_is_named_once():
+    lines = [line.split() for line in printed(verification_summary(confirmed())).splitlines()]
+    assert sum(line[:2] == ["62", "1"] for line in lines) == 1
+
+
+def test_the_duration_of_the_runs_is_stated_before_they_begin():
+    comparison = confirmed()
+    text = printed(verification_plan(comparison.closure, comparison.models, ["none", "effect"], 68_400.0))
+    assert "2 runs of 19:00 h remaining, 38:00 h in total: none and with effect." in text
+    assert "All runs are complete" in printed(
+        verification_plan(comparison.closure, comparison.models, [], 68_400.0)
+    )

@@ -1,0 +1,97 @@
+"""Residual bias with each compensation."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.verification.compensation_verification import (
+    compensation_result,
+    write_verification_table,
+)
+from tests.bench.report.made_up_verification import SIGMA_DPH, SITE, rows_of
+
+FITTED_C = np.array([[62.0], [20.0], [0.0]]) + np.zeros(3)
+
+
+def residual(bias_dph=0.02, **options):
+    return compensation_result("none", rows_of(bias_dph, **options), [], SITE, FITTED_C)
+
+
+def test_a_varying_bias_is_separated_from_the_constant_of_the_power_cycle():
+    small, large = residual(constant_dph=0.0).total, residual(constant_dph=0.1).total
+    assert large.bias_rms_dph > 4.0 * small.bias_rms_dph
+    assert large.varying_rms_dph == pytest.approx(small.varying_rms_dph)
+    assert large.spread_dph == pytest.approx(small.spread_dph)
+    assert large.position_nmi == pytest.approx(small.position_nmi, rel=0.2)
+    # One of three gyros shows the 0.02 deg/h in each dwell, up or down.
+    assert small.varying_rms_dph == pytest.approx(0.02 / np.sqrt(3.0), rel=0.1)
+    assert small.spread_dph == pytest.approx(0.04, rel=0.1)
+
+
+def test_two_power_cycles_with_different_constants_at_one_plateau_vary_by_noise_alone():
+    first, second = (
+        [replace(row, run=run, dwell=row.dwell + 100 * place) for row in rows_of(0.0, constant_dph=constant)]
+        for place, (run, constant) in enumerate([("one", 0.0), ("two", 0.1)])
+    )
+    both = compensation_result("none", [*first, *second], [], SITE, FITTED_C)
+    assert both.total.varying_p_value > 0.01
+    assert sum(row.dwells for row in both.rows) == both.total.dwells
+
+
+def test_noise_is_not_significant_and_a_bias_along_up_is():
+    assert residual(0.0).total.varying_p_value > 0.01
+    assert residual(0.02).total.varying_p_value < 1e-9
+    assert residual(0.0).total.bias_noise_dph == pytest.approx(SIGMA_DPH)
+
+
+def test_the_stated_noise_is_that_of_noise_alone():
+    ratios = [
+        (total.spread_dph / total.spread_noise_dph, total.position_nmi / total.position_noise_nmi)
+        for total in (residual(0.0, seed=seed).total for seed in range(20))
+    ]
+    spread, position = np.median(ratios, axis=0)
+    # The larger of two plateaus.
+    assert 0.9 < spread < 1.5
+    assert 0.3 < position < 1.5
+
+
+def test_each_plateau_has_its_position_relative_to_the_fit():
+    first, on_the_way, last = residual().rows
+    assert [row.plateau for row in (first, on_the_way, last)] == [1, 2, 3]
+    assert [row.fit for row in (first, on_the_way, last)] == ["fitted", "between", "fitted"]
+    assert [row.cycle for row in (first, on_the_way, last)] == [1, 2, 1]
+    assert [row.dwells for row in (first, on_the_way, last)] == [6, 2, 6]
+    assert np.isnan(on_the_way.position_nmi)
+    cold = compensation_result("none", rows_of(0.0), [], SITE, FITTED_C + 30.0)
+    assert [row.fit for row in cold.rows] == ["between", "fitted", "outside"]
+
+
+def test_dwells_with_flags_are_left_out():
+    rows = rows_of(0.0)
+    rows[3] = replace(rows[3], flags="the table moved", bias_dph=(9.0, 9.0, 9.0))
+    total = compensation_result("none", rows, [], SITE, FITTED_C).total
+    assert total.dwells == 13
+    assert total.bias_rms_dph < 0.01
+
+
+def test_without_measurements_there_is_no_result():
+    nothing = compensation_result("none", [], [], SITE, FITTED_C)
+    assert nothing.rows == ()
+    assert nothing.total.dwells == 0
+    assert np.isnan(nothing.total.varying_rms_dph)
+
+
+def test_the_table_has_a_row_for_each_plateau_and_one_for_all(tmp_path):
+    write_verification_table(
+        tmp_path / "comparison.csv",
+        [residual(), compensation_result("effect", rows_of(0.0), [], SITE, FITTED_C)],
+    )
+    rows = list(csv.DictReader((tmp_path / "comparison.csv").read_text().splitlines()))
+    assert [(row["compensation"], row["stop"]) for row in rows] == [
+        *(("none", stop) for stop in "1230"),
+        *(("effect", stop) for stop in "1230"),
+    ]
+    assert float(rows[3]["varying_rms_dph"]) == pytest.approx(residual().total.varying_rms_dph)
+    assert rows[3]["gyro_c"] == rows[1]["position_nmi"] == ""
