@@ -1,1 +1,1 @@
-"""What a person needs who writes the bench's files: kinds of file, checks, schemas, starting files."""
+"""Writing the bench's YAML files: kinds of file, schemas, checks, and commented files to start from."""

@@ -1,4 +1,4 @@
-"""Everything wrong with one file, with places, whatever kind of file it is."""
+"""Checks a YAML file of any kind and lists all its problems with their places."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PLACED = re.compile(r"(?P<file>.+?):(?P<line>\d+):(?P<column>\d+): (?P<message>
 
 @dataclass(frozen=True)
 class PlacedProblem:
-    """Something wrong, and where; line and column, from 1, are None where it has no place in the file."""
+    """A mistake and its line and column, from 1; None where it has no place in the file."""
 
     message: str
     line: int | None = None
@@ -36,16 +36,16 @@ class PlacedProblem:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """What a file is, and what is wrong with it.
+    """Kind and problems of a file.
 
     Attributes
     ----------
     kind : str
-        Name of its kind; empty where that is not known.
+        Empty where not known.
     text : str
-        All problems as the other commands tell them, one a line; empty where nothing is wrong.
+        All problems, one a line; empty for a correct file.
     found : str
-        What it amounts to where nothing is wrong, in a few words.
+        Summary of a correct file.
     """
 
     path: Path
@@ -55,7 +55,7 @@ class FileCheck:
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether the file is correct."""
         return not self.text
 
     def problems(self) -> list[PlacedProblem]:
@@ -64,26 +64,18 @@ class FileCheck:
 
 
 def check_file(path: Path, kind: FileKind | None = None, station: Station | None = None) -> FileCheck:
-    """Look at a file whole.
-
-    Parameters
-    ----------
-    kind : FileKind, optional
-        What it is meant to be; told by its keys without it.
-    station : Station, optional
-        Procedures are planned for it as well.
-    """
+    """Check a file of the given kind, by default recognised by its keys; procedures also on a station."""
     name = kind.name if kind else ""
     try:
         document = read_document(path)
         kind = kind or kind_of(document)
         name = kind.name
-        return FileCheck(path, name, found=_look(document, kind, station))
+        return FileCheck(path, name, found=_summary(document, kind, station))
     except DocumentError as error:
         return FileCheck(path, name, str(error))
 
 
-def _look(document: Document, kind: FileKind, station: Station | None) -> str:
+def _summary(document: Document, kind: FileKind, station: Station | None) -> str:
     if kind is PROCEDURE:
         return _procedure(document, station)
     if kind is STATION:

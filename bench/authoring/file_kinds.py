@@ -33,15 +33,15 @@ class FileKind:
     Attributes
     ----------
     name : str
-        What a person calls it.
+        Name in commands.
     title : str
-        What it is, in words.
+        Title of its schema.
     folder : str
-        Where shipped ones are; empty where none are shipped.
+        Of shipped files; empty without any.
     keys : frozenset of str
-        Top-level keys that tell it.
+        Top-level keys, by which it is recognised.
     model : type or None
-        What it is checked against; None for those that the emulators alone read.
+        None for files that the emulators alone read.
     """
 
     name: str
@@ -78,74 +78,54 @@ KINDS = {
 
 
 def kind_of(document: Document) -> FileKind:
-    """Tell by its top-level keys what a file is.
-
-    Raises
-    ------
-    DocumentError
-        They fit no kind, or several.
-    """
+    """Recognise a file by its top-level keys; a DocumentError if they fit no kind or several."""
     found = document.data if isinstance(document.data, dict) else {}
-    # A file that says its name is of that kind; else the one that shares most keys.
+    # The kind whose name is a key of the file, else the one that shares most keys.
     named = [kind for kind in KINDS.values() if kind.name in kind.keys and kind.name in found]
-    likely = named if len(named) == 1 else _most_alike(found)
+    likely = named if len(named) == 1 else _most_similar(found)
     if len(likely) == 1:
         return likely[0]
     raise DocumentError(
-        f"{document.path}:1:1: its keys do not tell what kind of file it is. Say it with --as "
+        f"{document.path}:1:1: its keys fit no kind of file, or several. Give the kind with --as "
         f"{'|'.join(KINDS)}"
     )
 
 
-def _most_alike(keys: Iterable[str]) -> list[FileKind]:
+def _most_similar(keys: Iterable[str]) -> list[FileKind]:
     shared = {name: len(kind.keys.intersection(keys)) for name, kind in KINDS.items()}
     most = max(shared.values())
     return [KINDS[name] for name, count in shared.items() if count == most > 0]
 
 
 _PROGRAM = "gyrobench.drivers.emulators.documents"
-_LONGEST_S = 120.0
+_TIMEOUT_S = 120.0
 _WRONG_FILE = 2
 
 
 def emulator_schema(kind: str) -> dict[str, Any]:
-    """Give the JSON Schema of ``world`` or ``faults`` files.
-
-    Raises
-    ------
-    GyrobenchError
-        The emulators' program does not run.
-    """
-    schema: dict[str, Any] = json.loads(_asked("schema", kind))
+    """JSON Schema of ``world`` or ``faults`` files, from the emulators' program."""
+    schema: dict[str, Any] = json.loads(_emulator_documents("schema", kind))
     return schema
 
 
 def check_emulator_file(kind: str, path: Path) -> None:
-    """Check a ``world`` or ``faults`` file.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything wrong with it, with places.
-    GyrobenchError
-        The emulators' program does not run.
-    """
-    _asked("check", kind, str(path))
+    """Check a ``world`` or ``faults`` file; a DocumentError lists all problems with their places."""
+    _emulator_documents("check", kind, str(path))
 
 
-def _asked(*arguments: str) -> str:
-    # -P: nothing out of the present folder
+def _emulator_documents(*arguments: str) -> str:
+    # -P: imports nothing from the present folder
     command = [sys.executable, "-P", "-m", _PROGRAM, *arguments]
     try:
-        answer = subprocess.run(  # noqa: S603 - our own program; a file is one argument of it
-            command, capture_output=True, text=True, timeout=_LONGEST_S, check=False
+        answer = subprocess.run(  # noqa: S603 - our own program
+            command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise GyrobenchError(f"the emulators' program can't be asked: {error}") from error
+        raise GyrobenchError(f"{_PROGRAM} does not run: {error}") from error
     if answer.returncode == _WRONG_FILE:
         raise DocumentError(answer.stderr.strip())
     if answer.returncode:
-        raise GyrobenchError(f"the emulators' program failed: {answer.stderr.strip()[-500:]}")
+        raise GyrobenchError(f"{_PROGRAM} failed: {answer.stderr.strip()[-500:]}")
     return answer.stdout
 
 
@@ -211,7 +191,7 @@ def _needs_no_key(kind: type[Step]) -> bool:
 
 
 def _with_variables(schema: Schema) -> Schema:
-    """Allow a variable wherever a number or text can stand."""
+    """Allow a variable in place of every number or text."""
     properties = schema.get("properties", {})
     return {**schema, "properties": {key: _or_variable(each) for key, each in properties.items()}}
 

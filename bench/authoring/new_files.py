@@ -51,7 +51,7 @@ class StartingFile:
     def __init__(self, schema: Schema) -> None:
         self._schema = schema
         self._definitions: Mapping[str, Schema] = schema.get("$defs", {})
-        self._told: set[str] = set()
+        self._explained_once: set[str] = set()
 
     def lines(self, values: Mapping[str, Any]) -> Iterator[str]:
         """Lines of a file with these values.
@@ -59,14 +59,14 @@ class StartingFile:
         Parameters
         ----------
         values : mapping
-            What is to stand in the file; a required key that is missing gets a value that fits.
+            Of the file; a missing required key gets a permitted value.
         """
-        self._told.clear()
+        self._explained_once.clear()
         return self._section(self._schema, values, "")
 
     def _section(self, schema: Schema, values: Mapping[str, Any], indent: str) -> Iterator[str]:
         required = schema.get("required", [])
-        # What tells the section's kind, such as a dialect, comes first.
+        # The key that selects the section's kind, such as a dialect, comes first.
         for key, each in sorted(schema["properties"].items(), key=lambda item: "const" not in item[1]):
             if key in values or key in required:
                 value = values[key] if key in values else _some_value(self._resolved(each, None))
@@ -97,18 +97,18 @@ class StartingFile:
         yield from self._commented(f"{indent}#{key}: {default}", self.explained(schema), indent)
 
     def _commented(self, line: str, text: str, indent: str) -> Iterator[str]:
-        """A line with its explanation behind it, or above it where that is too long; a long one once."""
+        """A line with its explanation after it, or above it if too long; long ones only once."""
         together = f"{line}  # {text}" if text else line
         if len(together) <= _WIDTH:
             yield together
             return
-        if text not in self._told:
+        if text not in self._explained_once:
             yield from comment(text, f"{indent}# ")
-        self._told.add(text)
+        self._explained_once.add(text)
         yield line
 
     def _resolved(self, schema: Schema, value: Any) -> Schema:
-        """Follow references and alternatives to the schema that a value is of."""
+        """Resolve references and alternatives to the schema of a value."""
         if "$ref" in schema:
             return self._resolved(self._definitions[schema["$ref"].rpartition("/")[2]], value)
         options = [self._resolved(each, value) for key in ("oneOf", "anyOf") for each in schema.get(key, ())]
@@ -127,7 +127,7 @@ class StartingFile:
         return any(each.get("type") == "null" for each in schema.get("anyOf", ()))
 
     def explained(self, schema: Schema) -> str:
-        """Say what a key means, what its value may be, and which keys that has."""
+        """Meaning of a key, permitted values, and keys below it."""
         below = self._resolved(schema, {})
         keys = f" (keys: {', '.join(below['properties'])})" if "properties" in below else ""
         return self._explained(schema) + keys
@@ -166,7 +166,7 @@ def _allowed(schema: Schema) -> str:
 
 
 def _names_the_same(schema: Schema, value: Mapping[str, Any]) -> bool:
-    """Whether a value has what makes out one alternative of several: its name, as of a dialect."""
+    """Whether a value has the constants of one alternative of several, such as the name of a dialect."""
     fixed = {key: each["const"] for key, each in schema["properties"].items() if "const" in each}
     return bool(fixed) and all(value.get(key) == const for key, const in fixed.items())
 
@@ -187,7 +187,7 @@ def _empty(schema: Schema) -> str:
 _EXAMPLE_STATION = "example_bench"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 _WORLD_NAME = re.compile(r"^world:.*$", re.MULTILINE)
-_HINT = "A line that begins with # and no space is optional and shows its default: take the # away to use it."
+_HINT = "A line that begins with # and no space is optional and shows its default: remove the # to use it."
 
 
 def new_procedure(name: str, like: str, path: Path) -> str:
@@ -200,7 +200,7 @@ def new_procedure(name: str, like: str, path: Path) -> str:
     like : str
         A key of :data:`gyrobench.bench.foundations.shipped.TEMPLATES`, a shipped procedure, or a file.
     path : Path
-        Where it is to stand.
+        Of the new file.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
     name : str
         Of the bench.
     path : Path
-        Where it is to stand.
+        Of the new file.
     table, chamber : str, optional
         Dialects of the rate table and the chamber; the example's without them.
 
@@ -254,7 +254,7 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
 
 
 def new_world(name: str, like: str, path: Path) -> str:
-    """Copy a world file under another name, unread: what it says is the emulators' matter.
+    """Copy a world file under another name without reading it: only the emulators may.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def new_world(name: str, like: str, path: Path) -> str:
     like : str
         A shipped world, or a file.
     path : Path
-        Where it is to stand.
+        Of the new file.
 
     Raises
     ------
@@ -271,14 +271,14 @@ def new_world(name: str, like: str, path: Path) -> str:
         There is no such world, or the name can't be one.
     """
     if not _NAME.fullmatch(name):
-        raise DocumentError(f"{name}: no name for a world; letters, digits, underscore and hyphen are")
+        raise DocumentError(f"{name}: not a name of a world; use letters, digits, underscore and hyphen")
     lines = find_document("worlds", like).read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines if not line.startswith(EDITOR_MARK)]
     return editor_line(WORLD, path) + _WORLD_NAME.sub(f"world: {name}", "".join(kept), count=1)
 
 
 def _of_dialect(section: Mapping[str, Any], dialect: str, name: str) -> dict[str, Any]:
-    """The keys that every dialect has; those of the former one are left out."""
+    """The section for another dialect, with the keys that all dialects have."""
     kept = {key: value for key, value in section.items() if key in _common_keys(name)}
     return {**kept, "dialect": dialect}
 

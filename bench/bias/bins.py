@@ -13,8 +13,9 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.

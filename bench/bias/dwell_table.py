@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, format_number, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
+from gyrobench.bench.foundations.text import format_number
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Values of the x, y and z gyro.

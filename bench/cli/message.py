@@ -24,6 +24,6 @@ def message(
 
     answers = send_test(station, text)
     for answer in answers:
-        typer.echo(f"{'sent' if answer.is_sent else 'NOT SENT':<9}{answer.receiver}: {answer.said}")
+        typer.echo(f"{'sent' if answer.is_sent else 'NOT SENT':<9}{answer.receiver}: {answer.reply}")
     if not all(answer.is_sent for answer in answers):
         raise typer.Exit(EXIT_INSTRUMENT)

@@ -64,10 +64,7 @@ def station(
     from gyrobench.bench.authoring.new_files import new_station
 
     _write(
-        name,
-        out,
-        lambda path: new_station(name, path, table, chamber),
-        "Fill it in. Next: gyrobench check",
+        name, out, lambda path: new_station(name, path, table, chamber), "Fill it in. Next: gyrobench check"
     )
 
 

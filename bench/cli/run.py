@@ -29,10 +29,7 @@ def run(
     seed: SeedOption = 0,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            help="Run folder or dwell table for calibration checks.",
-            autocompletion=complete_run,
-        ),
+        typer.Option(help="Run folder or dwell table for calibration checks.", autocompletion=complete_run),
     ] = None,
     compensation: Annotated[
         Path | None, typer.Option(help="Compensation file to load into the INS after each power-on.")

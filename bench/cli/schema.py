@@ -24,13 +24,7 @@ def schema(
 
     Example: gyrobench schema procedure
     """
-    from gyrobench.bench.authoring.file_kinds import (
-        KINDS,
-        editor_line,
-        schema_of,
-        schema_text,
-        write_schemas,
-    )
+    from gyrobench.bench.authoring.file_kinds import KINDS, editor_line, schema_of, schema_text, write_schemas
 
     if kind is not None:
         typer.echo(schema_text(schema_of(KINDS[kind.value])), nl=False)

@@ -34,8 +34,7 @@ def validate(
     station: Annotated[
         str | None,
         typer.Option(
-            help="Station of the procedures: their plans are checked too.",
-            autocompletion=complete_station,
+            help="Station of the procedures: their plans are checked too.", autocompletion=complete_station
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -42,8 +42,7 @@ def verify(
         typer.Option(help="Procedure file, or the name of a shipped one.", autocompletion=complete_procedure),
     ] = "verify_compensation",
     station: Annotated[
-        str | None,
-        typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station),
+        str | None, typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station)
     ] = None,
     world: Annotated[
         str | None,
@@ -88,7 +87,7 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
     )
-    missing = [name for name in verification.selected if not verification.is_there(name)]
+    missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]
     terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:
@@ -141,8 +140,7 @@ def _report_result(
         return
     terminal.print(verification_summary(result))
     terminal.print(
-        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}",
-        soft_wrap=True,
+        f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}", soft_wrap=True
     )
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)

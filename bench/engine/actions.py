@@ -65,13 +65,6 @@ _RETRY_PAUSE_S = 2.0
 class StepContext:
     """What actions share.
 
-    Parameters
-    ----------
-    run : RunContext
-        The run.
-    recorder : DwellRecorder
-        The dwell in progress.
-
     Attributes
     ----------
     retries : int
@@ -132,8 +125,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
     bench = context.bench
     # Each driver is looked up when it is used: a port that was reopened has a new one.
     yield from tried(
-        context,
-        lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min),
+        context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
     )
     yield from tried(context, lambda: bench.instruments.chamber.switch(True))
     bench.state.chamber_commanded(step.temperature_c)
@@ -225,7 +217,7 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
     clock = context.bench.clock
     begin_s = clock.now()
     next_estimate_s = begin_s + _ESTIMATE_PERIOD_S
-    while clock.now() < begin_s + step.longest_s - 1e-6:
+    while clock.now() < begin_s + step.max_duration_s - 1e-6:
         if clock.now() >= next_estimate_s:
             next_estimate_s += _ESTIMATE_PERIOD_S
             estimate = context.recorder.estimate_so_far()
@@ -240,7 +232,9 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
         yield
     if step.until:
         limit_dph = step.until.bias_sigma_below_dph
-        context.run.note(f"biases not known to {limit_dph:g} deg/h after {step.longest_s:g} s: continuing")
+        context.run.note(
+            f"biases not known to {limit_dph:g} deg/h after {step.max_duration_s:g} s: continuing"
+        )
 
 
 @perform.register

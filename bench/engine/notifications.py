@@ -10,7 +10,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.engine.resume import ResumeState
-from gyrobench.bench.messages.message import Event, Left, Message
+from gyrobench.bench.messages.message import Event, Message, Remaining
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.folder import RunFolder
@@ -20,17 +20,7 @@ UNANSWERED_S = 30.0
 
 
 class RunNotifier(RunObserver):
-    """Sends messages about a run.
-
-    Parameters
-    ----------
-    messenger : Messenger
-        Sends them.
-    plan : Plan
-        What is run.
-    state : ResumeState
-        What is finished; the run keeps it up to date.
-    """
+    """Sends messages about a run."""
 
     def __init__(self, messenger: Messenger, plan: Plan, state: ResumeState) -> None:
         self._messenger = messenger
@@ -116,7 +106,7 @@ class RunNotifier(RunObserver):
             folder=self._folder.path.absolute(),
             procedure=self._plan.procedure.procedure,
             unit=self._unit,
-            left=Left(self._left_s / 3600.0, dwells),
+            remaining=Remaining(self._left_s / 3600.0, dwells),
             **details,
         )
         self._messenger.send(message, about)

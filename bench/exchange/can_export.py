@@ -1,6 +1,6 @@
 """The raw CAN log with calendar times: as one BLF file, and decoded to navigation data.
 
-Attitude is given as a quaternion, since Euler angles have no value where an axis stands upright, and as
+Attitude is given as a quaternion, since Euler angles are undefined where an axis is vertical, and as
 roll, pitch and yaw of the sequence ``C_nb = Rz(yaw) Rx(pitch) Ry(roll)``; body axes and East-North-Up, yaw
 positive about Up.
 """

@@ -173,10 +173,7 @@ def _offsets_s(logs: Sequence[ReadLog], log_map: LogMap) -> list[float]:
 
 
 def _cycles(
-    windows: Sequence[Window],
-    origins: Sequence[int],
-    offsets: Sequence[float],
-    log_map: LogMap,
+    windows: Sequence[Window], origins: Sequence[int], offsets: Sequence[float], log_map: LogMap
 ) -> list[int]:
     rule = log_map.cycle
     if rule.constant is not None:

@@ -123,7 +123,7 @@ class _Mf4Log:
             self._file.save(stream, overwrite=True, compression=_COMPRESSION)
 
     def close(self) -> None:
-        """Remove what lies beside it."""
+        """Remove the temporary file."""
         self._file.close()
 
 

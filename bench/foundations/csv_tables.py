@@ -155,18 +155,6 @@ class CsvTable:
                 )
 
 
-def format_number(value: float) -> str:
-    """Nine significant digits, which survive reading and writing again; empty for NaN."""
-    return "" if math.isnan(value) else f"{value:.9g}"
-
-
-def format_cell(value: str | float | None) -> str:
-    """A number as above, empty for None, anything else as it is."""
-    if value is None:
-        return ""
-    return format_number(value) if isinstance(value, float) else str(value)
-
-
 def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """CSV text with a header and plain line ends."""
     buffer = io.StringIO(newline="")

@@ -37,8 +37,30 @@ _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
 _TOO_MUCH = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _SHOWN_CHARACTERS = 60
-#: How pydantic calls a value.
-_INPUT = "Input"
+#: The words of pydantic's messages in those of the bench.
+_PLAIN_WORDS = tuple(
+    (re.compile(pattern), plain)
+    for pattern, plain in (
+        (r"^(Value error, |Input should)", lambda match: "the value should" if "Input" in match[0] else ""),
+        (r"should have at least 1 item after validation, not 0", "needs at least 1 item"),
+        (r"should have at (least|most) (\d+) items? after validation, not \d+", r"must have at \1 \2 items"),
+        (r"should have at least 1 character", "must not be empty"),
+        (r"should have at (least|most) (\d+) characters?", r"must have at \1 \2 characters"),
+        (r"should match pattern", "must match the pattern"),
+        (r"should be greater than or equal to", "must be at least"),
+        (r"should be less than or equal to", "must be at most"),
+        (r"should be greater than", "must be above"),
+        (r"should be less than", "must be below"),
+        (r"should be a valid integer.*", "must be a whole number"),
+        (r"should be a valid number", "must be a number"),
+        (r"should be a valid string", "must be text"),
+        (r"should be a valid boolean", "must be true or false"),
+        (r"should be a valid list", "must be a list"),
+        (r"should be a valid dictionary.*", "must have keys and values"),
+        (r"should be", "must be"),
+        (r"^(List|String|Dictionary) ", "the value "),
+    )
+)
 
 ModelT = TypeVar("ModelT", bound="StrictModel")
 
@@ -174,7 +196,9 @@ def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
         if detail["type"] == "missing":
             location = location[:-1]
         elif detail["type"] != "unknown_key":
-            message = f"{message.removeprefix('Value error, ')}; found {_shown(detail['input'])}"
+            for pattern, plain in _PLAIN_WORDS:
+                message = pattern.sub(plain, message)
+            message = f"{message}; found {_shown(detail['input'])}"
         problems.append(Problem(location, message))
     return problems
 
@@ -331,8 +355,8 @@ def _rewritten(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str])
             kind, message = "unknown_key", _unknown_key(key, list(model.model_fields))
         elif kind == "missing":
             message = _missing_key(key, model)
-        elif message.startswith(_INPUT):
-            message = _quoted(key) + message.removeprefix(_INPUT)
+        else:
+            message = re.sub(r"^(Input|String|List|Dictionary) should", f"{_quoted(key)} should", message)
     return InitErrorDetails(type=PydanticCustomError(kind, message), loc=location, input=detail.get("input"))
 
 

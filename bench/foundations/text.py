@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
 
 
@@ -24,6 +25,18 @@ def counted(number: int, noun: str) -> str:
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
     """Write the range of a bin, without its unit."""
     return f"{low_c:g}{between}{high_c:g}"
+
+
+def format_number(value: float) -> str:
+    """Nine significant digits, which survive reading and writing again; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
+def format_cell(value: str | float | None) -> str:
+    """A number by :func:`format_number`, empty for None, anything else as it is."""
+    if value is None:
+        return ""
+    return format_number(value) if isinstance(value, float) else str(value)
 
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:

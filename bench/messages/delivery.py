@@ -39,12 +39,7 @@ from gyrobench.bench.station.receivers import SECRET, Email, Ntfy, Receiver, Web
 class UndeliveredError(GyrobenchError):
     """A message could not be delivered.
 
-    Parameters
-    ----------
-    message : str
-        Why; without the secret.
-    is_final : bool
-        Whether trying again is no use: the receiver refused.
+    The message gives the reason without the secret; ``is_final`` says that the receiver refused for good.
     """
 
     def __init__(self, message: str, is_final: bool) -> None:
@@ -53,18 +48,18 @@ class UndeliveredError(GyrobenchError):
 
 
 _MAX_BYTES = 10_000
-#: Fewer letters of Base64 may be a part of any word.
-_LEAST_BASE64 = 4
+#: Fewer letters of Base64 may occur in any word.
+_MIN_BASE64 = 4
 _SHOWN = 200
 
 
 def read_secret(receiver: Receiver) -> str:
-    """Read it; empty where the receiver has none.
+    """Read the secret of a receiver; empty where it has none.
 
     Raises
     ------
     DocumentError
-        It is not where the station file says.
+        It is missing at the place that the station file names.
     """
     if receiver.secret_env is not None:
         source = f"the environment variable {receiver.secret_env}"
@@ -77,13 +72,13 @@ def read_secret(receiver: Receiver) -> str:
         return ""
     if not secret.strip() or not secret.isprintable():
         raise DocumentError(
-            f"{source}: holds no secret; the {receiver.kind} receiver {receiver.address} needs it"
+            f"{source}: no secret found; the {receiver.kind} receiver {receiver.address} needs one"
         )
     return secret.strip()
 
 
 def without_secret(secret: str, text: str) -> str:
-    """Text with ``{secret}`` in place of the secret, however an address, a header or a page writes it."""
+    """Replace the secret by ``{secret}``, in every encoding that an address, a header or a page may use."""
     forms = sorted(set(_written(secret)), key=len, reverse=True) if secret else []
     if not forms:
         return text
@@ -91,13 +86,7 @@ def without_secret(secret: str, text: str) -> str:
 
 
 def server_words(secret: str, text: str) -> str:
-    """What a server said, on one short line and without the secret.
-
-    Parameters
-    ----------
-    text : str
-        All of it: a secret of which a part is left can't be found.
-    """
+    """One short line of a server's reply without the secret; ``text`` is the whole reply."""
     shown = without_secret(secret, text)[:_SHOWN]
     return " ".join("".join(letter if letter.isprintable() else " " for letter in shown).split())
 
@@ -113,18 +102,18 @@ def _written(secret: str) -> Iterator[str]:
 
 
 def _base64(data: bytes) -> Iterator[str]:
-    """Letters of Base64 that the data make, wherever in something longer they stand."""
+    """Letters of Base64 for the data at any offset in something longer."""
     for before in range(3):
         first, end = math.ceil(8 * before / 6), 8 * (before + len(data)) // 6
         letters = base64.b64encode(bytes(before) + data).decode()[first:end]
-        if len(letters) >= _LEAST_BASE64:
+        if len(letters) >= _MIN_BASE64:
             yield letters
             yield letters.replace("+", "-").replace("/", "_")
 
 
-#: A server that says nothing for so long is given up for now.
-MAIL_TIMEOUT_S = 10.0
-#: Codes from here on say that trying again is no use.
+#: Time limit of one operation on a socket.
+TIMEOUT_S = 10.0
+#: Mail servers refuse for good with codes from here on.
 _PERMANENT = 500
 
 
@@ -154,17 +143,17 @@ def send_mail(receiver: Email, password: str, message: Message) -> str:
     except smtplib.SMTPNotSupportedError as error:
         raise UndeliveredError(str(error), is_final=True) from None
     except TimeoutError:
-        raise UndeliveredError(f"no answer within {MAIL_TIMEOUT_S:g} s", is_final=False) from None
+        raise UndeliveredError(f"no answer within {TIMEOUT_S:g} s", is_final=False) from None
     except (OSError, smtplib.SMTPException) as error:
-        told = server_words(password, str(getattr(error, "strerror", None) or error))
-        raise UndeliveredError(told, is_final=False) from None
+        text = server_words(password, str(getattr(error, "strerror", None) or error))
+        raise UndeliveredError(text, is_final=False) from None
 
 
 def _mail_server(receiver: Email) -> smtplib.SMTP:
     if receiver.security == "tls":
         context = ssl.create_default_context()
-        return smtplib.SMTP_SSL(receiver.server, receiver.port, timeout=MAIL_TIMEOUT_S, context=context)
-    return smtplib.SMTP(receiver.server, receiver.port, timeout=MAIL_TIMEOUT_S)
+        return smtplib.SMTP_SSL(receiver.server, receiver.port, timeout=TIMEOUT_S, context=context)
+    return smtplib.SMTP(receiver.server, receiver.port, timeout=TIMEOUT_S)
 
 
 def _mail_refused(code: int, said: bytes | str, password: str) -> UndeliveredError:
@@ -173,17 +162,15 @@ def _mail_refused(code: int, said: bytes | str, password: str) -> UndeliveredErr
     return UndeliveredError(f"the mail server answered {answer}", is_final=code >= _PERMANENT)
 
 
-#: A server that says nothing for so long is given up for now.
-TIMEOUT_S = 10.0
 #: ntfy makes an attachment of what is longer.
 _NTFY_BYTES = 4000
 _TOO_MANY, _TIMED_OUT = 429, 408
-#: So much of an answer is read, far more than is shown: a secret must not be cut in two.
+#: Read from a reply, far more than is shown, so that no part of a secret remains at its end.
 _READ_BYTES = 65_536
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A redirected POST would become a GET that tells nobody anything, or take the secret elsewhere."""
+    """Follows no redirect: a redirected POST would become an empty GET, or take the secret elsewhere."""
 
     def redirect_request(self, *_: Any) -> None:
         """Follow nowhere."""
@@ -232,7 +219,7 @@ def _post(address: str, secret: str, body: bytes, headers: dict[str, str]) -> st
 
 
 def _status(code: int) -> str:
-    """Code and its meaning by the standard: the server's own words may hold anything."""
+    """Code and its standard phrase; the server's phrase may contain anything."""
     try:
         return f"{code} {http.HTTPStatus(code).phrase}"
     except ValueError:
@@ -247,7 +234,7 @@ def _reason(error: object, secret: str) -> str:
 
 
 def _first_line(answer: urllib.error.HTTPError, secret: str) -> str:
-    """What the server says beyond its code, in a few words."""
+    """First words of the reply's text."""
     try:
         text = answer.read(_READ_BYTES).decode(errors="replace")
     except (OSError, http.client.HTTPException):
@@ -270,8 +257,8 @@ def _tag(message: Message) -> str:
     )
 
 
-#: The whole exchange, from the name of the host to the end of the answer.
-LONGEST_S = 30.0
+#: Time limit of the whole exchange, from the host's name to the end of the reply.
+MAX_EXCHANGE_S = 30.0
 
 _SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
     {"webhook": post_webhook, "ntfy": post_ntfy, "email": send_mail}
@@ -279,18 +266,16 @@ _SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
 
 
 def deliver(receiver: Receiver, message: Message) -> str:
-    """Deliver a message; returns what the receiver answered.
-
-    It may take half a minute where the receiver does not answer.
+    """Deliver a message and return the receiver's reply; takes up to :data:`MAX_EXCHANGE_S` without one.
 
     Raises
     ------
     UndeliveredError
-        It could not be delivered, and why.
+        It could not be delivered.
     """
     try:
         secret = read_secret(receiver)
-    except DocumentError as error:  # somebody may put the secret in its place yet
+    except DocumentError as error:  # the secret may be provided later
         raise UndeliveredError(str(error), is_final=False) from error
     try:
         answer = _in_time(lambda: _SEND[receiver.kind](receiver, secret, message))
@@ -302,10 +287,10 @@ def deliver(receiver: Receiver, message: Message) -> str:
 
 
 def _in_time(exchange: Callable[[], str]) -> str:
-    """Carry out an exchange, but wait no longer than :data:`LONGEST_S` for all of it.
+    """Carry out an exchange within :data:`MAX_EXCHANGE_S`, else abandon it to its thread.
 
-    The time-outs of sockets are for one piece each: a name that is not found, or a server that sends
-    letter by letter, could hold things up for ever. An exchange that is given up ends with its thread.
+    The time-outs of sockets apply to single operations: a slow name server, or a server that sends byte
+    by byte, could take for ever.
     """
     outcome: Future[str] = Future()
 
@@ -317,6 +302,6 @@ def _in_time(exchange: Callable[[], str]) -> str:
 
     threading.Thread(target=carry_out, name="one message", daemon=True).start()
     try:
-        return outcome.result(LONGEST_S)
+        return outcome.result(MAX_EXCHANGE_S)
     except TimeoutError:
-        raise UndeliveredError(f"no answer within {LONGEST_S:g} s", is_final=False) from None
+        raise UndeliveredError(f"no answer within {MAX_EXCHANGE_S:g} s", is_final=False) from None

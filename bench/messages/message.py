@@ -1,4 +1,4 @@
-"""What is told: one message, as data for programs and as text for people."""
+"""One message: as data for programs and as text for people."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.station.receivers import EventName
 
-#: What happened. Receivers choose among those that their key ``on`` allows; the others are for all.
+#: What happened. Receivers choose events with their key ``on``; the last two go to all.
 Event = Literal[EventName, "guard_acted", "test"]
 
 _S_PER_H = 3600.0
 _HAPPENED = MappingProxyType(
     {
-        "ends": "the run is over",
+        "ends": "the run has ended",
         "holds": "the run holds",
-        "resumes": "the run goes on",
-        "needs_person": "a person is needed",
-        "guard_acted": "the run died, its guard acted",
+        "resumes": "the run has resumed",
+        "needs_person": "an operator is needed",
+        "guard_acted": "the run died, the guard brought the bench to its safe state",
         "test": "test message",
     }
 )
 
 
 @dataclass(frozen=True)
-class Left:
-    """What is left of a run by its plan."""
+class Remaining:
+    """Remaining time and dwells of a run by its plan."""
 
     hours: float
     dwells: int
 
     @property
     def text(self) -> str:
-        """For people: "44:59 h, 12 dwells"."""
+        """As "44:59 h, 12 dwells"."""
         return f"{hours_minutes(self.hours * _S_PER_H)} h, {self.dwells} dwells"
 
 
@@ -48,24 +48,18 @@ class Message:
 
     Attributes
     ----------
-    event : str
-        What happened.
     why : str
-        In words.
-    station : str
-        Name of the bench.
+        The event in words.
     time : datetime
-        When, UTC.
+        UTC.
     folder : Path or None
-        Run folder; None where there is no run.
+        Run folder; None without a run.
     procedure, unit : str
-        What is run, and the serial number of the INS; empty where not known.
+        Name of the procedure, serial number of the INS; empty where not known.
     ended : str
-        How the run ended: "finished", "stopped" or "failed"; empty where it did not.
+        How the run ended: "finished", "stopped" or "failed"; empty while it has not.
     question, answers : str, tuple of str
-        What a person is asked, and what can be answered; empty where nothing is asked.
-    left : Left or None
-        None where not known.
+        Question to the operator and the answers to choose from; empty without one.
     """
 
     event: Event
@@ -78,11 +72,11 @@ class Message:
     ended: str = ""
     question: str = ""
     answers: tuple[str, ...] = ()
-    left: Left | None = None
+    remaining: Remaining | None = None
 
     @property
     def is_urgent(self) -> bool:
-        """Whether somebody has to do something."""
+        """Whether an operator has to act."""
         return self.event in ("needs_person", "guard_acted") or self.ended == "failed"
 
     @property
@@ -95,10 +89,10 @@ class Message:
 
     @property
     def text(self) -> str:
-        """Everything, for people."""
+        """All of it as text."""
         lines = [self.why] if self.why else []
         if self.question:
-            lines.append(f"{self.question}\nAnswer with {_choice(self.answers)} at the bench's terminal.")
+            lines.append(f"{self.question}\nAnswer {_choice(self.answers)} at the terminal of the bench.")
         if lines:
             lines.append("")
         run = f"{self.folder.name} ({self.procedure})" if self.folder and self.procedure else ""
@@ -106,15 +100,15 @@ class Message:
             "Bench": self.station,
             "Unit": self.unit,
             "Run": run,
-            "Left": self.left.text if self.left else "",
+            "Remaining": self.remaining.text if self.remaining else "",
             "Time": f"{self.time:%Y-%m-%d %H:%M:%S} UTC",
             "Host": platform.node(),
             "Folder": str(self.folder or ""),
         }
-        return "\n".join([*lines, *(f"{name:<7} {value}" for name, value in rows.items() if value)])
+        return "\n".join([*lines, *(f"{name:<9} {value}" for name, value in rows.items() if value)])
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; the keys are always the same, null where something is not known."""
+        """Plain data, always with the same keys; null where not known."""
         return {
             "event": self.event,
             "run": self.folder.name if self.folder else None,
@@ -128,7 +122,9 @@ class Message:
             "time": self.time.isoformat(),
             "host": platform.node(),
             "folder": str(self.folder) if self.folder else None,
-            "left": {"hours": round(self.left.hours, 3), "dwells": self.left.dwells} if self.left else None,
+            "left": {"hours": round(self.remaining.hours, 3), "dwells": self.remaining.dwells}
+            if self.remaining
+            else None,
             "urgent": self.is_urgent,
             "title": self.title,
             "text": self.text,

@@ -24,24 +24,18 @@ _HOUR_S = 3600.0
 
 
 class Quota:
-    """Counts messages by what they are about.
-
-    Parameters
-    ----------
-    max_per_hour : int
-        So many of the same pass.
-    """
+    """Limits the messages per hour about the same event."""
 
     def __init__(self, max_per_hour: int) -> None:
-        self._most = max_per_hour
+        self._max = max_per_hour
         self._passed: defaultdict[str, deque[float]] = defaultdict(deque)
 
     def lets_pass(self, about: str, now_s: float) -> bool:
-        """Whether one more passes now; it counts if it does."""
+        """Whether one more may be sent now; counts it if so."""
         passed = self._passed[about]
         while passed and now_s - passed[0] >= _HOUR_S:
             passed.popleft()
-        if len(passed) >= self._most:
+        if len(passed) >= self._max:
             return False
         passed.append(now_s)
         return True
@@ -49,25 +43,23 @@ class Quota:
 
 #: Pauses between attempts.
 PAUSES_S = (5.0, 15.0, 60.0, 300.0, 600.0)
-#: So many attempts take some twelve hours.
-_MOST_ATTEMPTS = 75
+#: Over some twelve hours.
+_MAX_ATTEMPTS = 75
 #: Pause between attempts while the process waits to end.
 _LAST_PAUSE_S = 1.0
 
 
 class Sender:
-    """Delivers messages to one receiver, and tries again where that fails.
+    """Delivers messages to one receiver in order, with repeated attempts, by a daemon thread.
 
-    The thread ends with the process, whatever it is doing: a network that hangs holds nothing up.
+    A message stays in the queue until it is delivered, so that the journal can name those that were not.
 
     Parameters
     ----------
-    receiver : Receiver
-        Who gets the messages.
     record : callable
         Takes the event of a journal entry and its details; called by the thread.
     pauses_s : sequence of float
-        Pauses between attempts; the last one again and again.
+        Pauses between attempts; the last one repeats.
     """
 
     def __init__(
@@ -84,7 +76,7 @@ class Sender:
         self._thread = threading.Thread(target=self._work, name=f"messages to {receiver.kind}", daemon=True)
 
     def post(self, message: Message) -> None:
-        """Have a message sent; returns at once."""
+        """Queue a message."""
         with self._changed:
             if self._thread.ident is None:
                 self._thread.start()
@@ -92,20 +84,20 @@ class Sender:
             self._changed.notify()
 
     def close(self) -> None:
-        """Take no more messages; what still waits is tried at once, and again every second."""
+        """Accept no more messages; queued ones are tried at once, then every second."""
         with self._changed:
             self._is_closing = True
             self._changed.notify()
         self._hurry.set()
 
     def wait(self, duration_s: float) -> None:
-        """Wait until all is sent, but not longer than that, then give up what is left."""
+        """Wait for the queue to empty, at most ``duration_s``, then abandon the rest."""
         if self._thread.ident is not None:
             self._thread.join(duration_s)
         self._is_over.set()
         with self._changed:
             for message in self._waiting:
-                self._tell("message_not_sent", message, why="the process that had to send it ended")
+                self._log("message_not_sent", message, why="the process ended first")
 
     def _work(self) -> None:
         while (message := self._next()) is not None:
@@ -114,7 +106,7 @@ class Sender:
                 self._waiting.popleft()
 
     def _next(self) -> Message | None:
-        """The oldest message that waits; it goes on waiting until it is sent. None at the end."""
+        """The oldest queued message, which stays queued; None at the end."""
         with self._changed:
             while not self._waiting and not self._is_closing:
                 self._changed.wait()
@@ -127,16 +119,16 @@ class Sender:
             try:
                 answer = deliver(self._receiver, message)
             except UndeliveredError as error:
-                if error.is_final or attempt == _MOST_ATTEMPTS:
-                    self._tell("message_not_sent", message, why=str(error), attempts=attempt)
+                if error.is_final or attempt == _MAX_ATTEMPTS:
+                    self._log("message_not_sent", message, why=str(error), attempts=attempt)
                     return
                 if attempt == 1:
-                    self._tell("message_delayed", message, why=str(error))
+                    self._log("message_delayed", message, why=str(error))
                 self._pause(pause_s)
                 if self._is_over.is_set():
                     return
             else:
-                self._tell("message_sent", message, answer=answer, attempts=attempt)
+                self._log("message_sent", message, answer=answer, attempts=attempt)
                 return
 
     def _pause(self, pause_s: float) -> None:
@@ -145,37 +137,28 @@ class Sender:
         else:
             self._hurry.wait(pause_s)
 
-    def _tell(self, event: str, message: Message, **details: Any) -> None:
+    def _log(self, event: str, message: Message, **details: Any) -> None:
         self._record(event, to=self._receiver.name, about=message.event, **details)
 
 
-#: So long a process waits at its end for messages that are still to go.
+#: How long a process waits at its end for queued messages.
 PATIENCE_S = 15.0
-#: Events that every receiver is told of.
+#: Events that go to every receiver.
 _FOR_ALL = ("guard_acted", "test")
 
 
 class Messenger:
-    """Sends messages to those of the receivers that want them; a context manager.
-
-    Leaving it waits until all is sent, but not longer than ``patience_s``.
+    """Sends messages to the receivers that chose their event; a context manager.
 
     Parameters
     ----------
-    receivers : sequence of Receiver
-        Those of the station file.
     record : callable
-        Takes the event of a journal entry and its details; never called by two threads at once, and not
-        after the messenger was left.
+        Takes the event of a journal entry and its details; never called by two threads at once, nor
+        after the exit.
     patience_s : float
-        How long leaving may take.
+        How long the exit waits for queued messages; also an attribute that may be changed.
     pauses_s : sequence of float
-        Pauses before a message that could not be sent is tried again.
-
-    Attributes
-    ----------
-    patience_s : float
-        As above; may be changed.
+        Pauses between attempts.
     """
 
     def __init__(
@@ -189,7 +172,7 @@ class Messenger:
         self.patience_s = patience_s
         self._recording = threading.Lock()
         self._is_left = False
-        self._clock: Clock = WallClock()  # hours and patience are those of people, on a virtual run too
+        self._clock: Clock = WallClock()  # real time, on a virtual run too
         self._sendings = [
             (each, Quota(each.max_per_hour), Sender(each, self._record_once, pauses_s)) for each in receivers
         ]
@@ -209,13 +192,7 @@ class Messenger:
             self._is_left = True
 
     def send(self, message: Message, about: str) -> None:
-        """Send a message; returns at once.
-
-        Parameters
-        ----------
-        about : str
-            What makes a message the same as another one, beside its event.
-        """
+        """Queue a message; those with the same event and ``about`` are limited per hour."""
         for receiver, quota, sender in self._sendings:
             if message.event not in (*receiver.on, *_FOR_ALL):
                 continue
@@ -227,35 +204,30 @@ class Messenger:
     def _record_once(self, event: str, **details: Any) -> None:
         with self._recording:
             if not self._is_left:
-                with contextlib.suppress(RunFolderError):  # a full disk is told by the run itself
+                with contextlib.suppress(RunFolderError):  # the run itself reports a full disk
                     self._record(event, **details)
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of a message to one receiver."""
+    """Result of a message to one receiver."""
 
     receiver: str
     is_sent: bool
-    said: str
+    reply: str
 
 
 def send_test(station: str, text: str) -> list[Attempt]:
-    """Send a test message to all receivers of a station, one after the other, each once.
-
-    Parameters
-    ----------
-    station : str
-        Station file, or the name of a shipped one.
+    """Send a test message once to each receiver of a station, by file or shipped name.
 
     Raises
     ------
     DocumentError
-        The station file is wrong, or names no receiver.
+        The station file is wrong, or has no receivers.
     """
     document, file = load_station_file(find_document("stations", station))
     if not file.messages:
-        raise document.error([Problem((), "has no `messages`, so there is nobody to tell anything")])
+        raise document.error([Problem((), "no receivers: the section `messages` is missing")])
     message = Message("test", text, file.station, WallClock().utc())
     return [_attempt(receiver, message) for receiver in file.messages]
 

@@ -324,12 +324,7 @@ class SnapshotRecorder(RunObserver):
         now_s, step = bench.clock.now(), planned.step
         self._state, self._reason = RunState.RUNNING, ""
         self._step = CurrentStep(
-            planned.number,
-            len(self._plan.steps),
-            planned.label,
-            step.describe(),
-            now_s,
-            planned.duration_s,
+            planned.number, len(self._plan.steps), planned.label, step.describe(), now_s, planned.duration_s
         )
         if isinstance(step, GoTo):
             self._position, self._azimuth_deg = step.position, step.azimuth_deg

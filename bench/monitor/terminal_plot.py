@@ -55,7 +55,7 @@ class Canvas:
             before = now
 
     def letter(self, point: Point, letter: str, style: str = _NO_STYLE) -> None:
-        """Write a character over whatever is at a point."""
+        """Write a character at a point, over any line."""
         dot = self._dot(point)
         if dot is not None:
             cell = (dot[0] // self._per_column, dot[1] // self._per_row)
@@ -102,10 +102,7 @@ def _between(first: tuple[int, int], last: tuple[int, int]) -> Iterable[tuple[in
     steps = max(abs(last[0] - first[0]), abs(last[1] - first[1]), 1)
     for step in range(steps + 1):
         share = step / steps
-        yield (
-            round(first[0] + share * (last[0] - first[0])),
-            round(first[1] + share * (last[1] - first[1])),
-        )
+        yield (round(first[0] + share * (last[0] - first[0])), round(first[1] + share * (last[1] - first[1])))
 
 
 #: Most room for the numbers of the vertical axis.
@@ -126,7 +123,7 @@ class Curve:
     style : str
         Colour, as rich names it.
     letter : str
-        Written at the line's end, so that it is told from others without colour; may be empty.
+        Written at the line's end, to distinguish it without colour; may be empty.
     is_dotted : bool
         Whether it is single dots.
     """
@@ -163,7 +160,7 @@ def plot(
     is_ascii : bool
         Whether only ASCII may be used.
     mark_x : float, optional
-        Where a vertical line stands.
+        Position of a vertical line.
     """
     low, high = _y_range(curves, min_span)
     label_width = max(len(_number(low)), len(_number(high)))

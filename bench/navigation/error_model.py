@@ -35,7 +35,7 @@ _TERMS = 16
 
 @dataclass(frozen=True)
 class Site:
-    """Where the bench stands.
+    """Where the bench is.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Site:
     Raises
     ------
     MeasurementError
-        Near a pole the Earth's rotation is all but vertical: gyrocompassing has no answer there.
+        Near a pole the Earth's rotation is all but vertical: gyrocompassing fails there.
     """
 
     latitude: float
@@ -54,7 +54,7 @@ class Site:
     def __post_init__(self) -> None:
         if not abs(self.latitude) <= MAX_LATITUDE:
             raise MeasurementError(
-                f"at a latitude of {np.rad2deg(self.latitude):.1f} deg gyrocompassing has no answer; "
+                f"at a latitude of {np.rad2deg(self.latitude):.1f} deg gyrocompassing fails; "
                 f"at most {np.rad2deg(MAX_LATITUDE):g} deg North or South"
             )
 

@@ -5,7 +5,7 @@ next. A bias that stays the same in the body is turned with it and averages out;
 with attitude does not, and drives the position away.
 
 Both schemes here are assumptions. A 16-position scheme is what Chen et al. compare theirs with, but its
-table of turns was not at hand: :data:`HALF_TURNS` turns by 180 deg about one of two axes at a time and
+table of turns was not available: :data:`HALF_TURNS` turns by 180 deg about one of two axes at a time and
 repeats all turns in the other sense, so that errors of the turns average out too. Dwell and rate are
 chosen.
 

@@ -27,7 +27,7 @@ UNLIMITED = (-np.inf, np.inf)
 
 _TOLERANCE = 1e-6
 _ANGLE_DECIMALS = 9
-_MOST_TURNS = 3
+_MAX_TURNS = 3
 _PATH_STEP_DEG = 10.0
 
 
@@ -194,7 +194,7 @@ def _angle_deg(axis: FloatArray, start: FloatArray, end: FloatArray) -> float:
 
 def _nearest_first(outer: float, inner: float) -> list[Angles]:
     """Add full turns, which give the same attitude: the smallest angles first, positive before negative."""
-    turns = range(-_MOST_TURNS, _MOST_TURNS + 1)
+    turns = range(-_MAX_TURNS, _MAX_TURNS + 1)
     options = [(outer + 360.0 * i, inner + 360.0 * j) for i in turns for j in turns]
     return sorted(options, key=lambda option: (abs(option[0]) + abs(option[1]), -option[0], -option[1]))
 
@@ -224,7 +224,7 @@ def _range(limits_deg: tuple[float, float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class SingleAxisTable(TwoAxisTable):
-    """A table whose outer axis is a stand: it is at zero and stays there."""
+    """A table whose outer axis is fixed at zero."""
 
     @classmethod
     def about(cls, axis_enu: FloatArray, C_mount: FloatArray, limits_deg: tuple[float, float]) -> Self:
@@ -244,15 +244,15 @@ class SingleAxisTable(TwoAxisTable):
         DocumentError
             ``C_mount`` is no rotation.
         """
-        stand = np.roll(np.abs(axis_enu), 1)  # any direction perpendicular to the axis
-        return cls(stand, axis_enu, C_mount, (0.0, 0.0), limits_deg)
+        fixed = np.roll(np.abs(axis_enu), 1)  # any direction perpendicular to the axis
+        return cls(fixed, axis_enu, C_mount, (0.0, 0.0), limits_deg)
 
     def reaches(self, C_nb: FloatArray) -> bool:
         """Whether some angle, limits apart, gives this attitude: the axis keeps its place in the unit."""
         carried = C_nb @ self.C_mount.T @ self.inner_axis_enu
         return bool(np.allclose(carried, self.inner_axis_enu, atol=_TOLERANCE))
 
-    def _why_not(self, C_nb: FloatArray) -> str:  # noqa: ARG002 - as with two axes
+    def _why_not(self, C_nb: FloatArray) -> str:  # noqa: ARG002
         axis = named_direction(self.inner_axis_enu)
         reached = [name for name, position in POSITIONS.items() if self.reaches(position.C_nb())]
         positions = ", ".join(reached) or "no position"
@@ -260,5 +260,5 @@ class SingleAxisTable(TwoAxisTable):
         return (
             f"the table can't reach this attitude: it has a single axis, which points {axis}. With the unit "
             f"mounted as rate_table.mounting says it reaches {positions} at azimuth 0"
-            f"{turns}. Measure the others in runs of their own, with unit and rate_table.mounting changed"
+            f"{turns}. Measure the others in separate runs, with unit and rate_table.mounting changed"
         )

@@ -1,8 +1,7 @@
-"""The way back into a plan that was left: what has to be done again before a step can begin.
+"""Re-approach after an interruption: the steps that restore what the plan expects before one of its steps.
 
-After a power cut, a trip or a pause the bench is not as the plan has it: the INS is off or cold, the chamber
-is elsewhere or came from the other side, the table stands anywhere. The way back is made of the plan's own
-steps.
+After a power cut, a trip or a pause the INS may be off or cold, the chamber at another temperature or on the
+other side of it, the table anywhere. The re-approach consists of steps of the plan.
 """
 
 from __future__ import annotations
@@ -13,23 +12,13 @@ from dataclasses import dataclass, replace
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Chamber, ChamberOff, GoTo, PowerOff, PowerOn, Soak, Step, Wait
 
-#: A soak begins with the air this near to its set point, however early the chamber's step ends otherwise.
+#: A soak begins when the air is this near to the set point, even if the chamber's step ends earlier.
 _NEAR_C = 1.0
 
 
 @dataclass(frozen=True)
 class RetainedState:
-    """What of the bench remains valid after an interruption.
-
-    Attributes
-    ----------
-    is_ins_on : bool
-        Whether the INS has been on all the time.
-    is_at_temperature : bool
-        Whether the chamber has held its set point all the time.
-    chamber_c : float
-        Air of the chamber now.
-    """
+    """What remains valid: whether the INS stayed on, the chamber held its set point; air temperature now."""
 
     is_ins_on: bool
     is_at_temperature: bool
@@ -37,7 +26,7 @@ class RetainedState:
 
 
 def restart_of(plan: Plan, index: int) -> int:
-    """Index of the step to begin again with: a dwell is done whole, from its alignment."""
+    """Index of the step to restart from: a dwell is repeated whole, from its alignment."""
     dwell = plan.steps[index].dwell
     if dwell is None:
         return index
@@ -52,19 +41,9 @@ def end_of_dwell(plan: Plan, dwell: int) -> int:
 def approach(plan: Plan, index: int, retained: RetainedState) -> list[PlannedStep]:
     """Steps that bring the bench to what the plan expects before one of its steps.
 
-    The INS is switched off and on, so that the time since power-on is known; its temperature is reached from
-    the side from which the plan comes, with the soaks of the plan; a dwell on a ramp has its ramp repeated
-    from the temperature before.
-
-    Parameters
-    ----------
-    index : int
-        The step that is to begin, see :func:`restart_of`.
-
-    Returns
-    -------
-    list of PlannedStep
-        With their number in the plan; durations and time limits are those of the way from here.
+    The INS is power-cycled, so that the time since power-on is known; its temperature is reached from the
+    same side as in the plan, with the same soaks; a ramp with a dwell on it is repeated from the temperature
+    before. Steps keep their number in the plan; durations and time limits are those from the present state.
     """
     target = plan.steps[index]
     is_cold = target.before.powered and not retained.is_ins_on
@@ -98,7 +77,7 @@ def _is_to_be_off(plan: Plan, index: int, steps: list[PlannedStep]) -> bool:
 
 
 def _stands_in_position(plan: Plan, index: int) -> bool:
-    """Whether something is done in the present position before the table goes to another."""
+    """Whether the present position is used before the table goes to another."""
     for planned in plan.steps[index:]:
         if isinstance(planned.step, GoTo):
             return False
@@ -137,7 +116,7 @@ def _history(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
 
 
 def _ride(plan: Plan, index: int, chamber: PlannedStep) -> list[PlannedStep]:
-    """Wait on a ramp until it is as far as where the plan has the stay in a position begin."""
+    """Wait on a ramp until the point at which the stay in a position begins in the plan."""
     stay = [each for each in _latest(plan, index + 1, GoTo) if each.number > chamber.number]
     wait_s = (stay[0] if stay else plan.steps[index]).start_s - chamber.end_s
     return [replace(chamber, step=Wait(duration_s=wait_s))] if wait_s > 0.0 else []
@@ -163,21 +142,21 @@ def _soaks_before_dwells(plan: Plan, index: int) -> bool:
 
 
 def _is_on_its_way(chamber: PlannedStep, chamber_c: float) -> bool:
-    """Whether the air is still on the side of the set point from which the plan comes."""
-    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers look
+    """Whether the air is still on the side of the set point from which the plan approaches it."""
+    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers check
     to_go_c = chamber.step.temperature_c - chamber_c
     planned_c = chamber.step.temperature_c - chamber.before.chamber_c
     return abs(to_go_c) <= chamber.step.within_c or to_go_c * planned_c >= 0.0
 
 
 def _waiting_for_the_air(chamber: PlannedStep) -> PlannedStep:
-    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers look
+    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers check
     near_c = min(chamber.step.within_c, _NEAR_C)
     return replace(chamber, step=chamber.step.model_copy(update={"within_c": near_c}))
 
 
 def _position(plan: Plan, index: int) -> list[PlannedStep]:
-    """Go to where the plan has the table at that step, the turns since its last go_to included."""
+    """Go to the position and azimuth of the plan at that step, turns since its go_to included."""
     before = plan.steps[index].before
     return [
         replace(planned, step=planned.step.model_copy(update={"azimuth_deg": before.azimuth_deg}))
@@ -186,7 +165,7 @@ def _position(plan: Plan, index: int) -> list[PlannedStep]:
 
 
 def _timed(steps: list[PlannedStep], target: PlannedStep, chamber_c: float) -> Iterator[PlannedStep]:
-    """Give the steps the durations and time limits of the way from the present temperature."""
+    """Steps with durations and time limits from the present temperature on."""
     thermal = target.before.thermal
     bench = replace(target.before, chamber_c=chamber_c, gyro_c=chamber_c, set_point_c=None, powered=False)
     if not any(isinstance(each.step, PowerOn | PowerOff) for each in steps):

@@ -38,8 +38,8 @@ class StationLimits:
     table_rate_max_dps : float
         Fastest turn of either axis of the table.
     reachable : callable
-        ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't stand
-        there and then do these turns, None where it can.
+        ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't go
+        there and then do these turns; None if it can.
     gyro_low_c, gyro_high_c : float
         Temperatures of the gyros at which an interlock trips.
     """
@@ -54,22 +54,9 @@ class StationLimits:
 
 
 def check(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
-    """Refuse a plan that can't be run.
+    """Refuse a plan that can't be run: a DocumentError lists all problems with their places in the file.
 
-    Parameters
-    ----------
-    document : Document
-        File that the plan came from.
-    plan : Plan
-        Plan to look at.
-    limits : StationLimits, optional
-        Limits of the station that is to run it; without them only the order of the steps and
-        their times are checked.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything that is wrong, each with its place in the file.
+    Without the limits of a station only the order of the steps and their times are checked.
     """
     problems = find_problems(plan, limits)
     if problems:
@@ -77,7 +64,7 @@ def check(document: Document, plan: Plan, limits: StationLimits | None = None) -
 
 
 def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Problem]:
-    """Everything in a plan that can't work; see :func:`check`."""
+    """All problems of a plan; see :func:`check`."""
     if limits is not None:  # a long plan asks for the same few attitudes again and again
         limits = replace(limits, reachable=cache(limits.reachable))
     problems = [*find_dwell_problems(plan)]
@@ -171,12 +158,12 @@ def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
         windows = [planned for planned in group if isinstance(planned.step, Navigate)]
         yield from itertools.chain.from_iterable(map(_navigation_time_problems, windows))
         if dwell is None:
-            yield from _stray(windows)
+            yield from _outside_dwells(windows)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
         kind_problems = _turned_check if group[0].is_calibration_check else _one_sided
         yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
-        yield from _early_until(windows)
+        yield from _until_without_turn(windows)
         yield from _not_turned_between(group)
         yield from _turned_to_the_same(windows, turns)
     yield from find_unpaired_checks(plan)
@@ -186,15 +173,15 @@ def _navigation_time_problems(window: PlannedStep) -> Iterator[Problem]:
     step = window.step
     if not isinstance(step, Navigate):
         return
-    key, shortest_s = ("at_least_s", step.at_least_s) if step.until else ("duration_s", step.longest_s)
-    if shortest_s < MIN_NAVIGATION_S:
+    key, min_s = ("at_least_s", step.at_least_s) if step.until else ("duration_s", step.max_duration_s)
+    if min_s < MIN_NAVIGATION_S:
         yield Problem(
             window.place_of(key),
-            f"navigate for {shortest_s:g} s is too short for a bias; allowed: {MIN_NAVIGATION_S:g} s or more",
+            f"navigate for {min_s:g} s is too short for a bias; allowed: {MIN_NAVIGATION_S:g} s or more",
         )
 
 
-def _stray(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _outside_dwells(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
     for window in windows:
         if window.before.aligned:  # else that is the problem to report
             yield Problem(
@@ -235,7 +222,7 @@ def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> 
     yield Problem(windows[0].location, message)
 
 
-def _early_until(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _until_without_turn(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
     first = windows[0]
     if isinstance(first.step, Navigate) and first.step.until:
         yield Problem(
@@ -276,12 +263,11 @@ _TOLERANCE_DEG = 0.5
 def find_unpaired_checks(plan: Plan) -> Iterator[Problem]:
     """Calibration checks that have no partner half a turn away, in their position and at their temperature.
 
-    A gyro bias turns the heading of one alignment against the other; an error of the table's
-    azimuth turns both alike.
+    A gyro bias changes the two headings oppositely, an azimuth error of the table equally.
     """
     groups: dict[tuple[int, int, str | None], list[PlannedStep]] = defaultdict(list)
-    for number, stop in enumerate(_stops(plan)):
-        for window in _verifying(stop):
+    for number, plateau in enumerate(_plateaus(plan)):
+        for window in _verifying(plateau):
             groups[number, window.cycle, window.before.position].append(window)
     for windows in groups.values():
         for alone in _unpaired(windows):
@@ -294,8 +280,8 @@ def find_unpaired_checks(plan: Plan) -> Iterator[Problem]:
             )
 
 
-def _stops(plan: Plan) -> Iterator[list[PlannedStep]]:
-    """Cut a plan where the set point of the chamber changes, or the power."""
+def _plateaus(plan: Plan) -> Iterator[list[PlannedStep]]:
+    """Split a plan where the set point of the chamber or the power changes."""
     for _, steps in itertools.groupby(
         plan.steps, key=lambda planned: (planned.before.powered, planned.before.set_point_c)
     ):
@@ -334,21 +320,9 @@ _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 
 
 def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
-    """Why a position can't be reached, or not with the turns that follow there.
+    """Why the position of a go_to can't be reached, or not with the turns that follow there.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan to look at.
-    planned : PlannedStep
-        One of its steps; only a go_to can have a problem.
-    limits : StationLimits
-        What the table reaches.
-
-    Yields
-    ------
-    Problem
-        At the first turn that leads out of reach, or at the go_to if that is out of reach itself.
+    The problem is placed at the first turn that leads out of reach, or at the go_to if that is itself.
     """
     step = planned.step
     if not isinstance(step, GoTo):
@@ -380,7 +354,7 @@ def _reach_advice(step: GoTo, turns_deg: tuple[float, ...], limits: StationLimit
     advice = ""
     if 0 < len(azimuths_deg) < len(_AZIMUTHS_DEG):
         azimuths = ", ".join(f"{azimuth:g}" for azimuth in azimuths_deg)
-        advice += f". In {step.position} the table can stand at azimuth {azimuths} deg"
+        advice += f". In {step.position} the table reaches azimuth {azimuths} deg"
     if positions and (turns_deg or step.azimuth_deg):
         advice += f". This azimuth with its turns can be reached in {', '.join(positions)}"
     return advice

@@ -1,4 +1,4 @@
-"""What the planner expects the bench to be like at each moment of a plan."""
+"""The expected state of the bench at each time of a plan."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class ThermalEstimate:
-    """How the planner takes the gyros to follow the chamber: a lag of first order.
+    """Model of the gyros behind the chamber: a first-order lag.
 
     Parameters
     ----------
     time_constant_s : float
-        Time in which the gyros make up 63 % of their distance to a new temperature.
+        Time in which the gyros cover 63 % of a temperature difference.
     self_heating_c : float
-        How much warmer than the chamber they end up when the INS is on.
+        Excess of their final temperature over the chamber with the INS on.
     air_lag_s : float
-        How far the chamber's air stays behind its ramping set point.
+        Lag of the chamber's air behind its ramping set point.
     room_c : float
         Temperature of the bench before the chamber runs and after it is switched off.
     """
@@ -30,16 +30,16 @@ class ThermalEstimate:
 
 @dataclass(frozen=True)
 class BenchEstimate:
-    """The expected state of the bench at one moment.
+    """The expected state of the bench at one time.
 
     Attributes
     ----------
     powered, aligned : bool
         Whether the INS is on; whether it has aligned since it last moved other than by a turn.
     position, azimuth_deg : str or None, float
-        Where the table stands; None until it was sent to a position.
+        Where the table is; None before the first go_to.
     set_point_c, ramp_c_per_s : float or None, float
-        Where the chamber goes and how fast; None while nobody controls it.
+        Set point and ramp of the chamber; None while it is off.
     chamber_c : float
         The ramped set point.
     gyro_c : float
@@ -69,7 +69,7 @@ class BenchEstimate:
         return abs(self.set_point_c - self.chamber_c) / self.ramp_c_per_s
 
     def passed(self, duration_s: float) -> BenchEstimate:
-        """Return the bench after some time in which nobody commands anything."""
+        """Return the bench after some time without commands."""
         tau_s, heating_c = self.thermal.time_constant_s, self._heating_c()
         slope_c_per_s, ramp_s = self._slope_c_per_s(), min(duration_s, self.ramp_left_s())
         chamber_c = self.chamber_c + slope_c_per_s * ramp_s

@@ -23,7 +23,7 @@ class Phase(StrEnum):
     PAUSE = "pause"
 
 
-#: What can stand in a dwell.
+#: Steps that a dwell may contain.
 _PHASES: Mapping[type[Step], Phase] = MappingProxyType(
     {Align: Phase.ALIGN, Navigate: Phase.NAVIGATE, Turn: Phase.TURN, Wait: Phase.PAUSE}
 )
@@ -38,37 +38,31 @@ class PlannedStep:
     number : int
         From 1, in the order of the plan.
     location : Location
-        Where the keys of the step stand in the procedure file.
-    step : Step
-        What to do, variables resolved.
+        Place of the step's keys in the procedure file.
     cycle : int
         Pass of the temperature profile: the loop variable ``cycle``, or 1.
-    stop : str
-        Which part of the procedure this is, for people: "cycle 1, 60 degC".
+    plateau : str
+        "cycle 1, 60 degC".
     start_s, duration_s : float
-        Expected start and duration; time zero is the start of the plan.
-    timeout_s : float
-        Time after which the step has failed.
+        Expected, from the start of the plan.
     before : BenchEstimate
-        Expected state of the bench when the step starts.
-    dwell : int or None
-        Number of the dwell that the step belongs to, from 1. A dwell is an alignment with the
-        navigations before, between and after the turns that follow it.
-    phase : Phase or None
-        Role in the dwell.
+        Expected state of the bench at the start.
+    dwell, phase : int or None, Phase or None
+        Number of the dwell that the step belongs to, from 1, and role in it. A dwell is an alignment with
+        the navigations before, between and after the turns that follow it.
     window : int or None
         Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
     is_calibration_check : bool
         Whether its dwell verifies a calibration: one navigation straight from the alignment.
     value_places : mapping
-        Where the values stand that came from loop variables, by the keys that lead to them.
+        Places of the values that came from loop variables, by their keys.
     """
 
     number: int
     location: Location
     step: Step
     cycle: int
-    stop: str
+    plateau: str
     start_s: float
     duration_s: float
     timeout_s: float
@@ -91,9 +85,9 @@ class PlannedStep:
 
     @property
     def label(self) -> str:
-        """Where the run is, for people: "cycle 1, 60 degC, z_up"."""
+        """Part of the procedure with the position: "cycle 1, 60 degC, z_up"."""
         position = self.after.position if self.in_position else None
-        return ", ".join(part for part in (self.stop, position) if part)
+        return ", ".join(part for part in (self.plateau, position) if part)
 
     @property
     def in_position(self) -> bool:
@@ -101,7 +95,7 @@ class PlannedStep:
         return self.step.at_position or self.dwell is not None
 
     def place_of(self, *keys: str) -> Location:
-        """Where the value at some keys stands: in the step, or in the list that its loop goes over."""
+        """Place of the value at some keys: in the step, or in the list of its loop."""
         return self.value_places.get(keys, (*self.location, *keys))
 
 
@@ -119,25 +113,21 @@ class Plan:
 
     @property
     def dwell_count(self) -> int:
-        """How many dwells it measures."""
+        """Number of dwells."""
         return max((step.dwell or 0 for step in self.steps), default=0)
 
     def later(self, planned: PlannedStep) -> Iterator[PlannedStep]:
-        """Steps that come after one of them, in order."""
+        """Steps after one of them, in order."""
         return (self.steps[index] for index in range(planned.number, len(self.steps)))
 
 
 def expand(document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
-    """Unroll a procedure.
+    """Unroll a procedure into its plan.
 
     Parameters
     ----------
-    document : Document
-        The file that the procedure was read from; it tells the places of mistakes.
-    procedure : Procedure
-        What :func:`gyrobench.bench.procedure.procedure_file.load_procedure` made of it.
     bench : BenchEstimate, optional
-        Bench at the start; at rest at room temperature if not given.
+        Bench at the start; by default at rest at room temperature.
 
     Raises
     ------
@@ -159,7 +149,7 @@ def _timed(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[Plan
             location=resolved.location,
             step=step,
             cycle=resolved.cycle or 1,
-            stop=_stop(resolved.cycle, after),
+            plateau=_plateau(resolved.cycle, after),
             start_s=start_s,
             duration_s=duration_s,
             timeout_s=step.time_limit_s(duration_s),
@@ -170,14 +160,14 @@ def _timed(steps: Sequence[ResolvedStep], bench: BenchEstimate) -> Iterator[Plan
         bench = after
 
 
-def _stop(cycle: int | None, bench: BenchEstimate) -> str:
+def _plateau(cycle: int | None, bench: BenchEstimate) -> str:
     of_cycle = None if cycle is None else f"cycle {cycle}"
     of_chamber = None if bench.set_point_c is None else f"{bench.set_point_c:g} degC"
     return ", ".join(part for part in (of_cycle, of_chamber) if part)
 
 
 def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
-    """Give a number to each dwell: what runs from an alignment over turns to the last navigation."""
+    """Number the dwells: each from an alignment to the last navigation."""
     dwells = itertools.count(1)
     for group in _groups(steps):
         end = max((index for index, step in enumerate(group) if isinstance(step.step, Navigate)), default=0)
@@ -189,7 +179,7 @@ def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
 
 
 def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
-    """Cut before each alignment and around everything that can't belong to a dwell."""
+    """Split before each alignment and around all that can't belong to a dwell."""
     group: list[PlannedStep] = []
     for step in steps:
         if group and not (isinstance(group[0].step, Align) and isinstance(step.step, Navigate | Turn | Wait)):

@@ -34,7 +34,7 @@ from gyrobench.bench.procedure.steps import STEP_KINDS, Celsius, Step, Until
 #: A value that a loop variable can take.
 Value = float | int | str
 
-#: How a value stands for the loop variable of that name.
+#: Pattern of a reference to a loop variable.
 VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"
 
 _VARIABLE = re.compile(VARIABLE_PATTERN)
@@ -51,13 +51,13 @@ class StepTemplate:
     values: Mapping[str, Any]
 
     def variables(self) -> dict[Location, str]:
-        """Names of the variables by the keys that lead to them: ``("until", "bias_sigma_below_dph")``."""
+        """Names of the variables by their keys, such as ``("until", "bias_sigma_below_dph")``."""
         return dict(_variables_below(self.values, ()))
 
 
 def _checked_value(value: Any) -> Value:
     if variable_in(value) is not None:
-        raise ValueError("a loop goes over values, not over other variables")
+        raise ValueError("a loop needs values, not other variables")
     if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
         return value
     if isinstance(value, float) and math.isfinite(value):
@@ -86,7 +86,7 @@ class Procedure(StrictModel):
     procedure: str = Field(
         pattern="^[A-Za-z0-9_-]{1,80}$", description="name: letters, digits, underscore, hyphen"
     )
-    description: str = Field(default="", description="what it measures, for people")
+    description: str = Field(default="", description="what it measures")
     assumptions: list[str] = Field(
         default=[], description="what the source does not state and was chosen here"
     )
@@ -97,7 +97,7 @@ class Procedure(StrictModel):
         description="gyro temperatures that figures mark with a line, degC, such as the onset of an effect",
     )
     acceptance: AcceptanceLimits | None = Field(
-        default=None, description="what the gyros have to keep; without it the unit is not judged"
+        default=None, description="limits of the gyros; without them the unit is not judged"
     )
     disturbed_dwell: Literal["repeat", "flag"] = Field(
         default="repeat", description="what to do with a dwell that a fault disturbed"
@@ -112,7 +112,7 @@ class Procedure(StrictModel):
 
 
 def _checked_entry(entry: Any) -> StepTemplate | Repeat:
-    """Turn ``{name: {key: value}}`` into a template or a loop; a bare name has no keys."""
+    """Turn ``{name: {key: value}}`` or a bare name into a template or a loop."""
     if isinstance(entry, str):
         entry = {entry: None}
     if not isinstance(entry, dict) or len(entry) != 1:
@@ -151,7 +151,7 @@ def _is_about_a_variable(detail: ErrorDetails) -> bool:
 
 
 def _error_below(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
-    """Put errors of a value under the key that the value belongs to."""
+    """Put errors of a value under its key."""
     lines = [
         InitErrorDetails(
             type=PydanticCustomError(detail["type"], detail["msg"]),
@@ -169,13 +169,7 @@ Procedure.model_rebuild()
 
 
 def load_procedure(path: Path) -> tuple[Document, Procedure]:
-    """Read a procedure file and check all that can be checked without unrolling its loops.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything that is wrong, each with its place in the file.
-    """
+    """Read a procedure file and check it without unrolling its loops; a DocumentError lists all problems."""
     document = read_document(path)
     return document, checked_procedure(document)
 
@@ -190,13 +184,13 @@ def checked_procedure(document: Document) -> Procedure:
 
 
 def variable_in(value: Any) -> str | None:
-    """Name of the variable that a value consists of, if it is one."""
+    """Name of the variable that a value refers to, if any."""
     match = _VARIABLE.fullmatch(value) if isinstance(value, str) else None
     return match[1] if match else None
 
 
 def entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
-    """Where the keys of an entry stand whose list item is at ``at``."""
+    """Place of the keys of the entry at ``at``."""
     return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
 
 
@@ -222,18 +216,18 @@ def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterat
     for name, values in loop.over.items():
         if name in scope:
             yield Problem(
-                (*at, name), f"{name} already is a variable of an enclosing repeat; take another name"
+                (*at, name), f"{name} is a variable of an enclosing repeat already. Use another name"
             )
-        # A name of its own may just count repetitions; the name of a key was meant to be used.
+        # Other names may just count repetitions; the name of a key was meant to be used.
         if name in _STEP_KEYS and name not in used:
-            yield Problem((*at, name), f"the loop goes over {name}, but no step in it uses ${name}")
+            yield Problem((*at, name), f"no step in the loop uses its variable ${name}")
         for index, value in enumerate(values):
             if name == "cycle" and (not isinstance(value, int) or value < 1):
                 yield Problem(
-                    (*at, name, index), f"cycles are whole numbers from 1; found {json.dumps(value)}"
+                    (*at, name, index), f"a cycle is a whole number from 1; found {json.dumps(value)}"
                 )
             if name == "position" and index and value == values[index - 1]:
-                yield Problem((*at, name, index), f"the position {value} stands twice in succession")
+                yield Problem((*at, name, index), f"the position {value} is given twice in succession")
 
 
 def _variables_below(values: Mapping[str, Any], at: Location) -> Iterator[tuple[Location, str]]:
@@ -257,7 +251,7 @@ MAX_STEPS = 100_000
 
 @dataclass(frozen=True)
 class _Bound:
-    """The value of a loop variable, and where it stands."""
+    """The value of a loop variable and its place."""
 
     value: Value
     place: Location
@@ -265,18 +259,16 @@ class _Bound:
 
 @dataclass(frozen=True)
 class ResolvedStep:
-    """A step without loops and variables.
+    """A step with values in place of variables.
 
     Attributes
     ----------
     location : Location
-        Where the keys of the step stand in the procedure file.
-    step : Step
-        What to do.
+        Place of the step's keys in the procedure file.
     cycle : int or None
-        Loop variable ``cycle``, where there is one.
+        Loop variable ``cycle``, if there is one.
     value_places : mapping
-        Where the values stand that came from loop variables, by the keys that lead to them.
+        Places of the values that came from loop variables, by their keys.
     """
 
     location: Location
@@ -305,7 +297,7 @@ def _refuse_too_many(document: Document, entries: Sequence[StepTemplate | Repeat
     count = _count(entries)
     if count > MAX_STEPS:
         worst = max(range(len(entries)), key=lambda index: _count(entries[index : index + 1]))
-        message = f"the loops make {count} steps of this procedure; at most {MAX_STEPS} are allowed"
+        message = f"the loops give {count} steps; allowed: at most {MAX_STEPS}"
         raise document.error([Problem(("steps", worst), message)])
 
 
@@ -361,7 +353,7 @@ def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
 def _traced(
     error: ValidationError, entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]
 ) -> Iterator[Problem]:
-    """Put problems of a value that came from a loop where the value stands."""
+    """Place problems of a value that came from a loop at that value."""
     variables = entry.variables()
     for problem in problems_of(error):
         keys = next((keys for keys in variables if keys == problem.location[: len(keys)]), None)

@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate
 
-#: A step of more than a week is taken for a slip of the pen.
+#: A step of more than a week is taken for a mistake.
 MAX_STEP_S = 604_800.0
 
 _TIMEOUT_FACTOR = 1.5
@@ -42,7 +42,7 @@ PositionName = Annotated[
 
 
 class Step(StrictModel):
-    """One thing that the bench does: data, and answers about itself without being run."""
+    """Base of the kinds of step."""
 
     #: Name of the kind in procedure files.
     name: ClassVar[str]
@@ -51,18 +51,18 @@ class Step(StrictModel):
 
     timeout_s: Duration | None = Field(
         default=None,
-        description="time after which the step has failed; follows from its duration if not given",
+        description="time after which the step has failed, s; by default from its duration",
     )
     retries: int = Field(
-        default=3, ge=0, le=100, description="how often a failed exchange with an instrument is tried again"
+        default=3, ge=0, le=100, description="how often a failed exchange with an instrument is repeated"
     )
 
     def expected_s(self, bench: BenchEstimate) -> float:  # noqa: ARG002
-        """Tell how long the step is expected to take, starting from ``bench``."""
+        """Expected duration, starting from ``bench``."""
         return 0.0
 
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        """Predict the bench ``elapsed_s`` after the step began on ``bench``."""
+        """Expected bench ``elapsed_s`` after the step began on ``bench``."""
         return bench.passed(elapsed_s)
 
     def time_limit_s(self, expected_s: float) -> float:
@@ -70,16 +70,16 @@ class Step(StrictModel):
         return self.timeout_s or self.usual_time_limit_s(expected_s)
 
     def usual_time_limit_s(self, expected_s: float) -> float:
-        """Time limit where the procedure gives none."""
+        """Time limit if the procedure gives none."""
         return _TIMEOUT_FACTOR * expected_s + _TIMEOUT_MARGIN_S
 
     def describe(self) -> str:
-        """One line for people."""
+        """One line of text."""
         return self.name.replace("_", " ")
 
 
 def span(duration_s: float) -> str:
-    """Write a duration for people: "45 s", "10 min", "2.5 h"."""
+    """Write a duration: "45 s", "10 min", "2.5 h"."""
     if duration_s < 120.0:
         return f"{duration_s:.4g} s"
     if duration_s < 7200.0:
@@ -88,7 +88,7 @@ def span(duration_s: float) -> str:
 
 
 _CHAMBER_MARGIN_S = 1800.0
-_LONGEST_SOAK_S = 14_400.0
+_MAX_SOAK_S = 14_400.0
 
 
 class Chamber(Step):
@@ -98,7 +98,7 @@ class Chamber(Step):
     temperature_c: Celsius = Field(description="set point, degC")
     ramp_c_per_min: float = Field(ge=0.001, le=100.0, description="how fast the set point moves, degC/min")
     within_c: float = Field(
-        default=1.0, ge=0.05, le=50.0, description="the step ends when the air is this near to it, degC"
+        default=1.0, ge=0.05, le=50.0, description="the step ends when the air is within this of it, degC"
     )
 
     @override
@@ -127,19 +127,19 @@ class Chamber(Step):
 
 
 class ChamberOff(Step):
-    """Switch the chamber off; it goes back to room temperature by itself."""
+    """Switch the chamber off; it returns to room temperature by itself."""
 
     name = "chamber_off"
 
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
-        # How slowly an idle chamber goes back does not matter to a plan.
+        # The slow return of an idle chamber does not matter to a plan.
         idle = replace(bench, set_point_c=None, ramp_c_per_s=0.0, chamber_c=bench.thermal.room_c)
         return idle.passed(elapsed_s)
 
 
 class Soak(Step):
-    """Wait for a fixed time, or until the gyros' temperature hardly changes any more."""
+    """Wait for a fixed time, or until the gyros' temperature is nearly constant."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -152,7 +152,7 @@ class Soak(Step):
         default=None, ge=0.01, le=1000.0, description="soak until every gyro changes by less, degC/h"
     )
     at_least_s: DurationOrZero = Field(default=0.0, description="soak this long in any case, s")
-    at_most_s: Duration = Field(default=_LONGEST_SOAK_S, description="go on after this time in any case, s")
+    at_most_s: Duration = Field(default=_MAX_SOAK_S, description="continue after this time in any case, s")
 
     @model_validator(mode="after")
     def _one_kind_of_soak(self) -> Self:
@@ -185,7 +185,7 @@ class Soak(Step):
         )
 
 
-#: Shortest navigation that gives a bias, s: the shortest window, and what its commands cost.
+#: Shortest navigation that gives a bias, s: the shortest window plus the time of its commands.
 MIN_NAVIGATION_S = MIN_DURATION + 5.0
 
 _FINE_ALIGNMENT_S = 300.0
@@ -203,7 +203,7 @@ class Align(Step):
     name = "align"
     at_position = True
     duration_s: Duration | None = Field(
-        default=None, description="alignment time, s; the shortest one together with until_fine"
+        default=None, description="alignment time, s; with until_fine the minimum"
     )
     until_fine: bool = Field(default=False, description="wait until the INS reports fine alignment")
     at_most_s: Duration | None = Field(
@@ -211,7 +211,7 @@ class Align(Step):
     )
     euler_sequence: Literal["automatic", "rpy_321", "pry_231"] = Field(
         default="automatic",
-        description="Euler angles that give the heading; automatic takes those regular in the position",
+        description="Euler angles that give the heading; automatic: those regular in the position",
     )
 
     @model_validator(mode="after")
@@ -245,7 +245,7 @@ class Align(Step):
 
 
 class Until(StrictModel):
-    """What ends a navigation before its longest time."""
+    """Condition that ends a navigation before at_most_s."""
 
     bias_sigma_below_dph: float = Field(
         ge=1e-5, le=10.0, description="standard uncertainty of all three gyro biases is below this, deg/h"
@@ -268,13 +268,13 @@ class Navigate(Step):
     at_position = True
     duration_s: Duration | None = Field(default=None, description="navigation time, s")
     until: Until | None = Field(
-        default=None, description="end as soon as the biases are known so well; only after a turn"
+        default=None, description="end as soon as the biases are known this well; only after a turn"
     )
     at_least_s: Duration = Field(
         default=MIN_NAVIGATION_S, description="with until: navigate this long in any case, s"
     )
     at_most_s: Duration | None = Field(
-        default=None, description="with until: go on after this time in any case, s"
+        default=None, description="with until: continue after this time in any case, s"
     )
     purpose: Literal["calibration", "calibration_check"] = Field(
         default="calibration",
@@ -288,41 +288,33 @@ class Navigate(Step):
         if self.until is None and {"at_least_s", "at_most_s"} & self.model_fields_set:
             raise ValueError("at_least_s and at_most_s go with until, not with duration_s")
         if self.until and self.at_most_s is None:
-            raise ValueError("until needs at_most_s, the longest time to navigate")
+            raise ValueError("until needs at_most_s, the maximum navigation time")
         if self.at_most_s and self.at_most_s < self.at_least_s:
             raise ValueError(f"at_most_s ({self.at_most_s:g}) is below at_least_s ({self.at_least_s:g})")
         return self
 
     @property
-    def longest_s(self) -> float:
-        """Time after which the navigation is over in any case."""
+    def max_duration_s(self) -> float:
+        """Time after which the navigation ends in any case."""
         return self.duration_s or self.at_most_s or 0.0
 
     def is_satisfied(self, elapsed_s: float, bias_sigma_dph: float) -> bool:
-        """Whether to end now, before the longest time.
-
-        Parameters
-        ----------
-        elapsed_s : float
-            How long the navigation has gone on.
-        bias_sigma_dph : float
-            Largest standard uncertainty of the three gyro biases by the estimate so far.
-        """
+        """Whether to end now, given the elapsed time and the largest standard uncertainty of the biases."""
         if self.until is None:
             return False
         return elapsed_s >= self.at_least_s and bias_sigma_dph < self.until.bias_sigma_below_dph
 
     @override
     def expected_s(self, bench: BenchEstimate) -> float:
-        """Tell the longest time: how soon the biases are known depends on the unit."""
-        return self.longest_s
+        """The maximum: the actual time depends on the unit."""
+        return self.max_duration_s
 
     @override
     def describe(self) -> str:
-        time = f"navigate {span(self.longest_s)}"
+        time = f"navigate {span(self.max_duration_s)}"
         if self.until:
             sigma = f"{self.until.bias_sigma_below_dph:g} deg/h"
-            time = f"navigate until bias sigma below {sigma}, {span(self.longest_s)} at most"
+            time = f"navigate until bias sigma below {sigma}, {span(self.max_duration_s)} at most"
         return time if self.purpose == "calibration" else f"{time} for a calibration check"
 
 
@@ -339,7 +331,7 @@ class Turn(Step):
     @classmethod
     def _turns(cls, angle_deg: float) -> float:
         if angle_deg == 0.0:
-            raise ValueError("a turn by zero turns nothing")
+            raise ValueError("a turn by zero has no effect")
         return angle_deg
 
     @override
@@ -358,10 +350,10 @@ class Turn(Step):
 
 _BOOT_S = 300.0
 _ANSWER_S = 60.0
-_LONGEST_ANSWER_S = 3600.0
+_MAX_ANSWER_S = 3600.0
 _USUAL_WAY_DEG = 180.0
-#: Turns in one sense leave an axis up to two circles from where the next position begins.
-_LONGEST_WAY_DEG = 720.0
+#: Turns in one sense leave an axis up to two circles from the next position.
+_MAX_WAY_DEG = 720.0
 
 
 class PowerOn(Step):
@@ -418,7 +410,7 @@ class GoTo(Step):
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
-        return super().usual_time_limit_s(_LONGEST_WAY_DEG / self.rate_dps + self.settle_s)
+        return super().usual_time_limit_s(_MAX_WAY_DEG / self.rate_dps + self.settle_s)
 
     @override
     def describe(self) -> str:
@@ -441,14 +433,14 @@ class Wait(Step):
 
 
 class AskOperator(Step):
-    """Ask the person at the bench; the first answer goes on, every other one stops the run."""
+    """Ask the operator; the first answer continues, every other one stops the run."""
 
     name = "ask_operator"
     question: str = Field(min_length=1, max_length=500, description="what to ask")
     answers: list[str] = Field(
         default=["continue", "stop"],
         min_length=1,
-        description="answers to choose from; the first one goes on",
+        description="answers to choose from; the first one continues",
     )
 
     @field_validator("answers")
@@ -464,7 +456,7 @@ class AskOperator(Step):
 
     @override
     def usual_time_limit_s(self, expected_s: float) -> float:
-        return _LONGEST_ANSWER_S
+        return _MAX_ANSWER_S
 
     @override
     def describe(self) -> str:

@@ -1,4 +1,4 @@
-"""A plan for people: its rows, its temperatures and its positions over time."""
+"""A plan over time: rows of a table, temperatures and positions."""
 
 from __future__ import annotations
 
@@ -14,23 +14,19 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo
 
-_MOST_SAMPLES = 200
+_MAX_SAMPLES = 200
 
 
 @dataclass(frozen=True)
 class TimelineRow:
-    """Steps that are done together: at one temperature of one cycle, on the way to it or in its positions.
+    """Steps at one temperature of one cycle: on the way to it, or in its positions.
 
     Attributes
     ----------
-    start_s, duration_s : float
-        Expected start, from the start of the plan, and duration.
     what : str
-        What is done: each different step once, with how often it comes in a dwell.
+        Each different step once, with its count per dwell.
     where : str
         Cycle, temperature and positions in order, with azimuths other than 0.
-    dwells : int
-        Number of dwells measured.
     """
 
     start_s: float
@@ -58,24 +54,17 @@ def hours_minutes(time_s: float) -> str:
 
 def timeline_rows(plan: Plan) -> list[TimelineRow]:
     """One row for the way to each temperature, one for all its positions."""
-    return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _stop_and_part)]
+    return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _plateau_and_part)]
 
 
 def temperature_profile(plan: Plan, interval_s: float = 60.0) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Predict the temperatures over a plan.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan to follow.
-    interval_s : float
-        Spacing of the samples; wider in very long steps.
-
     Returns
     -------
     time_s, chamber_c, gyro_c : ndarray, shape (n,)
-        Time from the start of the plan, the chamber's ramped set point, and the predicted
-        temperature of the gyros. Time repeats at the borders of steps.
+        Time from the start of the plan every ``interval_s`` (wider in very long steps) and twice at the
+        borders of steps, the chamber's ramped set point, and the predicted temperature of the gyros.
     """
     rows = [row for planned in plan.steps for row in _samples(planned, interval_s)]
     time_s, chamber_c, gyro_c = np.array(rows).T
@@ -95,15 +84,15 @@ def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
     return spans
 
 
-def _stop_and_part(planned: PlannedStep) -> tuple[str, bool]:
-    return planned.stop, planned.in_position
+def _plateau_and_part(planned: PlannedStep) -> tuple[str, bool]:
+    return planned.plateau, planned.in_position
 
 
 def _row(group: Sequence[PlannedStep]) -> TimelineRow:
     first, last = group[0], group[-1]
     moves = [planned.step for planned in group if isinstance(planned.step, GoTo)]
     others = [planned for planned in group if not isinstance(planned.step, GoTo)]
-    where = [first.stop, *_places(moves)]
+    where = [first.plateau, *_places(moves)]
     return TimelineRow(
         start_s=first.start_s,
         duration_s=last.end_s - first.start_s,
@@ -114,7 +103,7 @@ def _row(group: Sequence[PlannedStep]) -> TimelineRow:
 
 
 def _different(group: Sequence[PlannedStep]) -> Iterator[str]:
-    """Each different step once, with the most times that a dwell does it."""
+    """Each different step once, with its largest count in a dwell."""
     most: dict[str, int] = {}
     for (dwell, what), count in Counter((each.dwell, each.step.describe()) for each in group).items():
         most[what] = max(most.get(what, 1), count if dwell else 1)
@@ -131,7 +120,7 @@ def _places(moves: Sequence[GoTo]) -> Iterator[str]:
 
 
 def _samples(planned: PlannedStep, interval_s: float) -> list[tuple[float, float, float]]:
-    count = min(1 + math.ceil(planned.duration_s / interval_s), _MOST_SAMPLES)
+    count = min(1 + math.ceil(planned.duration_s / interval_s), _MAX_SAMPLES)
     samples = []
     for elapsed_s in np.linspace(0.0, planned.duration_s, count):
         bench = planned.step.after(planned.before, float(elapsed_s))

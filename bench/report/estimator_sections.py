@@ -196,7 +196,7 @@ def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
 
 
 def _p_in_brackets(p_value: float) -> str:
-    """Text as " (p = 0.012)" or " (p <1e-09)"; empty for NaN."""
+    """Text as " (p = 0.012)" or " (p <1e-9)"; empty for NaN."""
     text = p_text(p_value)
     return text and f" (p {text if text.startswith('<') else f'= {text}'})"
 

@@ -48,111 +48,62 @@ _BEFORE_THE_JOURNAL = re.compile(
 )
 
 
+class PathInside:
+    """Path of a file or folder in a run folder; of the class the path relative to it."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: RunFolder | None, owner: type[RunFolder]) -> Path:
+        return Path(self._name) if folder is None else folder.path / self._name
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Paths of everything in a run folder."""
 
     path: Path
 
-    @property
-    def procedure(self) -> Path:
-        """The procedure as run."""
-        return self.path / PROCEDURE
-
-    @property
-    def station(self) -> Path:
-        """The station as run."""
-        return self.path / "station.yaml"
-
-    @property
-    def provenance(self) -> Path:
-        """Versions, identities, hashes, options."""
-        return self.path / PROVENANCE
-
-    @property
-    def journal(self) -> Path:
-        """The journal."""
-        return self.path / JOURNAL
-
-    @property
-    def live(self) -> Path:
-        """The latest snapshot of the run, for its views."""
-        return self.path / "live.json"
-
-    @property
-    def can(self) -> Path:
-        """Folder of the raw CAN log."""
-        return self.path / "can"
-
-    @property
-    def telemetry(self) -> Path:
-        """Folder of the bench's readings."""
-        return self.path / "telemetry"
-
-    @property
-    def dwells(self) -> Path:
-        """The dwell table."""
-        return self.path / DWELLS
-
-    @property
-    def bias_bins(self) -> Path:
-        """Bias per gyro, position and temperature bin."""
-        return self.path / BIAS_BINS
-
-    @property
-    def joint_biases(self) -> Path:
-        """Biases of the dwells of each temperature solved together."""
-        return self.path / "joint_biases.csv"
-
-    @property
-    def joint(self) -> Path:
-        """Parameters common to the dwells of each temperature."""
-        return self.path / "joint.csv"
-
-    @property
-    def noise(self) -> Path:
-        """Noise of the INS."""
-        return self.path / "noise.json"
-
-    @property
-    def acceptance(self) -> Path:
-        """Verdict on the unit."""
-        return self.path / ACCEPTANCE
-
-    @property
-    def calibration(self) -> Path:
-        """The dwell table that a verification was compared with."""
-        return self.path / "calibration.csv"
-
-    @property
-    def compensation(self) -> Path:
-        """The compensation that was loaded into the INS."""
-        return self.path / COMPENSATION
-
-    @property
-    def verification(self) -> Path:
-        """Verification of a calibration."""
-        return self.path / "verification.csv"
-
-    @property
-    def closure(self) -> Path:
-        """Folder of the search for effects in this run."""
-        return self.path / CLOSURE
-
-    @property
-    def verify(self) -> Path:
-        """Folder of the proof of the compensation that the search gave."""
-        return self.path / "verify"
-
-    @property
-    def figures(self) -> Path:
-        """Folder of the figures."""
-        return self.path / "figures"
-
-    @property
-    def report(self) -> Path:
-        """The report."""
-        return self.path / "report.html"
+    #: The procedure as run.
+    procedure = PathInside(PROCEDURE)
+    #: The station as run.
+    station = PathInside("station.yaml")
+    #: Versions, identities, hashes, options.
+    provenance = PathInside(PROVENANCE)
+    #: The journal.
+    journal = PathInside(JOURNAL)
+    #: The latest snapshot of the run, for its views.
+    live = PathInside("live.json")
+    #: Folder of the raw CAN log.
+    can = PathInside("can")
+    #: Folder of the bench's readings.
+    telemetry = PathInside("telemetry")
+    #: The dwell table.
+    dwells = PathInside(DWELLS)
+    #: Bias per gyro, position and temperature bin.
+    bias_bins = PathInside(BIAS_BINS)
+    #: Biases of the dwells of each temperature solved together.
+    joint_biases = PathInside("joint_biases.csv")
+    #: Parameters common to the dwells of each temperature.
+    joint = PathInside("joint.csv")
+    #: Noise of the INS.
+    noise = PathInside("noise.json")
+    #: Verdict on the unit.
+    acceptance = PathInside(ACCEPTANCE)
+    #: The dwell table that a verification was compared with.
+    calibration = PathInside("calibration.csv")
+    #: The compensation that was loaded into the INS.
+    compensation = PathInside(COMPENSATION)
+    #: Verification of a calibration.
+    verification = PathInside("verification.csv")
+    #: Folder of the search for effects in this run.
+    closure = PathInside(CLOSURE)
+    #: Folder of the verification of a compensation.
+    verify = PathInside("verify")
+    #: Folder of the figures.
+    figures = PathInside("figures")
+    #: The report.
+    report = PathInside("report.html")
 
 
 def create_run_folder(out: Path | None, name: str) -> RunFolder:

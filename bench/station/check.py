@@ -1,4 +1,4 @@
-"""One thing that was looked at on a bench before a run, and how it was found."""
+"""One check of the bench before a run, and its result."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """How it was found; skipped where it could not be looked at."""
+    """Result; skipped where the check was not possible."""
 
     PASS = "pass"  # noqa: S105 - no password
     FAIL = "FAIL"
@@ -16,20 +16,14 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """What was looked at.
+    """One check.
 
     Attributes
     ----------
-    subject : str
-        Instrument or part of the bench.
-    what : str
-        What was looked at, in a few words.
-    verdict : Verdict
-        How it was found.
-    found : str
-        What was found, or why it could not be looked at.
-    advice : str
-        What to do; empty where nothing is to be done.
+    subject, what : str
+        Instrument or part of the bench, and what was checked, in a few words.
+    found, advice : str
+        What was found, or why the check was not possible; what to do, empty if nothing.
     """
 
     subject: str
@@ -40,12 +34,12 @@ class Check:
 
     @classmethod
     def of(cls, subject: str, what: str, is_good: bool, found: str, advice: str) -> Check:
-        """Make a check that passes or fails; the advice is kept where it fails."""
+        """A check that passes or fails; only a failed one keeps the advice."""
         if is_good:
             return cls(subject, what, Verdict.PASS, found)
         return cls(subject, what, Verdict.FAIL, found, advice)
 
     @classmethod
     def skipped(cls, subject: str, what: str, why: str, advice: str = "") -> Check:
-        """Make a check that could not be looked at."""
+        """A check that was not possible."""
         return cls(subject, what, Verdict.SKIPPED, why, advice)

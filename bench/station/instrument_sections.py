@@ -32,7 +32,7 @@ _USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")
 
 def _low_first(ends: list[float]) -> list[float]:
     if ends[0] >= ends[1]:
-        raise ValueError("the lower end comes first, then the higher one")
+        raise ValueError("the lower end comes first")
     return ends
 
 
@@ -66,11 +66,11 @@ Dialect = TableDialect[Any] | ChamberDialect[Any]
 class DialectSection(StrictModel):
     """An instrument on a serial port.
 
-    What is read from a file is of a class that has the dialect's own keys as well, and so is an
-    instance of the dialect's options.
+    A section read from a file is an instance of a subclass with the keys of its dialect: also an instance of
+    the dialect's options.
     """
 
-    #: Group of the installed dialects, and what each of them is.
+    #: Entry point group of the dialects, and their class.
     group: ClassVar[str]
     kind: ClassVar[type[Dialect]]
 
@@ -78,11 +78,11 @@ class DialectSection(StrictModel):
     identity: Identity = ""
     port: Port
     baudrate: int | None = Field(
-        default=None, gt=0, description="bit/s of a serial device; the dialect's usual one if not given"
+        default=None, gt=0, description="bit/s of a serial device; by default that of the dialect"
     )
     parity: Literal["N", "E", "O"] | None = Field(
         default=None,
-        description="none, even or odd, of a serial device; the dialect's usual one if not given",
+        description="none, even or odd, of a serial device; by default that of the dialect",
     )
 
     @property
@@ -113,7 +113,7 @@ class DialectSection(StrictModel):
     ) -> JsonSchemaValue:
         if cls.model_fields["dialect"].annotation is not str:
             return handler(core_schema)
-        complete = [section_of(cls, name) for name in _that_load(cls)]
+        complete = [section_of(cls, name) for name in _loadable(cls)]
         return {"oneOf": [handler(section.__pydantic_core_schema__) for section in complete]}
 
 
@@ -139,13 +139,13 @@ def section_of(section: type[DialectSection], name: str) -> type[DialectSection]
     return cast(type[DialectSection], complete)
 
 
-def _that_load(section: type[DialectSection]) -> list[str]:
+def _loadable(section: type[DialectSection]) -> list[str]:
     names = []
     for name in installed(section.group):
         try:
             section_of(section, name)
         except DocumentError:
-            continue  # a broken package of somebody else keeps its keys to itself
+            continue  # a broken package of another author
         names.append(name)
     return names
 
@@ -163,7 +163,7 @@ def _wrong(section: type[DialectSection], kind: str, message: str, found: Any) -
     return ValidationError.from_exception_data(section.__name__, [detail])
 
 
-#: The angle of the outer axis that a single-axis table does not have.
+#: Range of the outer axis of a single-axis table.
 _NO_OUTER_DEG = (0.0, 0.0)
 
 
@@ -176,7 +176,7 @@ class Mounting(StrictModel):
 
 
 class TableLimits(StrictModel):
-    """What the table may do."""
+    """Limits of the table."""
 
     rate_dps: Positive = Field(description="fastest turn of either axis, deg/s")
     acceleration_dps2: Positive = Field(description="largest acceleration, deg/s2")
@@ -201,11 +201,11 @@ class RateTableSection(DialectSection):
     )
     outer_axis: Direction | None = Field(
         default=None,
-        description="where the outer axis points, angles at zero; left out for a table with a single axis",
+        description="direction of the outer axis, angles at zero; omitted for a table with a single axis",
     )
-    inner_axis: Direction = Field(description="where the inner axis points, angles at zero")
-    mounting: Mounting = Field(description="where the unit's body axes point, angles at zero")
-    limits: TableLimits = Field(description="what the table may do")
+    inner_axis: Direction = Field(description="direction of the inner axis, angles at zero")
+    mounting: Mounting = Field(description="directions of the unit's body axes, angles at zero")
+    limits: TableLimits = Field(description="limits of the table")
 
     @model_validator(mode="after")
     def _one_or_two_axes(self) -> Self:
@@ -256,7 +256,7 @@ def _pair(ends: list[float]) -> tuple[float, float]:
 
 
 class ChamberLimits(StrictModel):
-    """What the chamber may do."""
+    """Limits of the chamber."""
 
     low_c: float = Field(description="lowest set point, degC")
     high_c: float = Field(description="highest set point, degC")
@@ -275,4 +275,4 @@ class ChamberSection(DialectSection):
     group: ClassVar[str] = CHAMBERS
     kind: ClassVar[type[Dialect]] = ChamberDialect
 
-    limits: ChamberLimits = Field(description="what the chamber may do")
+    limits: ChamberLimits = Field(description="limits of the chamber")

@@ -6,8 +6,8 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 from urllib.parse import urlencode, urlsplit
@@ -34,36 +34,6 @@ _POLL_S = 0.25
 ResultT = TypeVar("ResultT")
 
 
-class _Call:
-    """One call in a thread of its own; its result goes to whoever waits, or is discarded."""
-
-    def __init__(self, action: Callable[[], object], discard: Callable[[object], None]) -> None:
-        self._action = action
-        self._discard = discard
-        self._given_up = False
-        self._lock = threading.Lock()
-        self.answers: SimpleQueue[tuple[object, BaseException | None]] = SimpleQueue()
-
-    def perform(self) -> None:
-        result: object = None
-        failed: BaseException | None = None
-        try:
-            result = self._action()
-        except BaseException as error:  # noqa: BLE001 - raised again where the result is waited for
-            failed = error
-        with self._lock:
-            self.answers.put((result, failed))
-            late = self._given_up and failed is None
-        if late:
-            self._discard(result)
-
-    def give_up(self) -> bool:
-        """Wait no longer; False where the answer came at the last moment."""
-        with self._lock:
-            self._given_up = self.answers.empty()
-        return self._given_up
-
-
 def within(
     clock: Clock,
     limit_s: float,
@@ -72,56 +42,59 @@ def within(
     discard: Callable[[ResultT], None] = lambda _: None,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> ResultT:
-    """Do something that has to end in a given time.
+    """Call ``action`` with a time limit and return its result.
 
-    On a wall clock it is done in a thread of its own, which is left alone when its time is over;
-    in virtual time nothing can hang, and it is done at once.
+    On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing
+    can hang, and the call is direct.
 
     Parameters
     ----------
     limit_s : float
-        Time allowed, on the run's clock.
-    instrument : str
-        Named in the error.
-    action : callable
-        What to do.
+        On the run's clock.
     discard : callable
-        Gets a result that came too late, for instance to close the port that was opened.
+        Receives a result that comes too late, for instance to close a port.
     meanwhile : callable
-        Called now and then while waiting.
+        Called repeatedly while waiting.
 
     Raises
     ------
     ConnectionFailedError
-        The time is over. Whatever ``action`` raises is raised as well.
+        The time is over. Errors of ``action`` are raised as they are.
     """
     if clock.is_virtual:
         return action()
-    call = _Call(action, discard)  # type: ignore[arg-type]
-    threading.Thread(target=call.perform, name=f"limited: {instrument}", daemon=True).start()
-    deadline = Deadline(clock, limit_s)
-    while True:
+    outcome: Future[ResultT] = Future()
+
+    def perform() -> None:
         try:
-            result, error = call.answers.get(timeout=min(_POLL_S, deadline.remaining_s()) or 0.001)
-            break
-        except Empty:
-            if deadline.expired() and call.give_up():
-                raise ConnectionFailedError(
-                    instrument, f"its port hangs: no end after {limit_s:g} s. Check cable, adapter and power."
-                ) from None
+            result = action()
+        except BaseException as error:  # noqa: BLE001 - raised again where the result is waited for
+            with contextlib.suppress(InvalidStateError):
+                outcome.set_exception(error)
+            return
+        try:
+            outcome.set_result(result)
+        except InvalidStateError:  # cancelled: too late
+            discard(result)
+
+    threading.Thread(target=perform, name=f"limited: {instrument}", daemon=True).start()
+    deadline = Deadline(clock, limit_s)
+    while not wait([outcome], timeout=min(_POLL_S, deadline.remaining_s())).done:
+        if deadline.expired() and outcome.cancel():
+            raise ConnectionFailedError(
+                instrument, f"its port did not respond within {limit_s:g} s. Check cable, adapter and power."
+            )
         meanwhile()
-    if error is not None:
-        raise error
-    return result  # type: ignore[return-value]
+    return outcome.result()
 
 
-#: The instruments as error messages name them, and as :meth:`Instruments.reopen` takes them.
+#: Names of the instruments in error messages and for :meth:`Instruments.reopen`.
 RATE_TABLE, CHAMBER = "rate table", "chamber"
 
 _EMULATOR = "emulator"
 _OPENING_TIME_S = 15.0
 _CONNECTION_TIME_S = 5.0
-#: What somebody asked before this line was opened is answered within this time.
+#: A reply to a request from before the line was opened arrives within this time.
 _LATE_REPLY_S = 1.0
 
 
@@ -134,16 +107,14 @@ DriverT = TypeVar("DriverT", bound=_Closable)
 
 @dataclass(frozen=True)
 class Emulation:
-    """Which simulated world stands behind emulated instruments; real ones take no notice.
+    """Simulated world behind emulated instruments, which alone read it; real ones ignore it.
 
     Attributes
     ----------
-    world : str
-        World file by path or shipped name; only the emulators read it.
+    world, faults : str
+        World file and list of faults (empty: none), by path or shipped name.
     seed : int
-        Seed of everything random in it.
-    faults : str
-        List of faults by path or shipped name, empty for none; only the emulators read it.
+        Seed of everything random in the world.
     """
 
     world: str = "gyro_a"
@@ -151,25 +122,16 @@ class Emulation:
     faults: str = ""
 
     def options(self) -> dict[str, str | int]:
-        """What an emulator's address says of the world."""
+        """Parameters of the world in an emulator's address."""
         faults = {"faults": str(find_document("faults", self.faults))} if self.faults else {}
         return {"world": str(find_document("worlds", self.world)), "seed": self.seed, **faults}
 
 
 class Outputs:
-    """Rate table and chamber, whose outputs can do harm; each is opened when it is first used.
+    """Rate table and chamber, whose outputs can do harm; a context manager that closes them.
 
-    Opening one is independent of the other: where a port can't be opened, using that instrument
-    raises, and the next use tries again. A context manager that closes them.
-
-    Parameters
-    ----------
-    station : Station
-        Says where they are.
-    clock : Clock
-        The run's clock.
-    emulation : Emulation, optional
-        World behind emulated ones.
+    Each is opened at its first use, independently of the other. If its port can't be opened, that use
+    raises, and the next one tries again.
     """
 
     def __init__(self, station: Station, clock: Clock, emulation: Emulation | None = None) -> None:
@@ -202,20 +164,13 @@ class Outputs:
         return self._chamber
 
     def power_unit(self, on: bool) -> None:
-        """Switch the unit's supply where the bench can."""
+        """Switch the supply of the unit, if the bench can."""
         unit = self._station.unit
         if unit.power == "chamber_event":
             self.chamber.switch_event(unit.power_event, on)
 
     def reopen(self, instrument: str) -> None:
-        """Close the port of one instrument and open it anew.
-
-        Where that fails the instrument stays closed until it has been reopened.
-
-        Parameters
-        ----------
-        instrument : {"rate table", "chamber"}
-            As :attr:`~gyrobench.bench.foundations.errors.InstrumentError.instrument` names it.
+        """Close and reopen the port of one instrument, named as in errors; after a failure it stays closed.
 
         Raises
         ------
@@ -230,7 +185,7 @@ class Outputs:
             raise ValueError(f"no instrument is called {instrument!r}")
 
     def close(self) -> None:
-        """Close the ports; table and chamber stay as they are."""
+        """Close the ports; table and chamber keep their state."""
         for driver in (self._chamber, self._table):
             if driver is not None:
                 driver.close()
@@ -244,11 +199,6 @@ class Outputs:
 
 class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
-
-    Attributes
-    ----------
-    table, chamber, ins
-        The drivers; :meth:`reopen` replaces them.
 
     Raises
     ------
@@ -266,22 +216,24 @@ class Instruments(Outputs):
             opened.pop_all()
 
     def reopen(self, instrument: str) -> None:
-        """Close and open one instrument anew, the INS as well; see :meth:`Outputs.reopen`.
+        """Close and reopen one instrument, also the INS; see :meth:`Outputs.reopen`.
 
-        The INS stays the same object, with what was received before on a new bus.
+        The INS stays the same object, on a new bus, with the data received before.
         """
         if instrument != INS:
             super().reopen(instrument)
             return
 
-        def anew() -> can.BusABC:
-            self.ins.close()  # first: a channel that is closed later would close for both
+        def reopened() -> can.BusABC:
+            self.ins.close()  # first: closing the channel later would close it for both
             return open_ins_bus(self._station, self.clock, self._emulation)
 
-        self.ins.replace_bus(within(self.clock, _opening_time_s(self.clock), INS, anew, discard=close_bus))
+        self.ins.replace_bus(
+            within(self.clock, _opening_time_s(self.clock), INS, reopened, discard=close_bus)
+        )
 
     def close(self) -> None:
-        """Close all ports; the instruments stay as they are."""
+        """Close all ports; the instruments keep their state."""
         self.ins.close()
         super().close()
 
@@ -290,13 +242,7 @@ class Instruments(Outputs):
 
 
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
-    """Open the rate table.
-
-    Raises
-    ------
-    InstrumentError
-        It can't be opened.
-    """
+    """Open the rate table; raises InstrumentError if it can't be opened."""
     section = station.file.rate_table
     dialect = load(RATE_TABLES, section.dialect, TableDialect)
     with contextlib.ExitStack() as opened:
@@ -309,13 +255,7 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
 
 
 def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
-    """Open the chamber.
-
-    Raises
-    ------
-    InstrumentError
-        It can't be opened or does not answer.
-    """
+    """Open the chamber; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
     with contextlib.ExitStack() as opened:
@@ -347,13 +287,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
 
 
 def open_ins_bus(station: Station, clock: Clock, emulation: Emulation) -> can.BusABC:
-    """Open the bus alone.
-
-    Raises
-    ------
-    ConnectionFailedError
-        It can't be opened.
-    """
+    """Open the bus alone; raises ConnectionFailedError if it can't be opened."""
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
@@ -363,7 +297,7 @@ def open_ins_bus(station: Station, clock: Clock, emulation: Emulation) -> can.Bu
 
 
 def _check_server(section: InsSection) -> None:
-    """Look whether the server of a socketcand bus listens: python-can asks again without a pause."""
+    """Check that the server of a socketcand bus listens: python-can retries without a pause."""
     if section.interface != "socketcand":
         return
     address = (str(section.options.get("host", "")), int(section.options.get("port", 0)))
@@ -378,7 +312,7 @@ def _check_server(section: InsSection) -> None:
 
 
 def _opening_time_s(clock: Clock) -> float:
-    """Longest time to open a port, on the run's clock: it is this computer's work, however fast that runs."""
+    """Time limit for opening a port: in real time, expressed on the run's clock."""
     return _OPENING_TIME_S * clock.speed
 
 
@@ -387,13 +321,13 @@ def _opened(clock: Clock, instrument: str, open_it: Callable[[], DriverT]) -> Dr
 
 
 def _reopened(clock: Clock, instrument: str, old: DriverT | None, open_it: Callable[[], DriverT]) -> DriverT:
-    def anew() -> DriverT:
+    def reopened() -> DriverT:
         if old is not None:
             old.close()
         return open_it()
 
     try:
-        return _opened(clock, instrument, anew)
+        return _opened(clock, instrument, reopened)
     except ConnectionFailedError:
         raise
     except InstrumentError as error:
@@ -409,7 +343,7 @@ def _line(
 
 
 def _with_tcp_port(url: str, usual: LineDefaults) -> str:
-    """Complete ``socket://host`` with the port that controllers of this dialect have."""
+    """Complete ``socket://host`` with the usual TCP port of the dialect."""
     parts = urlsplit(url)
     if parts.scheme != "socket" or usual.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
         return url
@@ -417,14 +351,14 @@ def _with_tcp_port(url: str, usual: LineDefaults) -> str:
 
 
 def _addressed(section: DialectSection, station: Station, clock: Clock, emulation: Emulation) -> str:
-    """Port of an instrument; an emulator's address says which bench is meant as well."""
+    """Address of an instrument's port; that of an emulator names the emulated bench too."""
     if not section.port.startswith(f"{_EMULATOR}://") or "?" in section.port:
         return section.port
     return f"{section.port}?{urlencode({'clock': clock.name, **_emulated_bench(station, emulation)})}"
 
 
 def _emulated_bench(station: Station, emulation: Emulation) -> dict[str, str | int]:
-    """What an emulator's address says of the bench: its world, and what emulated table and chamber speak."""
+    """Parameters of the emulated bench in an address: its world, and the dialects of table and chamber."""
     sections = {"table": station.file.rate_table, "chamber": station.file.chamber}
     dialects = {
         name: section.dialect

@@ -78,9 +78,9 @@ class _Receiver(StrictModel):
     on: list[EventName] = Field(
         default=_ALL,
         min_length=1,
-        description="what is told: ends; holds: goes on by itself when all is good; goes_on: after a hold; "
-        "needs_person: holds until a person says to go on, or asks something. That the guard made the bench "
-        "safe in the place of a run that died is told in any case",
+        description="events that cause a message. ends: of the run; holds: until all values are good again; "
+        "resumes: after a hold; needs_person: holds until an operator confirms or answers a question. A "
+        "message is sent in any case when the guard brought the bench to its safe state",
     )
     max_per_hour: int = Field(default=6, ge=1, le=60, description="messages per hour about the same event")
     secret_env: str | None = Field(

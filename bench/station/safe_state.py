@@ -1,4 +1,4 @@
-"""The safe state: what the bench is left in, whatever ended the run."""
+"""The safe state, in which the bench is left at any end of a run."""
 
 from __future__ import annotations
 
@@ -9,24 +9,14 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError, Instrument
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, within
 from gyrobench.bench.station.station import Station
 
-#: Longest times allowed, far beyond what healthy instruments need. A release waits for rest.
+#: Time limits, far beyond what healthy instruments need. A release waits for rest.
 _EXCHANGE_TIME_S = 20.0
 _RELEASE_TIME_S = 60.0
 
 
 @dataclass(frozen=True)
 class SafeAction:
-    """One thing done on the way to the safe state, and how it went.
-
-    Attributes
-    ----------
-    what : str
-        The action in words.
-    problem : str
-        Why it failed; empty where it did not.
-    first_problem : str
-        Why it had to be tried twice; empty where it had not.
-    """
+    """One action on the way to the safe state, why it failed, and why its first attempt did; empty if not."""
 
     what: str
     problem: str = ""
@@ -34,7 +24,7 @@ class SafeAction:
 
     @property
     def text(self) -> str:
-        """What was done, or that it failed and why."""
+        """The action, or that it failed and why."""
         return f"FAILED: {self.what}: {self.problem}" if self.problem else self.what
 
 
@@ -53,20 +43,20 @@ def make_safe(
     only: Collection[str] | None = None,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> list[SafeAction]:
-    """Stop the table, bring chamber and unit to what the station declares as safe, release the table.
+    """Stop the table, bring chamber and unit to their safe state, release the table.
 
-    In this order, because a table is released only when it is at rest. Each action is tried
-    whatever became of the ones before it, in its own limit of time, and once more where it failed:
-    through a port opened anew where the port went away or hangs. None raises.
+    In this order, because a table is released only at rest. Each action is attempted regardless of the
+    ones before, within its time limit, and a second time if it failed, through a reopened port if the port
+    was lost or does not respond. None raises.
 
     Parameters
     ----------
     release_table : bool
-        Whether the servos are opened as well; before the first step they need not be.
+        Whether to open the servos too; not needed before the first step.
     only : collection of str, optional
-        The actions to take, by their ``what``; all without it.
+        The ``what`` of the actions to take; by default all.
     meanwhile : callable
-        Called now and then while something is waited for.
+        Called repeatedly while waiting.
     """
     steps = _steps(station, instruments, release_table)
     return [_taken(step, instruments, meanwhile) for step in steps if only is None or step.what in only]

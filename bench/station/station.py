@@ -1,4 +1,4 @@
-"""What follows from a station file: kinematics, limits, measurement set-up."""
+"""A station: its file, and what follows from it: kinematics, limits, measurement set-up."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Station:
     file : StationFile
         The file's content.
     path : Path
-        Where it was read from; names of other files in it are relative to its folder.
+        Where it was read from; file names in it are relative to its folder.
     table : TwoAxisTable
         Kinematics of the table with the unit on it.
     """
@@ -81,21 +81,21 @@ class Station:
 
     @property
     def safe_state(self) -> SafeState:
-        """What the bench is left in."""
+        """State of the bench at any end."""
         return self.file.safe_state
 
     @property
     def is_virtual(self) -> bool:
-        """Whether it lives in virtual time, where nobody can be asked."""
+        """Whether it runs in virtual time, without an operator."""
         return self.file.clock == "virtual"
 
     def new_clock(self) -> Clock:
-        """Clock of the kind that the file asks for, from zero."""
+        """A new clock of the kind in the file, from zero."""
         return VirtualClock() if self.is_virtual else WallClock(speed=self.file.speed)
 
     @cached_property
     def site(self) -> Site:
-        """Where the bench stands."""
+        """Where the bench is."""
         place = self.file.location
         return Site(np.deg2rad(place.latitude_deg), place.height_m)
 
@@ -112,16 +112,10 @@ class Station:
         for folder in (self.path.parent, Path(ins.__file__).parent):
             if (folder / name).is_file():
                 return folder / name
-        raise DocumentError(f"no DBC file {name!r} beside the station file, and none shipped")
+        raise DocumentError(f"DBC file {name!r}: neither beside the station file nor shipped")
 
     def check_dbc(self) -> None:
-        """Check signals and commands of the INS against the DBC file.
-
-        Raises
-        ------
-        DocumentError
-            The DBC file is wrong or absent, or lists everything that does not fit it, with places.
-        """
+        """Check signals and commands of the INS against the DBC file; a DocumentError lists all problems."""
         try:
             codec = DbcCodec(load_dbc(self.dbc_path))
         except DocumentError as error:
@@ -148,20 +142,14 @@ class Station:
         )
 
     def prior(self) -> PriorKnowledge:
-        """What is known of the INS and the site beforehand."""
+        """Prior knowledge of the INS and the site."""
         return PriorKnowledge.from_datasheet(
             latitude_arcmin=self.file.location.latitude_uncertainty_arcmin,
             **self.file.ins.uncertainty.model_dump(),
         )
 
     def plan(self, document: Document, procedure: Procedure) -> Plan:
-        """Plan a checked procedure and check that this station can run it.
-
-        Raises
-        ------
-        DocumentError
-            It can't; lists everything, with places.
-        """
+        """Plan a checked procedure; a DocumentError lists all that this station can't run, with places."""
         plan = expand(document, procedure, self.bench_at_rest())
         check(document, plan, self.limits())
         return plan
@@ -198,10 +186,7 @@ class Station:
         return {section.outer_axis_number: angles[0], section.inner_axis_number: angles[1]}
 
     def table_axes_of(self, values: Sequence[float]) -> Angles:
-        """Outer and inner value of those that come in the order of the controller's axis numbers.
-
-        A table with a single axis has zero for the outer one.
-        """
+        """Outer (0 with a single axis) and inner value, from values in the order of the axis numbers."""
         section = self.file.rate_table
         if section.is_single_axis:
             (inner,) = values

@@ -40,14 +40,9 @@ _SCHEMES_HERE = ("emulator", "replay")
 
 
 def why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
-    """Say which address belongs to no emulated bench on this computer; empty where all do.
+    """Name the address that is not of an emulated bench on this computer; empty if all are.
 
-    Parameters
-    ----------
-    addresses : iterable of str
-        Ports of table and chamber, channel of the CAN bus.
-    interface, host : str
-        python-can's interface of the bus, and the host that its options name.
+    ``addresses`` are the ports of table and chamber and the CAN channel, ``host`` that of the bus's options.
     """
     if interface not in _SERVED_INTERFACES:
         return f"ins.interface: {interface} reaches a real bus"
@@ -63,15 +58,15 @@ def why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
 
 
 #: Where an INS can still gyrocompass.
-_HIGHEST_DEG = round(math.degrees(MAX_LATITUDE), 6)
+_MAX_LATITUDE_DEG = round(math.degrees(MAX_LATITUDE), 6)
 
 
 class Location(StrictModel):
-    """Where the bench stands."""
+    """Where the bench is."""
 
     latitude_deg: float = Field(
-        description="geodetic latitude, deg; near the poles gyrocompassing has no answer",
-        json_schema_extra={"minimum": -_HIGHEST_DEG, "maximum": _HIGHEST_DEG},
+        description="geodetic latitude, deg; gyrocompassing fails near the poles",
+        json_schema_extra={"minimum": -_MAX_LATITUDE_DEG, "maximum": _MAX_LATITUDE_DEG},
     )
     height_m: float = Field(default=0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
     latitude_uncertainty_arcmin: float = Field(
@@ -81,17 +76,17 @@ class Location(StrictModel):
     @field_validator("latitude_deg")
     @classmethod
     def _can_gyrocompass(cls, latitude_deg: float) -> float:
-        if not abs(latitude_deg) <= _HIGHEST_DEG:
+        if not abs(latitude_deg) <= _MAX_LATITUDE_DEG:
             raise ValueError(
-                f"gyrocompassing has no answer at {latitude_deg:g} deg; latitudes go from "
-                f"-{_HIGHEST_DEG:g} to {_HIGHEST_DEG:g} deg"
+                f"gyrocompassing fails at {latitude_deg:g} deg; allowed: -{_MAX_LATITUDE_DEG:g} to "
+                f"{_MAX_LATITUDE_DEG:g} deg"
             )
         return latitude_deg
 
 
 def _no_secret(key: str) -> str:
     if _SECRET.search(key):
-        raise ValueError(f"'{key}' looks like a secret: every run folder has a copy of this file")
+        raise ValueError(f"'{key}' looks like a secret, and every run folder has a copy of this file")
     return key
 
 
@@ -114,9 +109,8 @@ class InsNoise(StrictModel):
 
 
 _ESTIMATED = "estimated"
-_WRITE_NOISE = (
-    "write `estimated`, which takes it from the INS's own output in each dwell, or give "
-    + ", ".join(InsNoise.model_fields)
+_WRITE_NOISE = "write `estimated` (from the output of the INS in each dwell), or give " + ", ".join(
+    InsNoise.model_fields
 )
 
 
@@ -126,7 +120,7 @@ def _kind_of_noise(value: Any) -> str | None:
     return _ESTIMATED if value == _ESTIMATED else None
 
 
-#: Told apart first, so that a mistake in one kind is not reported for the other kind as well.
+#: Distinguished first, so that a mistake in one kind is not reported for the other.
 Noise = Annotated[
     Annotated[InsNoise, Tag("declared")] | Annotated[Literal["estimated"], Tag(_ESTIMATED)],
     Discriminator(_kind_of_noise, custom_error_type="no_such_noise", custom_error_message=_WRITE_NOISE),
@@ -134,10 +128,10 @@ Noise = Annotated[
 
 
 class InsUncertainty(StrictModel):
-    """Standard uncertainties of the INS's errors other than bias and noise; its last calibration tells."""
+    """Standard uncertainties of the INS's errors other than bias and noise, from its last calibration."""
 
     accelerometer_bias_ug: NotNegative = Field(
-        default=1000.0, description="bias of each accelerometer, ug; large ones leave it to the data"
+        default=1000.0, description="bias of each accelerometer, ug; a large value leaves it to the data"
     )
     accelerometer_drift_ug_per_h: NotNegative = Field(
         default=2.0, description="change of each accelerometer's bias in a dwell, ug/h"
@@ -173,11 +167,11 @@ class InsSection(StrictModel):
         description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
     )
     identity: Identity = ""
-    signals: SignalMap = Field(description="which signal carries which quantity")
-    commands: CommandMap = Field(default=CommandMap(), description="which message carries which command")
+    signals: SignalMap = Field(description="signals of the quantities")
+    commands: CommandMap = Field(default=CommandMap(), description="messages of the commands")
     noise: Noise = Field(description=_WRITE_NOISE)
     uncertainty: InsUncertainty = Field(
-        default=InsUncertainty(), description="what is not known of the INS beside bias and noise"
+        default=InsUncertainty(), description="uncertainty of the INS's errors other than bias and noise"
     )
 
 
@@ -205,26 +199,26 @@ def _off(value: Any) -> Any:
 
 
 class SafeState(StrictModel):
-    """What the bench is left in at any end."""
+    """State of the bench at any end."""
 
     chamber_c: Annotated[
         float | None, BeforeValidator(_off, json_schema_input_type=float | Literal["off"] | None)
     ] = Field(description="safe set point, degC, or off")
     unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
     on_pause: Literal["keep", "safe"] = Field(
-        default="keep", description="while a run is paused: keep everything as it is, or the safe state"
+        default="keep", description="while a run is paused: keep the present state, or the safe state"
     )
 
 
 class GuardSection(StrictModel):
-    """The process that makes the bench safe when the engine can't."""
+    """The process that brings the bench to its safe state when the engine can't."""
 
     silence_s: float = Field(
         default=60.0,
         ge=5.0,
         le=600.0,
-        description="an engine silent for so long is killed, and the bench made safe, s; healthy "
-        "exchanges and calculations keep the engine silent for up to 20 s",
+        description="after so long without a sign of life the engine is killed and the bench made safe, s; "
+        "normal operation causes up to 20 s of silence",
     )
 
 
@@ -232,7 +226,7 @@ class StationFile(StrictModel):
     """A station file."""
 
     station: str = Field(pattern="^[A-Za-z0-9_-]{1,80}$", description="name of the bench")
-    description: str = Field(default="", description="what bench it is, for people")
+    description: str = Field(default="", description="description of the bench")
     clock: Literal["wall", "virtual"] = Field(
         default="wall", description="virtual: time passes as fast as the work allows; for emulated benches"
     )
@@ -240,9 +234,9 @@ class StationFile(StrictModel):
         default=1.0,
         ge=1.0,
         le=100.0,
-        description="seconds of the bench in one of this computer, as `gyrobench emulate --speed` has it",
+        description="seconds of the bench per second of this computer, as with `gyrobench emulate --speed`",
     )
-    location: Location = Field(description="where it stands")
+    location: Location = Field(description="where the bench is")
     tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(
         default=1.0, description="period of the engine, s"
     )
@@ -256,16 +250,16 @@ class StationFile(StrictModel):
     chamber: ChamberSection = Field(description="the thermal chamber")
     ins: InsSection = Field(description="the INS and its CAN bus")
     unit: UnitSection = Field(description="the unit under test")
-    safe_state: SafeState = Field(description="what the bench is left in at any end")
+    safe_state: SafeState = Field(description="state of the bench at any end of a run")
     guard: GuardSection = Field(
         default=GuardSection(), description="the process that makes the bench safe when the engine can't"
     )
     interlocks: Interlocks = Field(
-        default=Interlocks(), description="what is watched, and what becomes of the run after a trip"
+        default=Interlocks(), description="what is monitored, and how the run resumes after a trip"
     )
     messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
         default=[],
-        description="who off the bench is told how a run goes; an emulated bench tells it too",
+        description="receivers of messages about a run, also of an emulated one",
     )
 
     @model_validator(mode="after")
@@ -278,13 +272,13 @@ class StationFile(StrictModel):
             )
         if self.safe_state.unit == "off" and self.unit.power != "chamber_event":
             raise ValueError(
-                f"safe_state.unit: off can't be done with unit.power: {self.unit.power}; use keep"
+                f"safe_state.unit: off is not possible with unit.power: {self.unit.power}; use keep"
             )
         return self
 
     @model_validator(mode="after")
     def _interlocks_beyond_limits(self) -> Self:
-        """What the limits allow must trip nothing: procedures are checked against the limits alone."""
+        """Interlocks must not trip within the limits, against which procedures are checked."""
         problems = self.interlocks.inside_limits(
             chamber_c=(self.chamber.limits.low_c, self.chamber.limits.high_c),
             ramp_c_per_min=self.chamber.limits.ramp_c_per_min,
@@ -299,7 +293,7 @@ class StationFile(StrictModel):
     @model_validator(mode="after")
     def _virtual_only_where_emulated(self) -> Self:
         if self.clock == "virtual" and not self.is_emulated():
-            raise ValueError("clock: virtual needs every instrument emulated; real ones need clock: wall")
+            raise ValueError("clock: virtual requires emulated instruments only; real ones need clock: wall")
         return self
 
     @model_validator(mode="after")
@@ -308,7 +302,7 @@ class StationFile(StrictModel):
         host = str(self.ins.options.get("host", ""))
         why_not = why_not_fast(addresses, self.ins.interface, host) if self.speed != 1.0 else ""
         if self.speed != 1.0 and self.clock == "virtual":
-            why_not = "clock: virtual goes as fast as it can; use clock: wall"
+            why_not = "clock: virtual is as fast as possible; use clock: wall"
         if why_not:
             raise ValueError(f"speed: {self.speed:g} is for an emulated bench on this computer; {why_not}")
         return self
@@ -320,12 +314,6 @@ class StationFile(StrictModel):
 
 
 def load_station_file(path: Path) -> tuple[Document, StationFile]:
-    """Read and check a station file.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything wrong with it, with places.
-    """
+    """Read and check a station file; a DocumentError lists all problems with their places."""
     document = read_document(path)
     return document, validate(document, StationFile)

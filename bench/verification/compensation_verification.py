@@ -15,7 +15,8 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.csv_tables import format_cell, format_csv, write_text
+from gyrobench.bench.foundations.csv_tables import format_csv, write_text
+from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.residuals import ResidualCheck, check_residuals
 

@@ -38,7 +38,7 @@ def test_the_reference_has_every_step_and_what_its_keys_mean(built):
     text = (out / "reference/procedure.html").read_text(encoding="utf-8")
     for word in ("go_to", "until_gyro_rate_below_c_per_h", "bias_sigma_below_dph", "max_repeats_total"):
         assert word in text
-    assert "how often a failed exchange with an instrument is tried again" in text
+    assert "how often a failed exchange with an instrument is repeated" in text
 
 
 def test_the_reference_of_stations_goes_down_to_the_last_key(built):

@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
+from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Ways to see a bias: in the heading after alignment, or in the velocity of a navigation after it.

@@ -13,7 +13,8 @@ import numpy as np
 from gyrobench.bench.bias.joint_solution import JointSolution
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_cell, format_csv, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
+from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 

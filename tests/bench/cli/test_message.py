@@ -44,7 +44,7 @@ def test_a_receiver_that_can_not_be_reached_is_reported_and_the_others_get_it(se
 def test_a_station_without_receivers_is_a_mistake(station, tmp_path):
     ended = gyrobench("message", station(), cwd=tmp_path)
     assert ended.returncode == 2
-    assert "has no `messages`" in ended.stderr
+    assert "no receivers: the section `messages` is missing" in ended.stderr
 
 
 def test_check_shows_receivers_and_misses_a_secret(station, server, tmp_path, monkeypatch):
@@ -55,7 +55,7 @@ def test_check_shows_receivers_and_misses_a_secret(station, server, tmp_path, mo
     missing = gyrobench("check", "mine.yaml", cwd=tmp_path)
     assert missing.returncode == 1
     told = " ".join(missing.stdout.split())
-    assert "is told of: ends, holds, goes on and needs person" in told
+    assert "receives: ends, holds, resumes and needs person" in told
     assert "the environment variable HOOK" in told
     monkeypatch.setenv("HOOK", "abc")
     assert gyrobench("check", "mine.yaml", cwd=tmp_path).returncode == 0

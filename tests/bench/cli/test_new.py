@@ -55,7 +55,7 @@ def test_wrong_files_are_shown_with_places_and_exit_code_2(tmp_path):
     answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
     assert answer.returncode == 2
     lines = answer.stdout.splitlines()
-    assert lines[0].startswith("p.yaml:3:12: 'duration_s' should be greater than 0")
+    assert lines[0].startswith("p.yaml:3:12: 'duration_s' must be above 0")
     assert lines[1].startswith("p.yaml:4:5: unknown step")
 
 

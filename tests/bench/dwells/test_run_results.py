@@ -90,7 +90,7 @@ def test_dwells_without_a_result_are_left_out(measured):
 def test_a_run_whose_dwells_are_all_flagged_has_no_results(measured):
     dwells, setup = measured
     nothing = evaluate([flagged(dwell) for dwell in dwells], setup, 5.0)
-    assert (nothing.bins, nothing.joint, nothing.verification) == ([], [], [])
+    assert (nothing.bins, nothing.joint, nothing.calibration_check) == ([], [], [])
     assert (nothing.up_rate, nothing.noise) == (None, None)
 
 

@@ -146,7 +146,7 @@ def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, 
         assert row.accelerometer_sigma_ug < 50.0
 
 
-def test_the_report_tells_what_was_verified(later_run):
+def test_the_report_has_the_calibration_check(later_run):
     folder, _ = later_run
     text = write_report(folder).read_text(encoding="utf-8")
     assert "Verification of the calibration" in text

@@ -4,7 +4,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gyrobench.bench.messages.message import Left, Message
+from gyrobench.bench.messages.message import Message, Remaining
 
 NEEDS_PERSON = Message(
     event="needs_person",
@@ -16,6 +16,8 @@ NEEDS_PERSON = Message(
     unit="1001",
     question="The run holds: the chamber is 3.1 K off its set point",
     answers=("continue", "abort"),
-    left=Left(31.7, 45),
+    remaining=Remaining(31.7, 45),
 )
-ENDS = replace(NEEDS_PERSON, event="ends", ended="finished", question="", answers=(), left=Left(0.0, 0))
+ENDS = replace(
+    NEEDS_PERSON, event="ends", ended="finished", question="", answers=(), remaining=Remaining(0.0, 0)
+)

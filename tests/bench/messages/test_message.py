@@ -25,7 +25,7 @@ def test_data_tell_what_where_when_and_what_is_left():
 
 
 def test_text_says_what_can_be_answered():
-    assert "Answer with continue or abort" in NEEDS_PERSON.text
+    assert "Answer continue or abort" in NEEDS_PERSON.text
     assert NEEDS_PERSON.why in NEEDS_PERSON.text
     assert "/data/runs/fig7-001" in NEEDS_PERSON.text
 

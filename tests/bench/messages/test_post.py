@@ -139,7 +139,7 @@ def test_a_server_that_speaks_no_http_does_not_make_it_told_either(serve_raw, re
 
 
 def test_a_server_that_answers_line_by_line_without_end_is_given_up(serve_drip, receiver, monkeypatch):
-    monkeypatch.setattr(delivery, "LONGEST_S", 0.5)
+    monkeypatch.setattr(delivery, "MAX_EXCHANGE_S", 0.5)
     with pytest.raises(UndeliveredError, match=r"no answer within 0.5 s") as caught:
         deliver(receiver(kind="webhook", address=serve_drip()), ENDS)
     assert not caught.value.is_final

@@ -28,13 +28,15 @@ def test_everybody_gets_the_text_and_every_answer_is_told(serve, station_with):
         f"{{kind: webhook, address: '{down}'}}",
     )
     first, second = send_test(str(station), "Hello.")
-    assert (first.is_sent, first.said) == (True, "200 OK")
+    assert (first.is_sent, first.reply) == (True, "200 OK")
     assert first.receiver == f"ntfy {server.url}/bench"
     assert server.received[0][2].decode().startswith("Hello.")
     assert not second.is_sent
-    assert "refused" in second.said
+    assert "refused" in second.reply
 
 
 def test_a_station_without_receivers_is_told(station_with):
-    with pytest.raises(DocumentError, match=r"station.yaml:\d+:1: has no `messages`"):
+    with pytest.raises(
+        DocumentError, match=r"station.yaml:\d+:1: no receivers: the section `messages` is missing"
+    ):
         send_test(str(station_with()), "Hello.")

@@ -109,3 +109,10 @@ def test_every_part_of_the_made_up_snapshot_is_filled():
     snapshot = waiting_snapshot()
     empty = {each.name for each in fields(snapshot) if getattr(snapshot, each.name) in (None, (), "")}
     assert empty == {"dwell"}
+
+
+def test_a_state_as_written_by_the_version_before_is_read():
+    text = waiting_snapshot().to_json()
+    assert b'"waiting for the operator"' in text
+    former = text.replace(b'"waiting for the operator"', b'"waiting for a person"')
+    assert RunSnapshot.from_json(former).state is RunState.WAITING

@@ -2,6 +2,12 @@ import numpy as np
 import pytest
 from pyins import earth as reference
 
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    DPH_TO_RADPS,
+    RADPS_TO_DPH,
+    UG_PER_SQRT_HZ_TO_SI,
+)
 from gyrobench.bench.navigation import earth
 
 
@@ -10,7 +16,7 @@ def test_earth_rate_lies_between_north_and_up():
     assert rate[0] == 0.0
     assert np.linalg.norm(rate) == pytest.approx(7.292115e-5)
     assert rate[2] == pytest.approx(0.5 * 7.292115e-5)
-    assert np.linalg.norm(rate) * earth.RADPS_TO_DPH == pytest.approx(15.041, abs=1e-3)
+    assert np.linalg.norm(rate) * RADPS_TO_DPH == pytest.approx(15.041, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +45,7 @@ def test_schuler_period_is_84_minutes():
 
 
 def test_units():
-    np.testing.assert_allclose(earth.DPH_TO_RADPS, 4.8481e-6, rtol=1e-5)
-    np.testing.assert_allclose(earth.DPH_TO_RADPS * earth.RADPS_TO_DPH, 1.0)
-    np.testing.assert_allclose(earth.DEG_PER_SQRT_H_TO_SI * 60.0, np.deg2rad(1.0))
-    np.testing.assert_allclose(earth.UG_PER_SQRT_HZ_TO_SI, 9.80665e-6)
+    np.testing.assert_allclose(DPH_TO_RADPS, 4.8481e-6, rtol=1e-5)
+    np.testing.assert_allclose(DPH_TO_RADPS * RADPS_TO_DPH, 1.0)
+    np.testing.assert_allclose(DEG_PER_SQRT_H_TO_SI * 60.0, np.deg2rad(1.0))
+    np.testing.assert_allclose(UG_PER_SQRT_HZ_TO_SI, 9.80665e-6)

@@ -132,7 +132,7 @@ def test_each_time_is_integrated_by_itself():
 
 @pytest.mark.parametrize("latitude_deg", [85.1, -90.0, 91.0, np.nan, np.inf])
 def test_refuses_a_site_where_gyrocompassing_has_no_answer(latitude_deg):
-    with pytest.raises(MeasurementError, match="gyrocompassing has no answer"):
+    with pytest.raises(MeasurementError, match="gyrocompassing fails"):
         Site(np.radians(latitude_deg))
 
 

@@ -23,8 +23,8 @@ def early(**values: float) -> Navigate:
 
 
 def test_a_navigation_lasts_its_duration_or_its_longest_time() -> None:
-    assert Navigate(duration_s=600).expected_s(ROOM) == Navigate(duration_s=600).longest_s == 600.0
-    assert early(at_least_s=120).expected_s(ROOM) == early().longest_s == 900.0
+    assert Navigate(duration_s=600).expected_s(ROOM) == Navigate(duration_s=600).max_duration_s == 600.0
+    assert early(at_least_s=120).expected_s(ROOM) == early().max_duration_s == 900.0
 
 
 def test_a_navigation_that_may_end_early_has_time_until_its_longest_duration() -> None:
@@ -97,7 +97,7 @@ WRONG = [
     (Align, {"duration_s": 5, "at_most_s": 9}, "go together"),
     (Align, {"duration_s": 9, "until_fine": True, "at_most_s": 5}, "below duration_s"),
     (Align, {"duration_s": 9, "euler_sequence": "xyz"}, "rpy_321"),
-    (Turn, {"angle_deg": 0}, "turns nothing"),
+    (Turn, {"angle_deg": 0}, "has no effect"),
     (Turn, {"angle_deg": -361}, "greater than or equal to -360"),
     (Navigate, {}, "either duration_s, or until with at_most_s"),
     (Navigate, {"duration_s": 0}, "greater than 0"),
@@ -139,4 +139,4 @@ def test_a_wrong_value_is_refused_with_what_is_allowed(
 
 
 def test_an_end_at_the_shortest_time_is_allowed() -> None:
-    assert Navigate(until=UNTIL, at_least_s=60, at_most_s=60).longest_s == 60.0
+    assert Navigate(until=UNTIL, at_least_s=60, at_most_s=60).max_duration_s == 60.0

@@ -36,9 +36,9 @@ WRONG_FILES = {
         "4:3",
         ["the key 'ramp_c_per_min' is missing"],
     ),
-    "text for a number": ("- wait: {duration_s: ten}", "3:10", ["valid number", '"ten"']),
-    "number for text": ("- ask_operator: {question: 5}", "3:18", ["valid string", "found 5"]),
-    "negative duration": ("- wait:\n    duration_s: -5", "4:5", ["greater than 0", "found -5"]),
+    "text for a number": ("- wait: {duration_s: ten}", "3:10", ["must be a number", '"ten"']),
+    "number for text": ("- ask_operator: {question: 5}", "3:18", ["must be text", "found 5"]),
+    "negative duration": ("- wait:\n    duration_s: -5", "4:5", ["above 0", "found -5"]),
     "unknown position": ("- go_to: {position: z_upp}", "3:11", ["did you mean 'z_up'", '"z_upp"']),
     "contradicting keys": ("- soak: {for_s: 5, at_least_s: 2}", "3:3", ["not with for_s"]),
     "two steps in one item": ("- power_on:\n  power_off:", "3:3", ["expected one step", "name: {key: value"]),
@@ -51,13 +51,13 @@ WRONG_FILES = {
     "loop without steps": ("- repeat: {over: {cycle: [1]}}", "3:3", ["the key 'steps' is missing"]),
     "loop over nothing": ("- repeat: {over: {}, steps: [power_off]}", "3:12", ["at least 1 item"]),
     "empty list": ("- repeat: {over: {n: []}, steps: [power_off]}", "3:19", ["at least 1 item"]),
-    "no list": ("- repeat: {over: {n: 5}, steps: [power_off]}", "3:19", ["valid list"]),
+    "no list": ("- repeat: {over: {n: 5}, steps: [power_off]}", "3:19", ["must be a list"]),
     "list of lists": ("- repeat: {over: {n: [[1]]}, steps: [power_off]}", "3:23", ["a number or text"]),
     "list of booleans": ("- repeat: {over: {n: [true]}, steps: [power_off]}", "3:23", ["a number or text"]),
     "variable in a list": (
         "- repeat: {over: {n: [$m]}, steps: [power_off]}",
         "3:23",
-        ["not over other variables"],
+        ["not other variables"],
     ),
     "odd name": ("- repeat: {over: {N 1: [1]}, steps: [power_off]}", "3:19", ["pattern"]),
     "wrong within a loop": (
@@ -83,7 +83,7 @@ WRONG_FILES = {
     "variable of a key below another that nobody uses": (
         "- repeat: {over: {bias_sigma_below_dph: [1]}, steps: [power_off]}",
         "3:19",
-        ["no step in it uses $bias_sigma_below_dph"],
+        ["no step in the loop uses its variable $bias_sigma_below_dph"],
     ),
     "unknown key below another": (
         "- navigate: {until: {bias_sigma_below_dph: 1, sigma: 1}, at_most_s: 900}",
@@ -99,7 +99,7 @@ WRONG_FILES = {
     "value out of range below a key": (
         "- navigate: {until: {bias_sigma_below_dph: 0}, at_most_s: 900}",
         "3:22",
-        ["greater than or equal to 0.00001", "found 0"],
+        ["at least 0.00001", "found 0"],
     ),
     "navigation with two ends": (
         "- navigate: {duration_s: 600, until: {bias_sigma_below_dph: 1}, at_most_s: 900}",
@@ -119,43 +119,43 @@ WRONG_FILES = {
     "shadowed variable": (
         "- repeat:\n    over: {a: [1]}\n    steps:\n      - repeat: {over: {a: [2]}, steps: [power_off]}",
         "6:25",
-        ["a already is a variable"],
+        ["a is a variable of an enclosing repeat already"],
     ),
     "unused temperature": (
         "- repeat: {over: {temperature_c: [1, 2]}, steps: [power_off]}",
         "3:19",
-        ["no step in it uses $temperature_c"],
+        ["no step in the loop uses its variable $temperature_c"],
     ),
     "cycle 0": (
         "- repeat: {over: {cycle: [1, 0]}, steps: [power_off]}",
         "3:30",
-        ["whole numbers from 1", "found 0"],
+        ["whole number from 1", "found 0"],
     ),
     "cycle 1.5": (
         "- repeat: {over: {cycle: [1.5]}, steps: [power_off]}",
         "3:27",
-        ["whole numbers", "found 1.5"],
+        ["whole number", "found 1.5"],
     ),
     "position twice": (
         "- repeat: {over: {position: [z_up, z_up]}, steps: [{go_to: {position: $position}}]}",
         "3:36",
-        ["z_up stands twice"],
+        ["z_up is given twice"],
     ),
     "loop value out of range": (
         "- repeat: {over: {t: [20, -500]}, steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}",
         "3:27",
-        ["greater than -273.15", "found -500", "for temperature_c of chamber"],
+        ["above -273.15", "found -500", "for temperature_c of chamber"],
     ),
     "loop value out of range below a key": (
         "- repeat: {over: {s: [1, 20]}, "
         "steps: [{navigate: {until: {bias_sigma_below_dph: $s}, at_most_s: 900}}]}",
         "3:26",
-        ["less than or equal to 10", "found 20", "for bias_sigma_below_dph of navigate"],
+        ["at most 10", "found 20", "for bias_sigma_below_dph of navigate"],
     ),
     "loop value of wrong kind": (
         "- repeat: {over: {t: [20, warm]}, steps: [{chamber: {temperature_c: $t, ramp_c_per_min: 1}}]}",
         "3:27",
-        ["valid number", '"warm"'],
+        ["must be a number", '"warm"'],
     ),
     "loop value that contradicts": (
         "- repeat: {over: {t: [9, 5]}, steps: [{align: {duration_s: 6, until_fine: true, at_most_s: $t}}]}",
@@ -220,10 +220,10 @@ def test_a_mistake_is_named_with_its_place_and_what_is_allowed(
     [
         ("steps: [power_off]", "1:1", "the key 'procedure' is missing"),
         ("procedure: a b\nsteps: [power_off]", "1:1", "pattern"),
-        ("procedure: a\nsteps: power_off", "2:1", "valid list"),
+        ("procedure: a\nsteps: power_off", "2:1", "must be a list"),
         ("procedure: a\nbin_width: 5\nsteps: [power_off]", "2:1", "did you mean 'bin_width_c'"),
-        ("procedure: a\nbin_width_c: 0\nsteps: [power_off]", "2:1", "greater than or equal to 0.1"),
-        ("procedure: a\nassumptions: text\nsteps: [power_off]", "2:1", "valid list"),
+        ("procedure: a\nbin_width_c: 0\nsteps: [power_off]", "2:1", "at least 0.1"),
+        ("procedure: a\nassumptions: text\nsteps: [power_off]", "2:1", "must be a list"),
         ("procedure: a\nsteps: [power_off", "2:18", "not valid YAML"),
         ("- power_off", "1:1", "expected keys and values"),
     ],

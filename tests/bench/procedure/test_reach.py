@@ -77,7 +77,7 @@ def test_a_turn_out_of_reach_is_named_where_it_stands_with_what_can_be_reached(
     assert message.startswith(
         "test.yaml:9:10: x_up at azimuth 0, then turns of 180, 90 deg can't be reached: the table can't reach"
     )
-    assert "In x_up the table can stand at azimuth 0, 180 deg." in message
+    assert "In x_up the table reaches azimuth 0, 180 deg." in message
     assert message.endswith("This azimuth with its turns can be reached in z_up, z_down")
 
 
@@ -86,7 +86,7 @@ def test_an_azimuth_out_of_reach_is_named_where_it_stands(
 ) -> None:
     message = problem(planned, dwell("y_up", [180.0], azimuth_deg=90.0), level_outer_axis)
     assert message.startswith("test.yaml:4:27: y_up at azimuth 90 deg can't be reached")
-    assert "In y_up the table can stand at azimuth 0, 180 deg." in message
+    assert "In y_up the table reaches azimuth 0, 180 deg." in message
 
 
 def test_a_position_out_of_reach_is_named_where_it_stands(

@@ -120,7 +120,7 @@ def test_a_socketcand_server_that_says_nothing_is_given_up(changed, monkeypatch)
     monkeypatch.setattr("gyrobench.bench.station.instruments._OPENING_TIME_S", 3.0)
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
         station = socketcand_station(changed, listener.getsockname()[1])
-        with pytest.raises(ConnectionFailedError, match="INS: its port hangs"):
+        with pytest.raises(ConnectionFailedError, match="INS: its port did not respond"):
             Instruments(station, WallClock(), Emulation("ideal", 0))
     for thread in threading.enumerate():
         if thread.name == "limited: INS":

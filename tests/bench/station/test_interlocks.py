@@ -51,8 +51,8 @@ WRONG = {
     "case_temperature: {low_c: 50, high_c: 40}": r"low_c \(50\) must be below high_c \(40\)",
     "chamber_air: {resume: a person}": "person",
     "chamber_door: {}": "unknown key 'chamber_door'",
-    "ins_silence: {limit_s: 0}": "greater than 0",
-    "gyro_rate: {max_resumes: -1}": "greater than or equal to 0",
+    "ins_silence: {limit_s: 0}": "above 0",
+    "gyro_rate: {max_resumes: -1}": "at least 0",
 }
 
 

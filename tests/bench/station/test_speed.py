@@ -71,7 +71,7 @@ def test_a_real_bench_may_not(station, addresses, told):
 def test_virtual_time_has_no_speed(station):
     path = station(table=TABLE, chamber=CHAMBER, ins=INS)
     path.write_text(path.read_text().replace("clock: wall", "clock: virtual"))
-    with pytest.raises(DocumentError, match="virtual goes as fast as it can"):
+    with pytest.raises(DocumentError, match="virtual is as fast as possible"):
         load_station_file(path)
 
 
@@ -79,5 +79,5 @@ def test_virtual_time_has_no_speed(station):
 def test_a_speed_below_one_or_beyond_all_measure_is_refused(station, speed):
     path = station()
     path.write_text(path.read_text().replace("speed: 10", f"speed: {speed}"))
-    with pytest.raises(DocumentError, match="'speed' should be"):
+    with pytest.raises(DocumentError, match="'speed' must be"):
         load_station_file(path)

@@ -51,8 +51,8 @@ def test_a_left_handed_mounting_is_an_error_with_its_place(changed):
         ("port: emulator://chamber", "port: rfc2217://anna@host:4001", "can't hold a user or password"),
         ("channel: ins", "channel: http://anna:word@host", "can't hold a user or password"),
         ("channel: ins", "channel: ins\n  options: {password: word}", "looks like a secret"),
-        ("dbc: gyrobench_ins.dbc", "dbc: ../secret.dbc", "String should match"),
-        ("dbc: gyrobench_ins.dbc", "dbc: procedure.yaml", "String should match"),
+        ("dbc: gyrobench_ins.dbc", "dbc: ../secret.dbc", "must match the pattern"),
+        ("dbc: gyrobench_ins.dbc", "dbc: procedure.yaml", "must match the pattern"),
         ("inner_deg: [-380, 380]", "inner_deg: [380, -380]", "the lower end comes first"),
     ],
 )

@@ -34,12 +34,12 @@ def mistake(tmp_path, entry):
         ("{fault: table_trips, at_s: 5, times: 3}", "2:5", "at_s is one moment"),
         ("{fault: table_trips, at_s: 5, nth: 3}", "2:5", "nth is allowed only with during"),
         ("{fault: table_trips, during: lunch}", "2:26", "during"),
-        ("{fault: table_trips, at_s: -5}", "2:26", "greater than or equal to 0"),
-        ("{fault: bus_off, every_s: 0, for_s: 1}", "2:22", "greater than or equal to 1"),
-        ("{fault: lost_reply, target: table, every_s: 0.999}", "2:40", "greater than or equal to 1"),
+        ("{fault: table_trips, at_s: -5}", "2:26", "at least 0"),
+        ("{fault: bus_off, every_s: 0, for_s: 1}", "2:22", "at least 1"),
+        ("{fault: lost_reply, target: table, every_s: 0.999}", "2:40", "at least 1"),
         ("{fault: wrong_crc, target: table, at_s: 5}", "2:24", "chamber"),
-        ("{fault: frames_lost, at_s: 5, ids: [0x7]}", "2:41", "valid integer"),
-        ("{fault: frames_lost, at_s: 5, ids: [4096]}", "2:41", "less than or equal to 2047"),
+        ("{fault: frames_lost, at_s: 5, ids: [0x7]}", "2:41", "whole number"),
+        ("{fault: frames_lost, at_s: 5, ids: [4096]}", "2:41", "at most 2047"),
     ],
 )
 def test_a_mistake_is_reported_with_its_place(tmp_path, entry, place, message):

@@ -70,19 +70,19 @@ def test_a_number_may_be_a_polynomial_over_temperature():
     [
         ("height_m: 60", "hight_m: 60", "3:1", "unknown key 'hight_m' (did you mean 'height_m'?)"),
         ("height_m: 60", "height_ft: 60", "3:1", "unknown key 'height_ft'"),
-        ("latitude_deg: 36.4", "latitude_deg: 95", "2:1", "less than or equal to 85"),
-        ("latitude_deg: 36.4", "latitude_deg: '36.4'", "2:1", "valid number"),
+        ("latitude_deg: 36.4", "latitude_deg: 95", "2:1", "at most 85"),
+        ("latitude_deg: 36.4", "latitude_deg: '36.4'", "2:1", "must be a number"),
         ("latitude_deg: 36.4\n", "", "1:1", "the key 'latitude_deg' is missing"),
         ("bias_dph", "bias_dps", "5:3", "unknown key 'bias_dps' (did you mean 'bias_dph'?)"),
         ("{x: 0.003,", "{w: 0.003,", "5:14", "unknown key 'w'"),
-        ("sensor_noise_c: 0.0", "sensor_noise_c: -0.1", "10:3", "greater than or equal to 0"),
+        ("sensor_noise_c: 0.0", "sensor_noise_c: -0.1", "10:3", "at least 0"),
         ("sensor_noise_c: 0.0", "sensor_noise_c: .nan", "10:3", ""),
         ("[0.0, -0.8, 0.6]", "[0.0, -0.8]", "11:7", "at least 3 items"),
         ("[0.0, -0.8, 0.6]", "[0, 0.0, 0]", "11:7", "not zero"),
         ("position_error_arcsec: 0.0", "outer_axis: west", "17:3", "'east' or 'up'"),
         ("serial_number: 1000", "epoch_period_s: 0.03", "15:3", "must divide one second"),
         ("serial_number: 1000", "epoch_period_s: 0.015", "15:3", "multiple of 0.01"),
-        ("serial_number: 1000", "serial_number: 1000.5", "15:3", "valid integer"),
+        ("serial_number: 1000", "serial_number: 1000.5", "15:3", "whole number"),
     ],
 )
 def test_a_mistake_is_reported_with_its_place(old, new, place, words):
@@ -158,7 +158,7 @@ def test_several_effects_may_stand_in_a_file():
 @pytest.mark.parametrize(
     ("effect", "place", "words"),
     [
-        ("{kind: warm_up, bias_dph: [1, 0, 0], time_constant_s: 0}", "19", "greater than 0"),
+        ("{kind: warm_up, bias_dph: [1, 0, 0], time_constant_s: 0}", "19", "above 0"),
         ("{kind: warm_up, bias_dps: [1, 0, 0], time_constant_s: 9}", "19", "did you mean 'bias_dph'?"),
         ("{kind: warm_up, bias_dph: [1, 0], time_constant_s: 9}", "19", "at least 3 items"),
         ("{kind: g_sensitivity, sensitivity_dph_per_g: [[0, 1, 0], [0, 0, 0]]}", "19", "3 items"),
