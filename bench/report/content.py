@@ -117,7 +117,7 @@ def read_run(folder: RunFolder) -> RunContent:
     read(folder.journal, lambda path: journal.extend(read_journal(path)), None)
     procedure: Entry = read(folder.procedure, _mapping, {})
     verification: list[CalibrationCheckRow] = read(
-        folder.verification, read_calibration_check, [], is_optional=True
+        folder.calibration_check, read_calibration_check, [], is_optional=True
     )
     # A run with calibration checks only has no table of dwells.
     dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=bool(verification))

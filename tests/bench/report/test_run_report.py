@@ -404,7 +404,7 @@ def test_run_of_calibration_checks_is_no_failure(
 ) -> None:
     journal_writer(empty_folder)
     shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
-    write_calibration_check(empty_folder.verification, [ROW, ALIGNMENT])
+    write_calibration_check(empty_folder.calibration_check, [ROW, ALIGNMENT])
     page = page_of(empty_folder)
     assert "Gyro bias of unit U7" in page.text
     assert "dwells 2 dwells for the calibration check" in page.text
