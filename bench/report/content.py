@@ -129,7 +129,7 @@ def read_run(folder: RunFolder) -> RunContent:
     read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
     procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
     verification = read_if_there(
-        folder.verification, lambda: read_calibration_check(folder.verification), no_verification
+        folder.calibration_check, lambda: read_calibration_check(folder.calibration_check), no_verification
     )
     # A run of verifications only has no dwells to put into a table.
     read_dwell_table = read_if_there if verification else read

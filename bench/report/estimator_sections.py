@@ -203,7 +203,7 @@ def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
 
 
 def _p_in_brackets(p_value: float) -> str:
-    """Write " (p = 0.012)" or " (p <1e-09)"; empty where nothing was compared."""
+    """Write " (p = 0.012)" or " (p <1e-9)"; empty where nothing was compared."""
     text = p_text(p_value)
     return text and f" (p {text if text.startswith('<') else f'= {text}'})"
 

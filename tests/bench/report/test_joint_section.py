@@ -82,7 +82,7 @@ def test_a_solution_that_gains_nothing_says_so(joint: float) -> None:
 def test_rate_of_all_plateaus_is_told_in_words() -> None:
     section = section_of([plateau_row(), plateau_row(2), plateau_row(0, up_rate_p_value=1.4e-6)])
     assert (
-        "Over all plateaus the half-differences amount to -3.28 ± 0.49 · 10⁻³ deg/h (p = 1e-06): the "
+        "Over all plateaus the half-differences amount to -3.28 ± 0.49 · 10⁻³ deg/h (p = 1e-6): the "
         "half-differences of up and down disagree: biases differ up and down" in section.paragraphs[1]
     )
     assert "latitude error of" not in section.paragraphs[1]
@@ -112,8 +112,8 @@ def test_plateaus_whose_dwells_do_not_agree_are_named() -> None:
     wrong = plateau_row(2, fit_p_value=1e-12, any_north_p_value=1e-12)
     section = section_of([plateau_row(), wrong, plateau_row(3, fit_p_value=2e-4)])
     assert [text[: text.index(":")] for text in section.paragraphs[2:]] == [
-        "On plateau 2 the dwells do not agree on what they share (p <1e-09)",
-        "On plateau 3 the dwells do not agree on what they share (p = 2e-04)",
+        "On plateau 2 the dwells do not agree on what they share (p <1e-9)",
+        "On plateau 3 the dwells do not agree on what they share (p = 2e-4)",
     ]
     assert "are not to be trusted" in section.paragraphs[2]
     assert "the latitude is wrong by more than declared" in section.paragraphs[3]

@@ -188,7 +188,7 @@ def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
     write_verification_page(folder.verify, confirmed(), folder.dwells)
     page = page_with(render(read_run(folder), []))
     assert "Search for effects Clean." in page.text
-    assert "Proof of a compensation Confirmed." in page.text
+    assert "Verification of a compensation Confirmed." in page.text
     figures = {path.read_bytes() for path in folder.path.glob("*/figures/*.png")}
     assert figures == {base64.b64decode(load.partition(",")[2]) for load in page.loads}
     write_dwells(folder.dwells, equal_dwells[:2])
@@ -229,7 +229,7 @@ def test_tables_hold_biases_counts_and_empty_bins(page: Page) -> None:
     assert "-20 to 5 empty in all positions" in page.text
     assert re.search(r"-25 to -20 -6\.8 ± 0\.6 \(2\) \S+ ± 0\.8 -5\.0 ± 0\.6 \(2\) \S+ ± 0\.8", page.text)
     assert page.text.count("Positions compared;") == 3
-    assert "<1e-09" in page.text
+    assert "<1e-9" in page.text
 
 
 def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwells: list[DwellRow]) -> None:
@@ -403,7 +403,7 @@ def test_run_of_verifications_is_no_failure(
 ) -> None:
     journal_writer(empty_folder)
     shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
-    write_calibration_check(empty_folder.verification, [ROW, ALIGNMENT])
+    write_calibration_check(empty_folder.calibration_check, [ROW, ALIGNMENT])
     page = page_of(empty_folder)
     assert "Gyro bias of unit U7" in page.text
     assert "dwells 2 dwells for verification" in page.text

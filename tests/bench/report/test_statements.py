@@ -119,9 +119,9 @@ def test_p_values_that_chance_does_not_give_are_told(
 
 def test_dwells_that_do_not_fit_are_named(dwells: list[DwellRow]) -> None:
     bad = [replace(row, fit_p_value=1e-7) if row.dwell in (3, 5) else row for row in dwells]
-    assert fit_sentence(bad).endswith("Something disturbed dwells 3 and 5 (smallest p = 1e-07).")
+    assert fit_sentence(bad).endswith("Something disturbed dwells 3 and 5 (smallest p = 1e-7).")
     bad[9] = replace(dwells[9], fit_p_value=0.0)
-    assert fit_sentence(bad).endswith("Something disturbed dwells 3, 5 and 10 (smallest p <1e-09).")
+    assert fit_sentence(bad).endswith("Something disturbed dwells 3, 5 and 10 (smallest p <1e-9).")
 
 
 def test_single_dwell_and_none_have_their_sentences(

@@ -59,12 +59,12 @@ def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
         "3.0±0.6",
         "5.2±0.6",
         "8.2±0.6",
-        "<1e-09*",
+        "<1e-9*",
     ]
     assert by_paper.split() == [
         "paper",
         *(f"{1e3 * each.paper_bias_dph:.1f}±{1e3 * each.paper_sigma_dph:.1f}" for each in coldest_of_x(bins)),
-        "<1e-09*",
+        "<1e-9*",
     ]
     assert next(line for line in lines if line.startswith("  -20..5")).split()[1:] == ["empty"] * 6
     hottest = next(line for line in lines if line.startswith("  75..80"))
