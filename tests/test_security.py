@@ -84,11 +84,11 @@ def test_everything_installed_is_pinned():
 
 
 def test_the_audit_is_there():
-    told = subprocess.run(
+    printed = subprocess.run(
         ["make", "-n", "audit"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
-    assert "pip_audit" in told
-    assert "constraints.txt" in told
+    assert "pip_audit" in printed
+    assert "constraints.txt" in printed
 
 
 def _plain(name: str) -> str:

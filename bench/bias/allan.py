@@ -11,7 +11,7 @@ and three kinds of noise show in it with different slopes (IEEE Std 952, annex C
 
 with S the white noise of the angle (rounding, quantisation), N the random walk of the angle (white
 noise of the rate), K the random walk of the rate. Here the mean of the second differences of each
-stretch is taken off first, so that a steady ramp of the rate (Earth-rate coupling, warm-up, an
+segment is taken off first, so that a steady ramp of the rate (Earth-rate coupling, warm-up, an
 acceleration that a gyro bias feeds) does not count; what that costs is in the expected variances.
 
 The variance of each averaging time's Allan variance, and the correlation of two of them, are
@@ -41,7 +41,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK = range(3)
 #: Averaging times in a decade.
 PER_DECADE = 8
-#: The longest stretch holds the longest averaging time at least so many times.
+#: The longest segment holds the longest averaging time at least so many times.
 MIN_REPEATS = 6
 #: Fewest equivalent degrees of freedom of an averaging time that takes part in a fit.
 MIN_EDF = 8.0
@@ -55,7 +55,7 @@ _ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class AllanVariance:
-    """Allan variance of one channel, pooled over stretches that can't be joined.
+    """Allan variance of one channel, pooled over segments that can't be joined.
 
     Attributes
     ----------
@@ -64,11 +64,11 @@ class AllanVariance:
     factors : ndarray of int, shape (k,)
         Averaging times in samples.
     variance : ndarray, shape (k,)
-        Of the rate, (unit of the integral / s)^2; mean of each stretch's second differences taken off.
+        Of the rate, (unit of the integral / s)^2; mean of each segment's second differences taken off.
     counts : ndarray of int, shape (k,)
         Second differences in each, of which only few are independent.
     lengths : tuple of int
-        Samples of each stretch.
+        Samples of each segment.
     """
 
     interval_s: float
@@ -101,7 +101,7 @@ class RateNoise:
     covariance : ndarray, shape (3, 3)
         Covariance of ``unbounded``.
     expected : ndarray, shape (k,)
-        Allan variance that ``terms`` lead to expect, less what the means of the stretches take off.
+        Allan variance that ``terms`` lead to expect, less what the means of the segments take off.
     used : ndarray of bool, shape (k,)
         Averaging times that took part.
     edf : ndarray, shape (k,)
@@ -148,37 +148,37 @@ def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
     return float((time_s[-1] - time_s[0]) / places[-1]), grid
 
 
-def allan_variance(stretches: Sequence[FloatArray], interval_s: float) -> AllanVariance:
+def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVariance:
     """Overlapping Allan variance of a rate from its integral.
 
     Parameters
     ----------
-    stretches : sequence of ndarray, shape (n_i,)
+    segments : sequence of ndarray, shape (n_i,)
         Integral of the rate on an even grid, NaN where a sample is missing: a second difference
-        counts if its three samples are there. Channels with the same noise are further stretches.
+        counts if its three samples are there. Channels with the same noise are further segments.
     interval_s : float
         Time between two samples.
 
     Raises
     ------
     MeasurementError
-        No stretch is long enough.
+        No segment is long enough.
     """
-    longest = max((len(each) for each in stretches), default=0)
+    longest = max((len(each) for each in segments), default=0)
     if longest < 2 * MIN_REPEATS:
         raise MeasurementError(
-            f"the longest stretch for an Allan variance has {longest} samples; it needs {2 * MIN_REPEATS}. "
+            f"the longest segment for an Allan variance has {longest} samples; it needs {2 * MIN_REPEATS}. "
             "Record longer at rest"
         )
     top = longest // MIN_REPEATS
     wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(PER_DECADE * np.log10(top)))))
     factors = np.unique(np.rint(wanted).astype(np.int64))
-    sums = [[_squares(stretch, int(factor)) for stretch in stretches] for factor in factors]
+    sums = [[_squares(segment, int(factor)) for segment in segments] for factor in factors]
     squares, counts = np.array(sums).sum(axis=1).T
     present = counts > 0
     factors, squares, counts = factors[present], squares[present], counts[present]
     variance = squares / counts / (2.0 * (factors * interval_s) ** 2)
-    lengths = tuple(sorted(len(each) for each in stretches))
+    lengths = tuple(sorted(len(each) for each in segments))
     return AllanVariance(interval_s, factors, variance, counts.astype(np.int64), lengths)
 
 
@@ -334,7 +334,7 @@ def _information(
 
 
 def _number(lengths: IntArray, factor: IntArray) -> IntArray:
-    """Second differences in stretches; a single one says nothing about its mean."""
+    """Second differences in segments; a single one says nothing about its mean."""
     number = lengths - 2 * factor
     return np.asarray(np.where(number > 1, number, 0))
 

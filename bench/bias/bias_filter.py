@@ -105,7 +105,7 @@ class BiasFilter:
         self._last_k = np.zeros(3)
 
     def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
-        """Begin a stretch of navigation at rest.
+        """Begin a segment of navigation at rest.
 
         Parameters
         ----------

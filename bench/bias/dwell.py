@@ -117,7 +117,7 @@ class TurnPath:
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Navigation in one position, with turns about the vertical between stretches at rest.
+    """Navigation in one position, with turns about the vertical between segments at rest.
 
     Attributes
     ----------

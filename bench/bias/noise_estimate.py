@@ -370,8 +370,8 @@ def _angles_and_velocities(window: NavigationWindow, gravity: float) -> FloatArr
     return np.hstack([rotation @ window.C_nb[0], rotation[:, 2:], velocity + feedback])
 
 
-def _channel(stretches: list[FloatArray], interval: float, step: float) -> ChannelNoise:
-    allan = allan_variance(stretches, interval)
+def _channel(segments: list[FloatArray], interval: float, step: float) -> ChannelNoise:
+    allan = allan_variance(segments, interval)
     is_coarse = np.sqrt(2.0 * allan.variance) * allan.tau_s < step
     if step == 0.0 or is_coarse[-1]:
         return ChannelNoise(allan, step, None)
@@ -379,7 +379,7 @@ def _channel(stretches: list[FloatArray], interval: float, step: float) -> Chann
         return ChannelNoise(allan, step, fit_rate_noise(allan))
     every = int(allan.factors[np.flatnonzero(is_coarse)[-1] + 1])
     try:
-        sparse = allan_variance([stretch[::every] for stretch in stretches], every * interval)
+        sparse = allan_variance([segment[::every] for segment in segments], every * interval)
         return ChannelNoise(sparse, step, fit_rate_noise(sparse))
     except MeasurementError:  # too few samples are that far apart
         return ChannelNoise(allan, step, None)

@@ -87,7 +87,7 @@ def verify(
         out or run.verify,
         [each.value for each in only or ()],
     )
-    missing = [name for name in verification.selected if not verification.is_there(name)]
+    missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]
     terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
     for name in missing:

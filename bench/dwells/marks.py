@@ -24,7 +24,7 @@ _AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 @dataclass(frozen=True)
 class WindowMark:
-    """One stretch of navigation at rest.
+    """One segment of navigation at rest.
 
     Attributes
     ----------

@@ -186,7 +186,7 @@ def _first_jump(time_s: FloatArray, values: FloatArray, step: float) -> float:
 
 
 def _longest_still(time_s: FloatArray, moves: BoolArray) -> tuple[float, float]:
-    """Begin and length of the longest stretch without a move (n - 1,), if it has enough epochs."""
+    """Begin and length of the longest segment without a move (n - 1,), if it has enough epochs."""
     changes = np.flatnonzero(moves)
     first = np.concatenate([[0], changes + 1])
     last = np.concatenate([changes, [len(moves)]])

@@ -1,7 +1,6 @@
-"""Running a plan: tick by tick on one clock, through what happens, and to the safe state at any end.
+"""Runs a plan tick by tick, handles what interrupts it, and leaves the bench in its safe state.
 
-``session`` makes a run or goes on with one, ``engine`` walks the plan, ``actions`` performs each kind
-of step. ``live_bench`` holds the instruments and what they last said, ``interlocks`` watches it,
-``heartbeat`` lets ticks pass; ``holding`` waits until a run may go on, ``outputs`` makes the bench
-safe. ``preflight`` looks at a bench before a run.
+``run`` starts or resumes a run from its ``job``, ``engine`` executes the plan, ``actions`` performs each
+kind of step. ``live_bench`` polls the instruments, ``bench_state`` records what they were commanded to do,
+``interlocks`` compares the two, and ``holding`` waits until a run may continue.
 """

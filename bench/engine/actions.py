@@ -65,13 +65,6 @@ _RETRY_PAUSE_S = 2.0
 class StepContext:
     """What actions share.
 
-    Parameters
-    ----------
-    run : RunContext
-        The run.
-    recorder : DwellRecorder
-        The dwell in progress.
-
     Attributes
     ----------
     retries : int
@@ -132,8 +125,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
     bench = context.bench
     # Each driver is looked up when it is used: a port that was reopened has a new one.
     yield from tried(
-        context,
-        lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min),
+        context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
     )
     yield from tried(context, lambda: bench.instruments.chamber.switch(True))
     bench.state.chamber_commanded(step.temperature_c)

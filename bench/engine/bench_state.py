@@ -14,103 +14,47 @@ from gyrobench.drivers.rate_table import TableReading
 
 @dataclass(frozen=True)
 class Readings:
-    """Newest answer of each instrument, and when it came.
-
-    Attributes
-    ----------
-    table, chamber, ins
-        What they reported.
-    table_s, chamber_s : float
-        When, on the run's clock; the INS status has its own age.
-    table_faults, chamber_alarms : tuple of str
-        Faults and alarms that they report.
-    asked_s : float
-        When the instruments were last asked, whether they answered or not.
-    """
+    """Newest answer of each instrument, and when it came."""
 
     table: TableReading
-    table_s: float
-    table_faults: tuple[str, ...]
+    table_s: float  #: when, on the run's clock; the INS status has its own age
+    table_faults: tuple[str, ...]  #: faults that the table reports
     chamber: ChamberReading
-    chamber_s: float
-    chamber_alarms: tuple[str, ...]
+    chamber_s: float  #: on the run's clock
+    chamber_alarms: tuple[str, ...]  #: alarms that the chamber reports
     ins: InsStatus
-    asked_s: float = 0.0
+    asked_s: float = 0.0  #: when they were last asked, whether they answered or not
 
 
 @dataclass(frozen=True)
 class ExpectedState:
-    """What the instruments have been commanded to do; the interlocks compare readings with it.
+    """What the instruments have been commanded to do; the interlocks compare readings with it."""
 
-    Attributes
-    ----------
-    chamber_set_c : float or None
-        Set point; None where none was commanded.
-    chamber_on : bool or None
-        Whether the chamber was switched on or off; None where neither was commanded.
-    chamber_reached : bool
-        Whether the air has reached that set point, so that it should stay there.
-    ins_on : bool
-        Whether the INS is on and has sent data, so that silence is a fault.
-    table_prepared : bool
-        Whether the table is ready to move, so that open servos and faults count.
-    """
-
-    chamber_set_c: float | None = None
-    chamber_on: bool | None = None
-    chamber_reached: bool = False
-    ins_on: bool = False
-    table_prepared: bool = False
+    chamber_set_c: float | None = None  #: set point; None where none was commanded
+    chamber_on: bool | None = None  #: switched on or off; None where neither was commanded
+    chamber_reached: bool = False  #: the air has reached the set point, so it should stay there
+    ins_on: bool = False  #: the INS is on and has sent data, so silence is a fault
+    table_prepared: bool = False  #: the table is ready to move, so open servos and faults count
 
 
 @dataclass(frozen=True)
 class RunPosition:
-    """Where a run is.
+    """Where a run is."""
 
-    Attributes
-    ----------
-    step, dwell : int
-        Numbers in the plan; 0 outside.
-    cycle : int
-        Temperature cycle.
-    is_calibration_check : bool
-        Whether the dwell checks a calibration.
-    unit : str
-        Serial number of the INS; empty before it is known.
-    power_ons : int
-        How often the INS was switched on.
-    powered_s : float
-        When it was switched on last, on the run's clock.
-    position, azimuth_deg : str, float
-        Commanded position of the unit.
-    angles_deg : tuple of float or None
-        Outer and inner angle last commanded; None before the first motion.
-    """
-
-    step: int = 0
-    dwell: int = 0
-    cycle: int = 1
-    is_calibration_check: bool = False
-    unit: str = ""
-    power_ons: int = 0
-    powered_s: float = 0.0
-    position: str = ""
+    step: int = 0  #: number in the plan; 0 outside
+    dwell: int = 0  #: number in the plan; 0 outside
+    cycle: int = 1  #: temperature cycle
+    is_calibration_check: bool = False  #: the dwell checks a calibration
+    unit: str = ""  #: serial number of the INS; empty before it is known
+    power_ons: int = 0  #: how often the INS was switched on
+    powered_s: float = 0.0  #: when it was switched on last, on the run's clock
+    position: str = ""  #: commanded position of the unit
     azimuth_deg: float = 0.0
-    angles_deg: Angles | None = None
+    angles_deg: Angles | None = None  #: outer and inner angle last commanded; None before the first motion
 
 
 class BenchState:
-    """The state of one bench. Its methods say what happened; nothing else changes it.
-
-    Attributes
-    ----------
-    expected : ExpectedState
-        What the instruments should be doing.
-    at : RunPosition
-        Where the run is.
-    has_ins_restarted : bool
-        Whether the INS restarted without a command since it was switched on.
-    """
+    """The state of one bench. Its methods say what happened; nothing else changes it."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
@@ -119,15 +63,18 @@ class BenchState:
         self._has_ins_restarted = False
 
     @property
-    def expected(self) -> ExpectedState:  # noqa: D102 - see the class
+    def expected(self) -> ExpectedState:
+        """What the instruments should be doing."""
         return self._expected
 
     @property
-    def at(self) -> RunPosition:  # noqa: D102
+    def at(self) -> RunPosition:
+        """Where the run is."""
         return self._at
 
     @property
-    def has_ins_restarted(self) -> bool:  # noqa: D102
+    def has_ins_restarted(self) -> bool:
+        """Whether the INS restarted without a command since it was switched on."""
         return self._has_ins_restarted
 
     @property

@@ -28,15 +28,7 @@ _CREEP_SIGMAS = 5.0
 
 
 class DwellRecorder:
-    """Marks of the dwell in progress.
-
-    Parameters
-    ----------
-    bench : LiveBench
-        Where frames and angles come from; its state gives position and numbers.
-    setup : MeasurementSetup
-        How frames become biases.
-    """
+    """Marks of the dwell in progress."""
 
     def __init__(self, bench: LiveBench, setup: MeasurementSetup) -> None:
         self._bench = bench
@@ -150,15 +142,7 @@ def _creep_deg(read_deg: FloatArray) -> float:
 
 
 class DwellLedger:
-    """Decides what happens to each dwell, and keeps journal and dwell table.
-
-    Parameters
-    ----------
-    run : RunContext
-        The run.
-    recorder : DwellRecorder
-        Its dwell in progress.
-    """
+    """Decides what happens to each dwell, and keeps journal and dwell table."""
 
     def __init__(self, run: RunContext, recorder: DwellRecorder) -> None:
         self._run = run

@@ -41,11 +41,6 @@ class Engine:
     What interrupts a step - a trip, a failed instrument, a command - leads to a hold, in the safe state
     where necessary, and back into the plan by :mod:`gyrobench.bench.procedure.approach`. An interrupted dwell
     is discarded and repeated.
-
-    Parameters
-    ----------
-    run : RunContext
-        What is run, on which bench, and what is finished already.
     """
 
     def __init__(self, run: RunContext) -> None:
@@ -173,11 +168,7 @@ class Engine:
         run, step = self._run, planned.step
         self._current = planned
         run.journal.record(
-            f"{event}_started",
-            step=planned.number,
-            kind=step.name,
-            what=step.describe(),
-            label=planned.label,
+            f"{event}_started", step=planned.number, kind=step.name, what=step.describe(), label=planned.label
         )
         run.observers.step_started(planned, self._bench)
         self._state.step_started(planned)

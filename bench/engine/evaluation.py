@@ -26,12 +26,7 @@ def evaluate_run(
 ) -> RunResults:
     """Compute the results of all dwells of a run, and write them into its folder.
 
-    Parameters
-    ----------
-    check_dwells : sequence of CheckDwell
-        Dwells that check a calibration.
-    calibration : sequence of DwellRow
-        What they are compared with; the run's own dwells where empty.
+    ``check_dwells`` are compared with ``calibration``, or where that is empty with the run's own dwells.
 
     Raises
     ------

@@ -80,14 +80,9 @@ class Holding:
         self._noted = ""
 
     def hold(self, why: str, trips: Sequence[Trip] = (), command: RunCommand | None = None) -> None:
-        """Wait; ticks and interlocks continue.
+        """Wait because of trips, or of a command; ticks and interlocks continue.
 
-        Parameters
-        ----------
-        trips : sequence of Trip
-            What led to the hold. Without any, or where a rule requires it, the operator has to continue.
-        command : RunCommand, optional
-            The command that led to the hold.
+        Without trips, or where a rule requires it, the operator has to continue the run.
 
         Raises
         ------

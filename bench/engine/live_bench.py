@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import can
 import numpy as np
@@ -26,6 +26,10 @@ from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
 from gyrobench.drivers.ins.readout import InsMode
+
+if TYPE_CHECKING:
+    from gyrobench.bench.runs.can_log import CanLog
+    from gyrobench.bench.runs.telemetry import Telemetry
 
 #: How often an instrument that does not answer at the start is asked again, and the pause between.
 _FIRST_TRIES, _FIRST_PAUSE_S = 5, 2.0
@@ -85,7 +89,7 @@ class TickLateness:
 
     def __init__(self) -> None:
         self._counts = np.zeros(_DECADES * _PER_DECADE + 1, np.int64)
-        self._longest_s = 0.0
+        self._max_s = 0.0
         self._missed = 0
         self._last_s: float | None = None
 
@@ -94,7 +98,7 @@ class TickLateness:
         late_s = max(0.0, now_s - due_s)
         place = math.ceil(_PER_DECADE * math.log10(max(late_s, _LOWEST_S) / _LOWEST_S))
         self._counts[min(place, len(self._counts) - 1)] += 1
-        self._longest_s = max(self._longest_s, late_s)
+        self._max_s = max(self._max_s, late_s)
         if self._last_s is not None:
             self._missed += round((due_s - self._last_s) / period_s) - 1
         self._last_s = due_s
@@ -106,7 +110,7 @@ class TickLateness:
             "missed": self._missed,
             "late_median_s": self._late_s(0.5),
             "late_99_percent_s": self._late_s(0.99),
-            "late_max_s": round(self._longest_s, 6),
+            "late_max_s": round(self._max_s, 6),
         }
 
     def _late_s(self, share: float) -> float:
@@ -114,36 +118,7 @@ class TickLateness:
         total = self._counts.sum()
         place = int(np.searchsorted(np.cumsum(self._counts), share * total)) if total else 0
         late_s = _LOWEST_S * 10.0 ** (place / _PER_DECADE) if place else 0.0
-        return round(min(late_s, self._longest_s), 6)
-
-
-class FrameLog(Protocol):
-    """Keeps received frames, as :class:`~gyrobench.bench.runs.can_log.CanLog` does."""
-
-    @property
-    def next_part(self) -> int:
-        """Number of the part that begins with the next frame, after :meth:`cut`."""
-        ...
-
-    def write(self, messages: Iterable[can.Message]) -> None:
-        """Add frames."""
-        ...
-
-    def cut(self) -> None:
-        """End the current part."""
-        ...
-
-
-class ReadingsLog(Protocol):
-    """Keeps readings, as :class:`~gyrobench.bench.runs.telemetry.Telemetry` does."""
-
-    def add(self, row: tuple[float, ...]) -> None:
-        """Add the values of one moment."""
-        ...
-
-    def flush(self) -> None:
-        """Write them to the disk."""
-        ...
+        return round(min(late_s, self._max_s), 6)
 
 
 class LiveBench:
@@ -159,20 +134,9 @@ class LiveBench:
     clock : Clock
         The run's clock.
     can_log, telemetry
-        Keep everything received and read.
+        Keep everything received and read; None for a bench that is not recorded.
     report_failure : callable
         Gets the instrument's name and the error of a failed exchange, or None when it answers again.
-
-    Attributes
-    ----------
-    readings : Readings
-        Newest answers; set by :meth:`start`.
-    state : BenchState
-        What the bench was commanded to do.
-    capture : Capture or None
-        The frames of the dwell in progress.
-    lateness : TickLateness
-        How late ticks were.
     """
 
     def __init__(
@@ -180,16 +144,16 @@ class LiveBench:
         station: Station,
         instruments: Instruments,
         clock: Clock,
-        can_log: FrameLog,
-        telemetry: ReadingsLog,
+        can_log: CanLog | None,
+        telemetry: Telemetry | None,
         report_failure: Callable[[str, InstrumentError | None], None],
     ) -> None:
         self.station = station
         self.instruments = instruments
         self.clock = clock
-        self.readings: Readings
+        self.readings: Readings  #: newest answers; set by start()
         self.state = BenchState(station)
-        self.capture: Capture | None = None
+        self.capture: Capture | None = None  #: frames of the dwell in progress
         self.lateness = TickLateness()
         self._can_log = can_log
         self._telemetry = telemetry
@@ -311,7 +275,8 @@ class LiveBench:
         self._watch.observe(readings)
         self._notice_restart(readings)
         self._notice_silent_bus(readings)
-        self._telemetry.add(self._telemetry_row(readings, asked_s))
+        if self._telemetry:
+            self._telemetry.add(self._telemetry_row(readings, asked_s))
         if self.capture and of_chamber is not None:
             self.capture.chamber_c.append(of_chamber.temperature_c)
         if self.capture and of_table is not None:
@@ -354,8 +319,9 @@ class LiveBench:
     def begin_capture(self) -> None:
         """Start to keep the frames of a dwell; the raw log starts a new part."""
         self.poll_ins()
-        self._can_log.cut()
-        self.capture = Capture(self._can_log.next_part)
+        if self._can_log:
+            self._can_log.cut()
+        self.capture = Capture(self._can_log.next_part if self._can_log else 0)
 
     def begin_window(self, is_first: bool) -> None:
         """Forget readings of the dwell from before its window; those of the chamber before the first."""
@@ -368,8 +334,9 @@ class LiveBench:
         """Stop keeping frames and return them, with log and telemetry written to the disk."""
         frames = self.capture.frames() if self.capture else FrameBlock.from_messages([])
         self.capture = None
-        self._can_log.cut()
-        self._telemetry.flush()
+        if self._can_log and self._telemetry:
+            self._can_log.cut()
+            self._telemetry.flush()
         return frames
 
     def captured_frames(self) -> int:
@@ -389,15 +356,7 @@ class LiveBench:
     def make_safe(
         self, release_table: bool = True, meanwhile: Callable[[], object] = lambda: None
     ) -> list[SafeAction]:
-        """Bring all outputs to their safe values; none raises.
-
-        Parameters
-        ----------
-        release_table : bool
-            Whether the servos are opened as well.
-        meanwhile : callable
-            Called repeatedly during the waits.
-        """
+        """Bring all outputs to their safe values; ``meanwhile`` is called during the waits. None raises."""
         actions = make_safe(self.station, self.instruments, release_table, meanwhile=meanwhile)
         self.state.made_safe()
         return actions
@@ -424,7 +383,8 @@ class LiveBench:
         self.state.table_prepared()
 
     def _received(self, messages: list[can.Message]) -> None:
-        self._can_log.write(messages)
+        if self._can_log:
+            self._can_log.write(messages)
         if self.capture:
             self.capture.add(messages)
 

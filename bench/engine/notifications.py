@@ -20,17 +20,7 @@ UNANSWERED_S = 30.0
 
 
 class RunNotifier(RunObserver):
-    """Sends messages about a run.
-
-    Parameters
-    ----------
-    messenger : Messenger
-        Sends them.
-    plan : Plan
-        What is run.
-    state : ResumeState
-        What is finished; the run keeps it up to date.
-    """
+    """Sends messages about a run."""
 
     def __init__(self, messenger: Messenger, plan: Plan, state: ResumeState) -> None:
         self._messenger = messenger

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
@@ -19,35 +19,17 @@ from gyrobench.bench.station.safe_state import SafeAction
 
 @dataclass
 class RunOutcome:
-    """How a run ended.
+    """How a run ended."""
 
-    Attributes
-    ----------
-    ended : str
-        "finished", "stopped" (by the operator, or a hold lasted too long) or "failed".
-    reason : str
-        Why it did not finish; empty where it did.
-    dwells : list of MeasuredDwell
-        Measured dwells.
-    check_dwells : list of CheckDwell
-        Dwells that check a calibration.
-    results : RunResults
-        Results of all dwells together.
-    duration_s : float
-        On the run's clock.
-    took_s : dict of str to list of tuple
-        Planned and actual duration of every finished step, by kind.
-    safe_state : list of SafeAction
-        The actions at the end that brought the bench to its safe state.
-    """
-
-    ended: str = "finished"
-    reason: str = ""
+    ended: str = "finished"  #: "finished", "stopped" (by the operator, or a hold lasted too long) or "failed"
+    reason: str = ""  #: why it did not finish; empty where it did
     dwells: list[MeasuredDwell] = field(default_factory=list)
-    check_dwells: list[CheckDwell] = field(default_factory=list)
+    check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
     results: RunResults = field(default_factory=RunResults)
-    duration_s: float = 0.0
+    duration_s: float = 0.0  #: on the run's clock
+    #: Planned and actual duration of every finished step, by kind.
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    #: Actions at the end that brought the bench to its safe state.
     safe_state: list[SafeAction] = field(default_factory=list)
 
     @property
@@ -116,69 +98,21 @@ class ObserverGroup(RunObserver):
     def __init__(self, *members: RunObserver) -> None:
         self._members = members
 
-    def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:  # noqa: D102
-        for member in self._members:
-            member.begun(folder, bench, outcome)
 
-    def noted(self, text: str) -> None:  # noqa: D102
+def _for_each_member(name: str) -> Callable[..., None]:
+    def notify(self: ObserverGroup, *details: object) -> None:
         for member in self._members:
-            member.noted(text)
+            getattr(member, name)(*details)
 
-    def identified(self, unit: str) -> None:  # noqa: D102
-        for member in self._members:
-            member.identified(unit)
+    return notify
 
-    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:  # noqa: D102
-        for member in self._members:
-            member.step_started(planned, bench)
 
-    def beat(self, bench: LiveBench) -> None:  # noqa: D102
-        for member in self._members:
-            member.beat(bench)
-
-    def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: D102
-        for member in self._members:
-            member.ticked(bench, left_s)
-
-    def estimated(self, estimate: StateSpaceEstimate) -> None:  # noqa: D102
-        for member in self._members:
-            member.estimated(estimate)
-
-    def dwell_measured(self, row: DwellRow) -> None:  # noqa: D102
-        for member in self._members:
-            member.dwell_measured(row)
-
-    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: D102
-        for member in self._members:
-            member.held(why, needs_person, command)
-
-    def continued(self) -> None:  # noqa: D102
-        for member in self._members:
-            member.continued()
-
-    def asked(self, question: str, answers: Sequence[str]) -> None:  # noqa: D102
-        for member in self._members:
-            member.asked(question, answers)
-
-    def answered(self) -> None:  # noqa: D102
-        for member in self._members:
-            member.answered()
-
-    def ended(self, outcome: RunOutcome) -> None:  # noqa: D102
-        for member in self._members:
-            member.ended(outcome)
+for _name in [name for name in vars(RunObserver) if not name.startswith("_")]:
+    setattr(ObserverGroup, _name, _for_each_member(_name))
 
 
 class ObservedOperator:
-    """An operator whose open question the observers see.
-
-    Parameters
-    ----------
-    operator : Operator
-        Answers.
-    observer : RunObserver
-        Is notified.
-    """
+    """An operator whose open question the observers see."""
 
     def __init__(self, operator: Operator, observer: RunObserver) -> None:
         self._operator = operator

@@ -29,46 +29,22 @@ _MAX_POWER_ONS = 1_000_000
 
 @dataclass
 class ResumeState:
-    """What is known of a run when it resumes: what is finished and stays finished.
+    """What is known of a run when it resumes: what is finished and stays finished."""
 
-    Attributes
-    ----------
-    next_index : int
-        The first step of the plan that is not finished.
-    finished, skipped : set of int
-        Dwells that are over, and those that the operator skipped.
-    repeats : Counter
-        How often each dwell was repeated because its data were invalid.
-    resumes : Counter
-        How often the run continued without an operator after a trip of each interlock.
-    power_ons : int
-        How often the INS was switched on.
-    unit : str
-        Serial number of the INS; empty before it is known.
-    last_s : float
-        Time of the last entry, on the run's clock.
-    ended, reason : str
-        How the run ended; both empty where the journal does not say.
-    in_progress : str
-        Description of the step in progress at the last entry; empty where there was none.
-    resumes_without_progress : int
-        How often the run was resumed since a step was finished.
-    stored_compensation_answers : dict of str to str
-        The operator's decision on each compensation found in the INS.
-    """
-
-    next_index: int = 0
-    finished: set[int] = field(default_factory=set)
-    skipped: set[int] = field(default_factory=set)
-    repeats: Counter[int] = field(default_factory=Counter)
+    next_index: int = 0  #: first step of the plan that is not finished
+    finished: set[int] = field(default_factory=set)  #: dwells that are over
+    skipped: set[int] = field(default_factory=set)  #: dwells that the operator skipped
+    repeats: Counter[int] = field(default_factory=Counter)  #: repeats of each dwell because of invalid data
+    #: Continuations without an operator after a trip, by interlock.
     resumes: Counter[str] = field(default_factory=Counter)
-    power_ons: int = 0
-    unit: str = ""
-    last_s: float = 0.0
-    ended: str = ""
-    reason: str = ""
-    in_progress: str = ""
-    resumes_without_progress: int = 0
+    power_ons: int = 0  #: how often the INS was switched on
+    unit: str = ""  #: serial number of the INS; empty before it is known
+    last_s: float = 0.0  #: time of the last entry, on the run's clock
+    ended: str = ""  #: how the run ended; empty where the journal has no end
+    reason: str = ""  #: why it did not finish
+    in_progress: str = ""  #: the step in progress at the last entry; empty where there was none
+    resumes_without_progress: int = 0  #: resumes since a step was finished
+    #: The operator's decision on each compensation found in the INS.
     stored_compensation_answers: dict[str, str] = field(default_factory=dict)
 
     def is_over(self, plan: Plan) -> bool:
@@ -212,12 +188,7 @@ class Resumption:
 
 
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
-    """Read the folder of an interrupted run: what is finished, and what is left.
-
-    Parameters
-    ----------
-    anyway : bool
-        Whether to resume a run that was resumed again and again without finishing a step.
+    """Read the folder of an interrupted run; ``anyway`` also after many resumes without progress.
 
     Raises
     ------

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.dwell import MeasurementSetup, measurement_setup
@@ -59,80 +60,66 @@ def run_job(
     RunFolderError
         The run folder can't be written.
     """
-    return _execute(_NewRun(job, out), observer, operator)
+    clock = job.station.new_clock()
+    start = _Start(
+        job,
+        clock,
+        ResumeState(),
+        RunOutcome(),
+        partial(create_run_folder, out, job.plan.procedure.procedure),
+        partial(_write_inputs, job, clock),
+    )
+    return _execute(start, observer, operator)
 
 
 def resume_run(
     resumption: Resumption, observer: RunObserver, operator: Operator
 ) -> tuple[RunFolder, RunOutcome]:
     """Resume an interrupted run; raises what :func:`run_job` does."""
-    return _execute(_ResumedRun(resumption), observer, operator)
+    job, folder = resumption.job, resumption.folder
+    last_s = max(resumption.state.last_s, last_reading_s(folder.telemetry))
+    clock: Clock
+    if job.is_virtual:
+        clock = VirtualClock(last_s + RESUME_STEP_S)
+    else:
+        clock = WallClock.resumed(started_utc(folder), last_s, job.station.file.speed)
+    dwells, check_dwells = replay(folder, measurement_setup(job.station))
+
+    def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
+        resumption.check_unchanged()
+        write_dwells(folder.dwells, [dwell.row for dwell in dwells])  # the journal may have more dwells
+
+    outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
+    start = _Start(job, clock, resumption.state, outcome, lambda: folder, check_folder)
+    return _execute(start, observer, operator)
 
 
-class _Start(Protocol):
-    """How a run starts."""
+@dataclass(frozen=True)
+class _Start:
+    """How a run starts, new or resumed.
+
+    ``open_folder`` is called once the bench is locked and all instruments answer, ``prepare_folder`` once the
+    folder is locked, before anything moves.
+    """
 
     job: Job
     clock: Clock
     state: ResumeState
     outcome: RunOutcome
-
-    def open_folder(self) -> RunFolder:
-        """Give the run folder; called once the bench is locked and all instruments answer."""
-        ...
-
-    def fill_folder(self, folder: RunFolder, instruments: Instruments) -> None:
-        """Write what has to be in the folder, before anything moves."""
-        ...
+    open_folder: Callable[[], RunFolder]
+    prepare_folder: Callable[[RunFolder, Instruments], None]
 
 
-class _NewRun:
-    def __init__(self, job: Job, out: Path | None) -> None:
-        self.job = job
-        self.clock: Clock = job.station.new_clock()
-        self.state = ResumeState()
-        self.outcome = RunOutcome()
-        self._out = out
-
-    def open_folder(self) -> RunFolder:
-        return create_run_folder(self._out, self.job.plan.procedure.procedure)
-
-    def fill_folder(self, folder: RunFolder, instruments: Instruments) -> None:
-        job = self.job
-        write_whole(folder.procedure, job.document.path.read_bytes())
-        write_whole(folder.station, job.station.path.read_bytes())
-        if job.calibration:
-            write_dwells(folder.calibration, job.calibration)
-        if job.compensation is not None:
-            write_compensation(folder.compensation, job.compensation)
-        write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())
-        identities = {
-            "rate table": instruments.table.identify(),
-            "chamber": instruments.chamber.identify(),
-        }
-        write_provenance(folder, self.clock.epoch, identities, job.options)
-
-
-class _ResumedRun:
-    def __init__(self, resumption: Resumption) -> None:
-        self.job, self.state = resumption.job, resumption.state
-        self._resumption, folder = resumption, resumption.folder
-        last_s = max(self.state.last_s, last_reading_s(folder.telemetry))
-        self.clock: Clock = (
-            VirtualClock(last_s + RESUME_STEP_S)
-            if self.job.is_virtual
-            else WallClock.resumed(started_utc(folder), last_s, self.job.station.file.speed)
-        )
-        dwells, check_dwells = replay(folder, measurement_setup(self.job.station))
-        self.outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
-
-    def open_folder(self) -> RunFolder:
-        return self._resumption.folder
-
-    def fill_folder(self, folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG002
-        self._resumption.check_unchanged()
-        # The journal may have more dwells than the table.
-        write_dwells(folder.dwells, [dwell.row for dwell in self.outcome.dwells])
+def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instruments) -> None:
+    write_whole(folder.procedure, job.document.path.read_bytes())
+    write_whole(folder.station, job.station.path.read_bytes())
+    if job.calibration:
+        write_dwells(folder.calibration, job.calibration)
+    if job.compensation is not None:
+        write_compensation(folder.compensation, job.compensation)
+    write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())
+    identities = {"rate table": instruments.table.identify(), "chamber": instruments.chamber.identify()}
+    write_provenance(folder, clock.epoch, identities, job.options)
 
 
 def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
@@ -149,7 +136,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         folder = start.open_folder()
         bench_lock.sign(folder.path)
         run_lock = opened.enter_context(RunLock(folder.path, clock))
-        start.fill_folder(folder, instruments)
+        start.prepare_folder(folder, instruments)
         journal = opened.enter_context(Journal(folder.journal, clock))
         _record_start(journal, start, setup, observer)
         for text in (*bench_lock.taken_over, *run_lock.taken_over):

@@ -19,39 +19,19 @@ from gyrobench.bench.runs.journal import Journal
 
 @dataclass(frozen=True)
 class RunContext:
-    """One run on one bench.
-
-    Attributes
-    ----------
-    job : Job
-        What is run.
-    setup : MeasurementSetup
-        How frames become biases.
-    bench : LiveBench
-        The opened bench.
-    folder, journal
-        Where the run keeps its results.
-    observers, operator, commands
-        Who is notified, who answers questions, and the commands that wait.
-    guard : Guard
-        Gets a sign of life at each tick.
-    state : ResumeState
-        What is finished; the run continues from there and keeps it up to date.
-    outcome : RunOutcome
-        Gets how the run ends, and its dwells beside those measured before.
-    """
+    """One run on one bench."""
 
     job: Job
-    setup: MeasurementSetup
+    setup: MeasurementSetup  #: how frames become biases
     bench: LiveBench
     folder: RunFolder
     journal: Journal
     observers: RunObserver
     operator: Operator
-    commands: CommandQueue
-    guard: Guard
-    state: ResumeState
-    outcome: RunOutcome
+    commands: CommandQueue  #: commands that wait to be executed
+    guard: Guard  #: gets a sign of life at each tick
+    state: ResumeState  #: what is finished; the run keeps it up to date
+    outcome: RunOutcome  #: how the run ends, and its dwells
 
     @property
     def plan(self) -> Plan:

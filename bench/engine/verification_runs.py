@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,7 +13,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.dwell import MeasuredDwell, measurement_setup
 from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
@@ -37,12 +37,8 @@ from gyrobench.drivers.ins.command_map import Compensation
 _AZIMUTH_TOLERANCE_DEG = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """Dwells of the run with one compensation."""
-
-    dwells: Sequence[DwellRow]
-    check_dwells: Sequence[CheckDwell]
+#: Dwells of a run, and those that check a calibration.
+_Measured = tuple[Sequence[MeasuredDwell], Sequence[CheckDwell]]
 
 
 class VerificationRuns:
@@ -66,15 +62,6 @@ class VerificationRuns:
     only : sequence of str, optional
         Compensations to measure with; all if none is given.
 
-    Attributes
-    ----------
-    models : mapping of str to LoadableModel
-        Models that can be loaded; "effect" is missing where the search found no effect to load.
-    jobs : mapping of str to Job
-        One for each compensation that is selected or has a run already, in order.
-    selected : list of str
-        Compensations to measure with.
-
     Raises
     ------
     DocumentError
@@ -97,7 +84,11 @@ class VerificationRuns:
         self._run = run
         self._closure = closure
         self._measured: dict[str, _Measured] = {}
-        self.models = MappingProxyType(_models(closure))
+        whole = model_with_effects(closure)
+        #: Models that can be loaded; without "effect" where the search found no effect to load.
+        self.models: Mapping[str, LoadableModel] = MappingProxyType(
+            {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
+        )
         compensations: dict[str, Compensation | None] = {NONE: None}
         compensations |= {name: model.compensation for name, model in self.models.items()}
         if set(only) - compensations.keys():
@@ -105,7 +96,9 @@ class VerificationRuns:
                 f"{run.path}: the search found no effect that an INS can compensate. "
                 f"Leave --only {EFFECT} out"
             )
+        #: Compensations to measure with.
         self.selected = [name for name in compensations if name in only or not only]
+        #: One for each compensation that is selected or has a run already, in order.
         self.jobs: Mapping[str, Job] = MappingProxyType(
             {
                 name: prepare_job(procedure, station, emulation, compensation=compensation)
@@ -116,7 +109,7 @@ class VerificationRuns:
         self._job = self.jobs[self.selected[0]]
         _check_new(run, self._job)
 
-    def is_there(self, name: str) -> bool:
+    def is_finished(self, name: str) -> bool:
         """Whether the run with a compensation is finished, with the same job.
 
         Raises
@@ -134,7 +127,7 @@ class VerificationRuns:
                 f"{folder.path}: holds a run of another model, procedure or world. Remove it, or choose "
                 "another --out"
             )
-        if not _is_finished(folder):
+        if facts_of(read_journal(folder.journal)).ended != "finished":
             raise RunFolderError(
                 f"{folder.path}: holds an unfinished run. Finish it with: gyrobench resume {folder.path}"
             )
@@ -150,8 +143,7 @@ class VerificationRuns:
         """
         folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
-            rows = [dwell.row for dwell in outcome.dwells]
-            self._measured[name] = _Measured(rows, outcome.check_dwells)
+            self._measured[name] = (outcome.dwells, outcome.check_dwells)
         return folder, outcome
 
     def result(self) -> VerificationResult:
@@ -162,44 +154,43 @@ class VerificationRuns:
         RunFolderError
             An earlier run can't be read.
         """
-        names = [name for name in self.jobs if self.is_there(name)]
-        measured = {name: self._measured.get(name) or self._read(name) for name in names}
+        measured = {
+            name: self._measured.get(name) or self._read(name) for name in self.jobs if self.is_finished(name)
+        }
+        rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
-        first = measured[names[0]].dwells
+        first = next(iter(rows.values()))
         site = self._job.station.site
         return VerificationResult(
             source=str(self._run.path),
             closure=self._closure,
             models=self.models,
             results=tuple(
-                compensation_result(name, each.dwells, each.check_dwells, site, fitted_c)
-                for name, each in measured.items()
+                compensation_result(name, rows[name], check_dwells, site, fitted_c)
+                for name, (_, check_dwells) in measured.items()
             ),
             new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
             dwells=len(first),
             is_same_seed=bool(self._job.emulated_world()),
-            notes=tuple(self._notes(measured)),
+            notes=tuple(self._notes(rows)),
         )
 
     def _read(self, name: str) -> _Measured:
-        dwells, check_dwells = replay(
-            RunFolder(self.folder / name), measurement_setup(self.jobs[name].station)
-        )
-        return _Measured([dwell.row for dwell in dwells], check_dwells)
+        return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
 
-    def _notes(self, measured: Mapping[str, _Measured]) -> Iterator[str]:
+    def _notes(self, rows: Mapping[str, Sequence[DwellRow]]) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
-        for name, each in measured.items():
-            others = {row.unit for row in each.dwells} - units
+        for name, measured in rows.items():
+            others = {row.unit for row in measured} - units
             if others:
                 yield (
                     f"The run {name} measured the unit {', '.join(sorted(others))}, but the model belongs to "
                     f"{', '.join(sorted(units))}."
                 )
-            flagged = sum(bool(row.flags) for row in each.dwells)
+            flagged = sum(bool(row.flags) for row in measured)
             if flagged:
-                yield f"In the run {name} {flagged} of {len(each.dwells)} dwells have flags and are not used."
-        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in measured else []
+                yield f"In the run {name} {flagged} of {len(measured)} dwells have flags and are not used."
+        kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
         if kept:
             yield f"In the run {NONE} the INS applied a stored compensation ({', '.join(kept)})."
 
@@ -214,11 +205,6 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
     """
     known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
-
-
-def _models(closure: Closure) -> dict[str, LoadableModel]:
-    whole = model_with_effects(closure)
-    return {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
 
 
 def _check_uncompensated(run: RunFolder) -> None:
@@ -248,10 +234,6 @@ def _check_new(run: RunFolder, job: Job) -> None:
             f"--seed {job.emulation.seed} is the seed of {run.path}, so the noise would be the same. Choose "
             "another seed, or leave --seed out"
         )
-
-
-def _is_finished(folder: RunFolder) -> bool:
-    return folder.journal.is_file() and facts_of(read_journal(folder.journal)).ended == "finished"
 
 
 def _is_run_of(folder: RunFolder, job: Job) -> bool:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import GyrobenchError
@@ -26,10 +26,11 @@ _PIPE_BYTES = 4096
 _EMULATED = "emulator://"
 
 
-class Guard(Protocol):
-    """A guard as the engine uses it."""
+class Guard:
+    """What the engine uses; by itself no guard, for emulated instruments inside the engine's process."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -37,46 +38,17 @@ class Guard(Protocol):
 
     def beat(self) -> str | None:
         """Send that the engine is alive, at every tick; returns a text to be noted, if any."""
-        ...
-
-    def release(self) -> None:
-        """Send that the bench is safe, and end the guard."""
-        ...
-
-
-class NoGuard:
-    """No guard, for emulated instruments inside the engine's process."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Do nothing."""
-
-    def beat(self) -> str | None:
-        """Do nothing."""
         return None
 
     def release(self) -> None:
-        """Do nothing."""
+        """Send that the bench is safe, and end the guard."""
 
 
-class GuardProcess:
+class GuardProcess(Guard):
     """A guard process for one run; a context manager.
 
     Without :meth:`release`, the guard makes the bench safe on exit: it waits until the bench's lock is free,
     and tries for minutes. So release it once the bench is safe, and enter it with the bench locked.
-
-    Parameters
-    ----------
-    station : Station
-        The bench.
-    folder : Path
-        Run folder; the guard writes its log and journal entries there.
-    clock : Clock
-        The run's clock.
 
     Raises
     ------
@@ -221,5 +193,5 @@ def guard_for(station: Station, folder: Path, clock: Clock) -> Guard:
     section = station.file
     ports = (section.rate_table.port, section.chamber.port)
     if clock.is_virtual or all(port.startswith(_EMULATED) for port in ports):
-        return NoGuard()
+        return Guard()
     return GuardProcess(station, folder, clock)

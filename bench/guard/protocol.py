@@ -20,28 +20,14 @@ _MAX_BYTES = 4096
 
 @dataclass(frozen=True)
 class GuardConfig:
-    """Settings of a guard: one line of JSON, the first through the pipe.
+    """Settings of a guard: one line of JSON, the first through the pipe."""
 
-    Attributes
-    ----------
-    station, folder : str
-        Absolute paths of station file and run folder.
-    silence_s : float
-        Silence after which the engine is taken to hang.
-    engine_pid : int
-        The engine's process.
-    epoch : str
-        Calendar time at zero of the run's clock, ISO 8601.
-    now_s : float
-        The run's clock when the guard starts.
-    """
-
-    station: str
-    folder: str
-    silence_s: float
-    engine_pid: int
-    epoch: str
-    now_s: float
+    station: str  #: absolute path of the station file
+    folder: str  #: absolute path of the run folder
+    silence_s: float  #: silence after which the engine is taken to hang
+    engine_pid: int  #: the engine's process
+    epoch: str  #: calendar time at zero of the run's clock, ISO 8601
+    now_s: float  #: the run's clock when the guard starts
 
     @property
     def clock_epoch(self) -> datetime:

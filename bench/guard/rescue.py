@@ -6,7 +6,6 @@ import contextlib
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
@@ -16,7 +15,7 @@ from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
 from gyrobench.bench.messages.message import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import Journal, RunFacts, facts_of, read_journal
+from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
@@ -33,17 +32,6 @@ _ALARM_PATIENCE_S = 900.0
 
 class Rescue:
     """Makes table and chamber of a bench safe over their ports, with repeated attempts.
-
-    Parameters
-    ----------
-    config : GuardConfig
-        The guard's settings.
-    engine : EngineProcess
-        The engine's process.
-    clock : Clock
-        The run's clock, continued.
-    log : GuardLog
-        Records what is done.
 
     Raises
     ------
@@ -68,10 +56,11 @@ class Rescue:
         self._log.add(end.value)
         if end is EngineEnd.SILENT:
             self._kill()
-        with AlarmSender(self._station, self._folder, self._clock, self._log) as alarm:
-            self._act(end, alarm)
+        # Its exit waits until the alarm is sent.
+        with Messenger(self._station.file.messages, self._log_sending, _ALARM_PATIENCE_S) as messenger:
+            self._act(end, messenger)
 
-    def _act(self, end: EngineEnd, alarm: AlarmSender) -> None:
+    def _act(self, end: EngineEnd, messenger: Messenger) -> None:
         left: list[str] | None = None
         for pause_s in PAUSES_S:
             self._clock.sleep(pause_s)
@@ -87,16 +76,16 @@ class Rescue:
             left = [action.what for action in actions if action.problem]
             if not left:
                 self._log.add("the bench is in its safe state")
-                alarm.send(end, "The bench is in its safe state.")
+                self._send_alarm(messenger, end, "The bench is in its safe state.")
                 return
             if is_first:
                 problems = "; ".join(
                     f"{action.what}: {action.problem}" for action in actions if action.problem
                 )
-                alarm.send(end, f"The bench is NOT in its safe state yet: {problems}")
+                self._send_alarm(messenger, end, f"The bench is NOT in its safe state yet: {problems}")
         gives_up = "gives up: the bench is NOT in its safe state. Check table and chamber."
         self._log.add(gives_up)
-        alarm.send(end, f"The guard {gives_up}")
+        self._send_alarm(messenger, end, f"The guard {gives_up}")
 
     def _kill(self) -> None:
         self._engine.kill()
@@ -148,41 +137,17 @@ class Rescue:
             try:
                 journal = opened.enter_context(Journal(self._folder.journal, self._clock))
                 journal.record(
-                    "guard_acted",
-                    reason=end.value,
-                    safe_state=[asdict(action) for action in actions],
+                    "guard_acted", reason=end.value, safe_state=[asdict(action) for action in actions]
                 )
             except GyrobenchError as error:
                 self._log.add(f"not in the journal: {error}")
 
-
-class AlarmSender:
-    """Sends that the guard had to act; its exit waits up to a quarter of an hour until that is sent.
-
-    Parameters
-    ----------
-    station, folder, clock, log
-        Those of the guard.
-    """
-
-    def __init__(self, station: Station, folder: RunFolder, clock: Clock, log: GuardLog) -> None:
-        self._station = station
-        self._folder = folder
-        self._clock = clock
-        self._log = log
-        self._messenger = Messenger(station.file.messages, self._note, _ALARM_PATIENCE_S)
-
-    def __enter__(self) -> AlarmSender:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._messenger.__exit__(kind, error, trace)
-
-    def send(self, end: EngineEnd, bench: str) -> None:
+    def _send_alarm(self, messenger: Messenger, end: EngineEnd, bench: str) -> None:
         """Send how the engine ended, and the state of the bench."""
-        known = self._facts()
+        entries: list[dict[str, Any]] = []
+        with contextlib.suppress(GyrobenchError):  # up to where the journal is damaged
+            entries.extend(read_journal(self._folder.journal))
+        known = facts_of(entries)
         message = Message(
             event="guard_acted",
             why=f"{end.value[0].upper()}{end.value[1:]}, so the guard acted. {bench}\n"
@@ -193,15 +158,8 @@ class AlarmSender:
             procedure=known.procedure,
             unit=known.unit,
         )
-        self._messenger.send(message, about=bench)
+        messenger.send(message, about=bench)
 
-    def _facts(self) -> RunFacts:
-        """What the journal holds, up to where it is damaged."""
-        entries: list[dict[str, Any]] = []
-        with contextlib.suppress(GyrobenchError):
-            entries.extend(read_journal(self._folder.journal))
-        return facts_of(entries)
-
-    def _note(self, event: str, **details: Any) -> None:
+    def _log_sending(self, event: str, **details: Any) -> None:
         text = ", ".join(f"{key} {value}" for key, value in details.items())
         self._log.add(f"{event.replace('_', ' ')}: {text}")

@@ -46,13 +46,7 @@ def watch_engine(descriptor: int, silence_s: float, clock: Clock) -> EngineEnd:
 
 
 class EngineProcess:
-    """The engine, which is the parent process, by a descriptor that stays valid if its number is reused.
-
-    Parameters
-    ----------
-    pid : int
-        Its process number, as it sent it.
-    """
+    """The engine, which is the parent process, by a descriptor that stays valid if its number is reused."""
 
     def __init__(self, pid: int) -> None:
         self._descriptor: int | None = None
@@ -80,15 +74,7 @@ class EngineProcess:
 
 
 class GuardLog:
-    """Lines with their time, appended to a file; a line that can't be written is dropped.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    clock : Clock
-        The run's clock.
-    """
+    """Lines with their time, appended to a file; a line that can't be written is dropped."""
 
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path

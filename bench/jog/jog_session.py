@@ -6,11 +6,9 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-
-import can
 
 from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
@@ -33,24 +31,6 @@ from gyrobench.bench.station.station import Station
 
 _PROMPT = "jog> "
 _TICKS_TO_FIRST_FRAME = 2
-
-
-class _NoRecord:
-    """Discards frames and readings: manual control keeps no data."""
-
-    next_part = 1
-
-    def write(self, messages: Iterable[can.Message]) -> None:
-        """Discard frames."""
-
-    def cut(self) -> None:
-        """Do nothing."""
-
-    def add(self, row: tuple[float, ...]) -> None:
-        """Discard readings."""
-
-    def flush(self) -> None:
-        """Do nothing."""
 
 
 def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: bool) -> bool:
@@ -94,7 +74,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         instruments = held.enter_context(Instruments(station, clock, emulation))
         for text in lock.taken_over:
             display.print(text)
-        bench = LiveBench(station, instruments, clock, _NoRecord(), _NoRecord(), report)
+        bench = LiveBench(station, instruments, clock, None, None, report)
         bench.start()
         _await_first_frame(bench)
         limits = manual_limits(station, instruments.table, instruments.chamber)

@@ -48,14 +48,14 @@ _BEFORE_THE_JOURNAL = re.compile(
 )
 
 
-class _Inside:
-    """Path of a file or folder in a run folder."""
+class PathInside:
+    """Path of a file or folder in a run folder; of the class the path relative to it."""
 
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __get__(self, folder: RunFolder, owner: type[RunFolder] | None = None) -> Path:
-        return folder.path / self._name
+    def __get__(self, folder: RunFolder | None, owner: type[RunFolder]) -> Path:
+        return Path(self._name) if folder is None else folder.path / self._name
 
 
 @dataclass(frozen=True)
@@ -65,45 +65,45 @@ class RunFolder:
     path: Path
 
     #: The procedure as run.
-    procedure = _Inside(PROCEDURE)
+    procedure = PathInside(PROCEDURE)
     #: The station as run.
-    station = _Inside("station.yaml")
+    station = PathInside("station.yaml")
     #: Versions, identities, hashes, options.
-    provenance = _Inside(PROVENANCE)
+    provenance = PathInside(PROVENANCE)
     #: The journal.
-    journal = _Inside(JOURNAL)
+    journal = PathInside(JOURNAL)
     #: The latest snapshot of the run, for its views.
-    live = _Inside("live.json")
+    live = PathInside("live.json")
     #: Folder of the raw CAN log.
-    can = _Inside("can")
+    can = PathInside("can")
     #: Folder of the bench's readings.
-    telemetry = _Inside("telemetry")
+    telemetry = PathInside("telemetry")
     #: The dwell table.
-    dwells = _Inside(DWELLS)
+    dwells = PathInside(DWELLS)
     #: Bias per gyro, position and temperature bin.
-    bias_bins = _Inside(BIAS_BINS)
+    bias_bins = PathInside(BIAS_BINS)
     #: Biases of the dwells of each temperature solved together.
-    joint_biases = _Inside("joint_biases.csv")
+    joint_biases = PathInside("joint_biases.csv")
     #: Parameters common to the dwells of each temperature.
-    joint = _Inside("joint.csv")
+    joint = PathInside("joint.csv")
     #: Noise of the INS.
-    noise = _Inside("noise.json")
+    noise = PathInside("noise.json")
     #: Verdict on the unit.
-    acceptance = _Inside(ACCEPTANCE)
-    #: The dwell table that a verification was compared with.
-    calibration = _Inside("calibration.csv")
+    acceptance = PathInside(ACCEPTANCE)
+    #: The dwell table of the calibration that was checked.
+    calibration = PathInside("calibration.csv")
     #: The compensation that was loaded into the INS.
-    compensation = _Inside(COMPENSATION)
+    compensation = PathInside(COMPENSATION)
     #: Verification of a calibration.
-    verification = _Inside("verification.csv")
+    calibration_check = PathInside("verification.csv")
     #: Folder of the search for effects in this run.
-    closure = _Inside(CLOSURE)
-    #: Folder of the proof of the compensation that the search gave.
-    verify = _Inside("verify")
+    closure = PathInside(CLOSURE)
+    #: Folder of the verification of a compensation.
+    verify = PathInside("verify")
     #: Folder of the figures.
-    figures = _Inside("figures")
+    figures = PathInside("figures")
     #: The report.
-    report = _Inside("report.html")
+    report = PathInside("report.html")
 
 
 def create_run_folder(out: Path | None, name: str) -> RunFolder:

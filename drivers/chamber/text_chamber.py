@@ -54,10 +54,8 @@ class TextChamber(ABC):
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
         """Command a ramp, then the temperature.
 
-        Raises
-        ------
-        RefusedError
-            A value is not a number that can be commanded, or the controller does not keep it.
+        Raises RefusedError: a value is not a number that can be commanded, or the controller does not
+        keep it.
         """
         if rate_c_per_min is not None and not _MAX_NUMBER > round(rate_c_per_min, DECIMALS) > 0.0:
             raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be commanded")

@@ -77,10 +77,7 @@ class Thermotron8800(TextChamber):
     def read(self) -> ChamberReading:
         """Measure the air (``PVAR``); read set point and operating mode back.
 
-        Raises
-        ------
-        FaultError
-            The controller stopped because a temperature input is open.
+        Raises FaultError: the controller stopped because a temperature input is open.
         """
         if self._mask("SCOD?") == _OPEN_INPUT:
             raise FaultError(
@@ -115,11 +112,8 @@ class Thermotron8800(TextChamber):
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an auxiliary, 1 to 16 (``AUXE``).
 
-        Raises
-        ------
-        RefusedError
-            There is no such auxiliary, it does not keep its state, or the controller refuses: some
-            switch auxiliaries only while the chamber runs in manual mode.
+        Raises RefusedError: there is no such auxiliary, it does not keep its state, or the controller
+        refuses: some switch auxiliaries only while the chamber runs in manual mode.
         """
         group, bit = self._auxiliary(number)
         before = self._mask(f"AUXE{group}?")

@@ -108,10 +108,7 @@ class WatlowF4:
     def read(self) -> ChamberReading:
         """Measure the air (registers 100, 101); read set point (300) and the chamber's event output back.
 
-        Raises
-        ------
-        FaultError
-            The temperature sensor is faulty.
+        Raises FaultError: the temperature sensor is faulty.
         """
         value, error = self._modbus.read(Register.PROCESS_VALUE_1, 2)
         if error:
@@ -142,11 +139,8 @@ class WatlowF4:
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
         """Command a temperature and the ramp to it (registers 300, 1100 to 1102).
 
-        Raises
-        ------
-        RefusedError
-            A value is outside the controller's limits, the controller ramps by profiles only, or
-            it does not keep what was written.
+        Raises RefusedError: a value is outside the controller's limits, the controller ramps by profiles
+        only, or it does not keep what was written.
         """
         set_point = to_register(temperature_c, self._decimals)
         if set_point is None:

@@ -58,10 +58,7 @@ class WatlowF4T(TextChamber):
     def read(self) -> ChamberReading:
         """Measure the air (``PVALUE``); read error, set point and the chamber's output back.
 
-        Raises
-        ------
-        FaultError
-            The control loop reports an error.
+        Raises FaultError: the control loop reports an error.
         """
         if self._has_error():
             raise FaultError(self._line.instrument, f"{self._error_text()}; check the temperature sensor")

@@ -23,14 +23,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap, bind_signals
 
 #: Bias difference between positions that a rotational INS of 1 nmi in 24 h allows.
 LIMIT_DPH = 0.001
 
-_STANDARD_GRAVITY_MPS2 = 9.80665
-_DPH_RADPS = np.pi / 180.0 / 3600.0
 _MAX_SPEED_MPS = 10.0
 _FLOATS: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.float64}
 
@@ -91,17 +90,18 @@ def resolution_report(
     signals = bind_signals(signal_map, codec)
     samples = window_s / signal_map.epoch_period_s
     limits = []
-    for path, estimate in (
-        ("velocity_east", "gyro along North"),
-        ("velocity_north", "gyro along East"),
-    ):
+
+    def add(path: str, step: float, unit: str, estimate: str, errors_dph: tuple[float, float]) -> None:
+        signal = f"{signals[path].message}.{signals[path].signal.name}"
+        limits.append(ResolutionLimit(path, signal, step, unit, estimate, *errors_dph, limit_dph))
+
+    for path, estimate in (("velocity_east", "gyro along North"), ("velocity_north", "gyro along East")):
         step_mps = _step(signals[path], _MAX_SPEED_MPS)
         errors = horizontal_gyro_errors_dph(step_mps, window_s, samples)
-        limits.append(_limit(path, signals[path], step_mps, "m/s", estimate, errors, limit_dph))
-    path, bound, step_rad = _azimuth(signal_map, signals)
+        add(path, step_mps, "m/s", estimate, errors)
+    path, step_rad = _azimuth(signal_map, signals)
     errors = vertical_gyro_errors_dph(step_rad, window_s, samples)
-    step_deg = float(np.degrees(step_rad))
-    limits.append(_limit(path, bound, step_deg, "deg", "vertical gyro", errors, limit_dph))
+    add(path, float(np.degrees(step_rad)), "deg", "vertical gyro", errors)
     return limits
 
 
@@ -109,7 +109,7 @@ def horizontal_gyro_errors_dph(step_mps: float, window_s: float, samples: float)
     """Compute standard deviation and bound of a horizontal gyro's bias for a velocity step, deg/h."""
     sigma = np.sqrt(720.0 / samples) * step_mps / np.sqrt(12.0) / window_s**2
     worst = 20.0 * step_mps / (np.sqrt(3.0) * window_s**2)
-    scale = 1.0 / _STANDARD_GRAVITY_MPS2 / _DPH_RADPS
+    scale = 1.0 / STANDARD_GRAVITY / DPH_TO_RADPS
     return float(sigma / np.sqrt(2.0) * scale), float(worst * scale)
 
 
@@ -117,31 +117,17 @@ def vertical_gyro_errors_dph(step_rad: float, window_s: float, samples: float) -
     """Compute standard deviation and bound of the vertical gyro's bias for an azimuth step, deg/h."""
     sigma = np.sqrt(12.0 / samples) * step_rad / np.sqrt(12.0) / window_s
     worst = 1.5 * step_rad / window_s
-    return float(sigma / np.sqrt(2.0) / _DPH_RADPS), float(worst / _DPH_RADPS)
+    return float(sigma / np.sqrt(2.0) / DPH_TO_RADPS), float(worst / DPH_TO_RADPS)
 
 
-def _limit(
-    path: str,
-    bound: BoundSignal,
-    step: float,
-    unit: str,
-    estimate: str,
-    errors_dph: tuple[float, float],
-    limit_dph: float,
-) -> ResolutionLimit:
-    signal = f"{bound.message}.{bound.signal.name}"
-    return ResolutionLimit(path, signal, step, unit, estimate, *errors_dph, limit_dph)
-
-
-def _azimuth(signal_map: SignalMap, signals: dict[str, BoundSignal]) -> tuple[str, BoundSignal, float]:
-    """Path, signal and angular step of what carries the azimuth."""
+def _azimuth(signal_map: SignalMap, signals: dict[str, BoundSignal]) -> tuple[str, float]:
+    """Path and angular step of the quantity that carries the azimuth."""
     if signal_map.attitude.euler is not None:
-        yaw = signals["attitude.euler.yaw"]
-        return "attitude.euler.yaw", yaw, _step(yaw, np.pi)
+        return "attitude.euler.yaw", _step(signals["attitude.euler.yaw"], np.pi)
     parts = {path: _step(signals[path], 1.0) for path in signals if path.startswith("attitude.quaternion.")}
     coarsest = max(parts, key=parts.__getitem__)
     # An azimuth is twice the angle of two components; both errors can add up.
-    return coarsest, signals[coarsest], 2.0 * np.sqrt(2.0) * parts[coarsest]
+    return coarsest, 2.0 * np.sqrt(2.0) * parts[coarsest]
 
 
 def _step(bound: BoundSignal, largest: float) -> float:

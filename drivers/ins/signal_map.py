@@ -7,7 +7,6 @@ temperature at the end of its field's range, or outside the DBC's, is saturated 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -233,29 +232,39 @@ class SignalMap(StrictModel):
 
     def quantities(self) -> dict[str, Quantity]:
         """Every mapped quantity by its path, such as ``attitude.euler.roll``."""
-        return {".".join(map(str, found.location)): found for found in self._all()}
+        found: dict[str, Quantity] = {}
 
-    def _all(self) -> Iterator[Quantity]:
-        for name, dimension in _PLAIN.items():
-            yield from _quantities(getattr(self, name), (name,), dimension)
+        def add(source: SignalSource | SignalName | None, dimension: Dimension, *location: str) -> None:
+            if source is not None:
+                source = SignalSource(signal=source) if isinstance(source, str) else source
+                found[".".join(location)] = Quantity(location, source, dimension)
+
+        for name, dimension in _MEASURED.items():
+            mapped = getattr(self, name)
+            if isinstance(mapped, AxesMap):
+                for axis in "xyz":
+                    add(getattr(mapped, axis), dimension, name, axis)
+            else:
+                add(mapped, dimension, name)
         euler, quaternion = self.attitude.euler, self.attitude.quaternion
         if euler is not None:
             for name in ("roll", "pitch", "yaw"):
-                yield Quantity(("attitude", "euler", name), getattr(euler, name), Dimension.ANGLE)
-            yield from _states(euler.sequence.signal, ("attitude", "euler", "sequence"))
+                add(getattr(euler, name), Dimension.ANGLE, "attitude", "euler", name)
+            add(euler.sequence.signal, Dimension.NUMBER, "attitude", "euler", "sequence")
         if quaternion is not None:
             for name in "wxyz":
-                yield Quantity(("attitude", "quaternion", name), getattr(quaternion, name), Dimension.NUMBER)
-        yield from _states(self.attitude.valid, ("attitude", "valid"))
-        yield from _states(self.mode.signal if self.mode else None, ("mode",))
-        yield from _states(self.alignment.signal if self.alignment else None, ("alignment",))
+                add(getattr(quaternion, name), Dimension.NUMBER, "attitude", "quaternion", name)
+        add(self.attitude.valid, Dimension.NUMBER, "attitude", "valid")
+        add(self.mode.signal if self.mode else None, Dimension.NUMBER, "mode")
+        add(self.alignment.signal if self.alignment else None, Dimension.NUMBER, "alignment")
         for name in ("compensation", "compensation_in_use", "compensation_loaded"):
-            yield from _states(getattr(self, name), (name,))
+            add(getattr(self, name), Dimension.NUMBER, name)
         for name, signal in self.identity.items():
-            yield from _states(signal, ("identity", name))
+            add(signal, Dimension.NUMBER, "identity", name)
+        return found
 
 
-_PLAIN = {
+_MEASURED = {
     "time_s": Dimension.TIME,
     "time_ns": Dimension.TIME,
     "epoch_counter": Dimension.NUMBER,
@@ -266,21 +275,6 @@ _PLAIN = {
     "gyro_electronics_temperature": Dimension.TEMPERATURE,
     "case_temperature": Dimension.TEMPERATURE,
 }
-
-
-def _quantities(
-    mapped: SignalSource | AxesMap | None, location: Location, dimension: Dimension
-) -> Iterator[Quantity]:
-    if isinstance(mapped, AxesMap):
-        for axis in "xyz":
-            yield Quantity((*location, axis), getattr(mapped, axis), dimension)
-    elif mapped is not None:
-        yield Quantity(location, mapped, dimension)
-
-
-def _states(signal: str | None, location: Location) -> Iterator[Quantity]:
-    if signal is not None:
-        yield Quantity(location, SignalSource(signal=signal), Dimension.NUMBER)
 
 
 _KNOT_MPS = 1852.0 / 3600.0

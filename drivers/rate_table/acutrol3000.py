@@ -185,10 +185,7 @@ class Acutrol3000:
     def release(self) -> None:
         """Stop, wait for rest, open the servos in any case, unlock the front panel.
 
-        Raises
-        ------
-        FaultError
-            An axis did not come to rest; the servos are open.
+        Raises FaultError: an axis did not come to rest; the servos are open.
         """
         try:
             self.stop()

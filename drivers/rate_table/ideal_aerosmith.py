@@ -68,10 +68,7 @@ class IdealAerosmith:
     def prepare(self) -> None:
         """Switch the motor on and set the limits given before.
 
-        Raises
-        ------
-        FaultError
-            The controller refuses it.
+        Raises FaultError: the controller refuses it.
         """
         try:
             self._command("SRV1")
@@ -102,10 +99,7 @@ class IdealAerosmith:
     def in_position(self) -> bool:
         """Whether the axis stands at the target of the last move.
 
-        Raises
-        ------
-        FaultError
-            It stands still off its target.
+        Raises FaultError: it stands still off its target.
         """
         position_deg, rate_dps = self._value("PPO"), self._value("PVE")
         if abs(rate_dps) > _STANDSTILL_DPS:
@@ -150,10 +144,7 @@ class IdealAerosmith:
     def release(self) -> None:
         """Stop, wait for rest, switch the motor off in any case.
 
-        Raises
-        ------
-        FaultError
-            The axis did not come to rest; its motor is off.
+        Raises FaultError: the axis did not come to rest; its motor is off.
         """
         try:
             self.stop()

@@ -63,10 +63,7 @@ class ReplayBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Refuse: a recording has no receiver.
 
-        Raises
-        ------
-        can.CanOperationError
-            Always.
+        Raises can.CanOperationError: always.
         """
         raise can.CanOperationError(f"a recording can't receive 0x{msg.arbitration_id:03X}")
 

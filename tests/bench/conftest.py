@@ -18,7 +18,7 @@ from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 class Watcher(LinesView):
-    """Prints as the command line does, and keeps what is told and what is true in the emulated world.
+    """Prints as the command line does, and keeps what is reported and what is true in the emulated world.
 
     Attributes
     ----------

@@ -145,7 +145,7 @@ def test_noise_against_the_cramer_rao_bound():
         f"Noise: rms error of {DWELLS} dwells (known to {100 / np.sqrt(2 * DWELLS):.1f} %) against the\n"
         "Cramer-Rao bound of the simulated INS, (i) with the velocity going on through the turn, (ii) with\n"
         "a velocity that may jump; velocity noise 1 mm/s and heading noise 2 urad at 1 Hz, 5 ug/sqrt(Hz);\n"
-        "sigma told what acts, and by default. The paper's estimator: rms error with its leaks, and scatter"
+        "sigma with declared errors, and by default. Paper: rms error with its leaks, and scatter"
     )
     print(
         f"{'ARW':>7}{'gyro':>5}{'bound i':>9}{'bound ii':>9}{'rms':>8}{'rms/i':>7}{'rms/ii':>7}{'sigma':>8}"
@@ -325,13 +325,13 @@ def test_bias_that_changes_with_temperature():
 
         for position in ("z_up", "y_up"):
             ins = sensors(gyro_bias_change=disturbances.warming((0.001, -0.001, 0.001), warmth))
-            told = emulate(
+            declared = emulate(
                 position, ins, gyro_c=lambda time_s: 40.0 + np.multiply.outer(warmth(time_s), np.ones(3))
             )
-            untold = emulate(position, ins)
-            errors = [ours(told, NOISE).bias_dph, ours(untold, NOISE).bias_dph]
+            undeclared = emulate(position, ins)
+            errors = [ours(declared, NOISE).bias_dph, ours(undeclared, NOISE).bias_dph]
             name = f"{position}: {rate_c_per_h:g} degC/h"
-            print(f"{name:<36}{triple(errors[0], 3)} {triple(errors[1], 3)} {triple(papers(told), 2)}")
+            print(f"{name:<36}{triple(errors[0], 3)} {triple(errors[1], 3)} {triple(papers(declared), 2)}")
             assert np.abs(errors).max() <= 2e-4
 
 

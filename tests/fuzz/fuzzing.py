@@ -99,11 +99,11 @@ def _part(command: list[str], first: int, step: int, shared: Path) -> dict[str, 
         worker_command = [*command, "--first", str(first), "--shared", str(shared)]
         with subprocess.Popen(worker_command, stdout=subprocess.PIPE, text=True) as worker:
             for line in worker.stdout or ():
-                told = json.loads(line)
-                if "place" in told:
-                    place, kind, number = told["place"], told["kind"], told["number"]
+                report = json.loads(line)
+                if "place" in report:
+                    place, kind, number = report["place"], report["kind"], report["number"]
                 else:
-                    _count(tallies.setdefault(kind, Tally()), told, f"{kind} {number}")
+                    _count(tallies.setdefault(kind, Tally()), report, f"{kind} {number}")
                     first = place + step
         if not worker.returncode:
             return tallies
@@ -115,11 +115,11 @@ def _part(command: list[str], first: int, step: int, shared: Path) -> dict[str, 
         first = place + step
 
 
-def _count(tally: Tally, told: dict[str, str], name: str) -> None:
-    match told["outcome"]:
+def _count(tally: Tally, report: dict[str, str], name: str) -> None:
+    match report["outcome"]:
         case "refused":
             tally.refused += 1
         case "accepted":
             tally.accepted += 1
         case _:
-            tally.problems.append(f"{name}: {told['why']}")
+            tally.problems.append(f"{name}: {report['why']}")

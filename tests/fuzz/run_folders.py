@@ -139,9 +139,9 @@ def use_provenance(run: Path) -> Callable[[Path, bytes], None]:
         copy.provenance.write_bytes(data)
         read_run(copy)
         emulation = new_emulation(copy)
-        told = json.loads(data).get("options", {})
-        if "seed" in told and emulation.seed != told["seed"] + 1:
-            raise WrongResultError(f"the next seed after {told['seed']!r} is {emulation.seed!r}")
+        options = json.loads(data).get("options", {})
+        if "seed" in options and emulation.seed != options["seed"] + 1:
+            raise WrongResultError(f"the next seed after {options['seed']!r} is {emulation.seed!r}")
 
     return use
 
@@ -160,8 +160,8 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         (copy / "journal.jsonl").write_bytes(data)
         resumption = prepare_resumption(copy)
         resumption.describe()
-        told = _whole_entries(data)
-        finished = {each["marks"]["dwell"] for each in told if each.get("event") == "dwell_finished"}
+        entries = _whole_entries(data)
+        finished = {each["marks"]["dwell"] for each in entries if each.get("event") == "dwell_finished"}
         if resumption.state.finished != finished:
             raise WrongResultError(
                 f"dwells {resumption.state.finished} are finished, the journal says {finished}"
@@ -169,7 +169,7 @@ def use_cut_journal(run: Path) -> Callable[[Path, bytes], None]:
         plan = resumption.job.plan
         with Path(os.devnull).open("w") as nowhere, _unseen(nowhere, plan) as view:
             resumed, outcome = resume_run(resumption, view, ConsentingOperator())
-        if outcome.ended == "stopped":  # another unit than the journal tells of: the operator says what to do
+        if outcome.ended == "stopped":  # another unit than that of the journal: the operator decides
             return
         if outcome.ended != "finished":
             raise WrongResultError(f"resumed, the run {outcome.ended}: {outcome.reason}")
@@ -201,9 +201,9 @@ def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
 
     def use(folder: Path, data: bytes) -> None:
         copy = RunFolder(_copied(run, folder))
-        copy.verification.write_bytes(data)
+        copy.calibration_check.write_bytes(data)
         read_run(copy)
-        rows = read_calibration_check(copy.verification)
+        rows = read_calibration_check(copy.calibration_check)
         cells = cells_of(data)
         if len(rows) != len(cells):
             raise WrongResultError(f"{len(rows)} rows instead of {len(cells)}")
@@ -223,7 +223,7 @@ def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
         copy = RunFolder(_copied(run, folder))
         copy.calibration.write_bytes(data)
         recompute_run(copy.path)
-        for row in read_calibration_check(copy.verification):
+        for row in read_calibration_check(copy.calibration_check):
             difference_dph = row.bias_dph - row.calibrated_dph
             if row.is_compared and not math.isclose(
                 row.difference_dph, difference_dph, rel_tol=1e-6, abs_tol=1e-8

@@ -1,4 +1,4 @@
-"""A process of limited memory that reads inputs one after the other and tells of each on standard output."""
+"""A process of limited memory that reads inputs one after the other and reports each on standard output."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def do(work: Work, shared: Path) -> None:
             if kind not in warm:
                 warm.add(kind)
                 _warm_up(kinds[kind], home)
-            _tell({"place": place, "kind": kind, "number": number})
+            _report({"place": place, "kind": kind, "number": number})
             data = kinds[kind].input(random_of(work.seed, kind, number))
             kept = work.keep / f"{kind.replace(' ', '_')}_{number}" if work.keep else None
             if kept:
@@ -76,7 +76,7 @@ def do(work: Work, shared: Path) -> None:
             outcome = _outcome(kinds[kind], home, data, sandbox)
             if kept and outcome["outcome"] != "problem":
                 kept.unlink(missing_ok=True)
-            _tell(outcome)
+            _report(outcome)
 
 
 def random_of(seed: int, kind: str, number: int) -> Random:
@@ -109,7 +109,7 @@ def _made_anew(folder: Path) -> None:
     folder.mkdir()
 
 
-def _tell(what: Mapping[str, object]) -> None:
+def _report(what: Mapping[str, object]) -> None:
     sys.stdout.write(json.dumps(what) + "\n")
     sys.stdout.flush()
 

@@ -279,7 +279,7 @@ def _outcome(entries: Sequence[Mapping[str, Any]]) -> str:
                 seen = HELD
             case "retry" | "answers_again":
                 seen = RETRIED
-            case "note" if "anew" in entry["text"]:
+            case "note" if "has restarted" in entry["text"]:
                 seen = REPEATED
             case _:
                 continue

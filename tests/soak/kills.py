@@ -240,7 +240,7 @@ class KilledRun:
         looked = subprocess.run(command, capture_output=True, text=True, check=False)
         with self._tally.lock:
             self._tally.looks += 1
-        if looked.returncode or not re.search("It goes on with|All steps are done", looked.stdout):
+        if looked.returncode or not re.search("It resumes with|All steps are finished", looked.stdout):
             self._problem(f"`resume --look` gave {looked.returncode}: {looked.stdout}{looked.stderr}")
 
     def _problem(self, text: str) -> None:

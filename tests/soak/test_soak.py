@@ -74,7 +74,7 @@ def test_the_journal_shows_what_was_under_way_at_a_kill(lines, expected):
     assert under_way([json.dumps(line) for line in lines]) == expected
 
 
-def test_an_injection_is_told_by_the_gravest_thing_before_the_next():
+def test_an_injection_has_the_gravest_outcome_before_the_next():
     entries = [
         {"time_s": 5.0, "event": "retry"},
         {"time_s": 20.0, "event": "retry"},
@@ -106,7 +106,7 @@ def test_a_result_is_wrong_beyond_five_sigma_or_without_a_number_unless_it_is_fl
     assert agreement.flagged == 1
 
 
-def test_the_growth_of_memory_is_told_after_the_warm_up():
+def test_the_growth_of_memory_is_stated_after_the_warm_up():
     hours = np.arange(100.0)
     samples = np.column_stack([hours, np.where(hours < 10, 10 * hours, 100.0 + 0.02 * hours)])
     growth_mb, spread_mb = slope(samples)

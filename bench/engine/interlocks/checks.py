@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
@@ -73,13 +72,7 @@ def _silent(instrument: str, age_s: float, limit_s: float) -> str:
 
 
 class RateWindow:
-    """The newest values of a quantity, for its rate of change.
-
-    Parameters
-    ----------
-    window_s : float
-        Time over which the change is taken.
-    """
+    """The newest values of a quantity, for its rate of change over ``window_s``."""
 
     def __init__(self, window_s: float) -> None:
         self._window_s = window_s
@@ -114,13 +107,7 @@ class RateWindow:
 
 
 class TableChecks:
-    """Angles, rates, accelerations, faults and silence of the rate table.
-
-    Parameters
-    ----------
-    station : Station
-        Its limits: those of the interlocks, or else those of the table with a margin.
-    """
+    """Angles, rates, accelerations, faults and silence of the rate table."""
 
     def __init__(self, station: Station) -> None:
         rules, section = station.file.interlocks, station.file.rate_table
@@ -197,13 +184,7 @@ class TableChecks:
 
 
 class ChamberChecks:
-    """Air, alarms and silence of the chamber, and whether it does what was commanded.
-
-    Parameters
-    ----------
-    station : Station
-        Its limits: those of the interlocks, or else those of the chamber with a margin.
-    """
+    """Air, alarms and silence of the chamber, and whether it does what was commanded."""
 
     def __init__(self, station: Station) -> None:
         rules, limits = station.file.interlocks, station.file.chamber.limits
@@ -273,35 +254,65 @@ def _on_off(on: bool) -> str:
     return "on" if on else "off"
 
 
-@dataclass
-class _Temperature:
-    """One temperature that the INS sends."""
+class InsTemperature(NamedTuple):
+    """A temperature that the INS sends, and its interlocks."""
 
     what: str
     read: Callable[[InsStatus], float]
-    kind: str
+    interlock: str
     level: TemperatureInterlock
-    rate_c_per_min: float
-    rate: RateWindow
-    value_c: float = math.nan
-    known_s: float = -math.inf
+    rate: TemperatureRateInterlock
+
+
+def ins_temperatures(station: Station) -> Iterator[InsTemperature]:
+    """Yield the temperatures in the station's signal map."""
+    signals, rules = station.file.ins.signals, station.file.interlocks
+    if signals.case_temperature is not None:
+        yield InsTemperature("case", lambda ins: ins.case_c, "case", rules.case_temperature, rules.case_rate)
+    for part, mapped in (
+        ("optics", signals.gyro_optics_temperature),
+        ("electronics", signals.gyro_electronics_temperature),
+    ):
+        for index, axis in enumerate("xyz" if mapped is not None else ""):
+            read = _gyro_temperature(f"{part}_c", index)
+            name = f"{part} of gyro {axis}"
+            yield InsTemperature(name, read, "gyro", rules.gyro_temperature, rules.gyro_rate)
+
+
+def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:
+    return lambda ins: float(getattr(ins, attribute)[index])
+
+
+class _WatchedTemperature:
+    """A temperature with its newest value and its rate of change."""
+
+    def __init__(self, source: InsTemperature, station: Station) -> None:
+        self.source = source
+        self.what = f"the temperature of the {source.what}"
+        self.rate_c_per_min = source.rate.limit_or_default_c_per_min(
+            station.file.chamber.limits.ramp_c_per_min
+        )
+        self.rate = RateWindow.for_readings(source.rate.window_s, station.instruments_period_s)
+        self.value_c = math.nan
+        self.known_s = -math.inf
+
+    def observe(self, ins: InsStatus, now_s: float) -> None:
+        self.value_c = self.source.read(ins)
+        self.rate.add(now_s, self.value_c)
+        if math.isfinite(self.value_c):
+            self.known_s = now_s
 
 
 class InsChecks:
     """Temperatures, fault and silence of the INS; nothing trips while it is off.
 
     Temperatures that the signal map lacks are not checked.
-
-    Parameters
-    ----------
-    station : Station
-        Its limits.
     """
 
     def __init__(self, station: Station) -> None:
         self._silence_s = station.file.interlocks.ins_silence.limit_s
         self._period_s = station.instruments_period_s + 2.0 * station.tick_s
-        self._temperatures = list(_temperatures(station))
+        self._temperatures = [_WatchedTemperature(each, station) for each in ins_temperatures(station)]
         self._observed_s = -math.inf
         self._on = False
         self._on_s = -math.inf
@@ -310,10 +321,7 @@ class InsChecks:
         """Take the status of the INS."""
         self._observed_s = now_s
         for temperature in self._temperatures:
-            temperature.value_c = temperature.read(readings.ins)
-            temperature.rate.add(now_s, temperature.value_c)
-            if math.isfinite(temperature.value_c):
-                temperature.known_s = now_s
+            temperature.observe(readings.ins, now_s)
 
     def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
         """Yield what is wrong now."""
@@ -330,51 +338,18 @@ class InsChecks:
         for temperature in self._temperatures:
             # By the observations: the first may come before the first temperatures.
             unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
-            level = temperature.level
+            level, name = temperature.source.level, temperature.source.interlock
             if (math.isfinite(temperature.value_c) or unknown_s > self._silence_s) and (
                 problem := _out_of_range(
                     temperature.what, temperature.value_c, level.low_c, level.high_c, "degC"
                 )
             ):
-                yield Finding(f"{temperature.kind}_temperature", problem, _COOL_DOWN)
+                yield Finding(f"{name}_temperature", problem, _COOL_DOWN)
             if problem := _too_fast(temperature.what, temperature.rate.per_s(), temperature.rate_c_per_min):
-                yield Finding(f"{temperature.kind}_rate", problem, f"{_CHECK_SENSOR}.")
+                yield Finding(f"{name}_rate", problem, f"{_CHECK_SENSOR}.")
 
     def _age_s(self, readings: Readings, now_s: float) -> float:
         """Silence of the INS since it was switched on, as far as it was observed in time."""
         silent_s = min(readings.ins.age_s, max(0.0, self._observed_s - self._on_s))
         overdue_s = now_s - max(self._observed_s, self._on_s)
         return silent_s + (overdue_s if overdue_s > self._period_s else 0.0)
-
-
-def _temperatures(station: Station) -> Iterator[_Temperature]:
-    signals, rules = station.file.ins.signals, station.file.interlocks
-
-    def temperature(
-        what: str,
-        read: Callable[[InsStatus], float],
-        kind: str,
-        level: TemperatureInterlock,
-        rate: TemperatureRateInterlock,
-    ) -> _Temperature:
-        limit_c_per_min = rate.limit_or_default_c_per_min(station.file.chamber.limits.ramp_c_per_min)
-        window = RateWindow.for_readings(rate.window_s, station.instruments_period_s)
-        return _Temperature(f"the temperature of {what}", read, kind, level, limit_c_per_min, window)
-
-    if signals.case_temperature is not None:
-        yield temperature("the case", lambda ins: ins.case_c, "case", rules.case_temperature, rules.case_rate)
-    for part, mapped in (
-        ("optics", signals.gyro_optics_temperature),
-        ("electronics", signals.gyro_electronics_temperature),
-    ):
-        if mapped is None:
-            continue
-        for index, axis in enumerate("xyz"):
-            read = _gyro_temperature(f"{part}_c", index)
-            yield temperature(
-                f"the {part} of gyro {axis}", read, "gyro", rules.gyro_temperature, rules.gyro_rate
-            )
-
-
-def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:
-    return lambda ins: float(getattr(ins, attribute)[index])

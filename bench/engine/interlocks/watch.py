@@ -31,21 +31,11 @@ _FAULT = {"rate table": "table_fault", "chamber": "chamber_alarm", "INS": "ins_f
 
 @dataclass(frozen=True)
 class Trip:
-    """A tripped interlock.
+    """A tripped interlock."""
 
-    Attributes
-    ----------
-    name : str
-        Its key in the station file's ``interlocks``.
-    findings : tuple of Finding
-        What is wrong.
-    rule : InterlockRule
-        When the run may continue.
-    """
-
-    name: str
+    name: str  #: key in the station file's ``interlocks``
     findings: tuple[Finding, ...]
-    rule: InterlockRule
+    rule: InterlockRule  #: when the run may continue
 
     @property
     def text(self) -> str:
@@ -82,15 +72,7 @@ def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = N
 
 
 class InterlockWatch:
-    """Watches the readings of one run.
-
-    Parameters
-    ----------
-    station : Station
-        The limits.
-    clock : Clock
-        The run's clock.
-    """
+    """Watches the readings of one run."""
 
     def __init__(self, station: Station, clock: Clock) -> None:
         self._clock = clock
@@ -107,20 +89,9 @@ class InterlockWatch:
         self._readings = readings
 
     def trips(self, now_s: float, expected: ExpectedState) -> list[Trip]:
-        """Return all interlocks that are tripped; to be called at every tick.
+        """Return all interlocks that are tripped, each with all its findings; to be called at every tick.
 
-        Parameters
-        ----------
-        now_s : float
-            On the run's clock.
-        expected : ExpectedState
-            What the bench commanded last. Only readings newer than the first call with a command are
-            compared with it.
-
-        Returns
-        -------
-        list of Trip
-            In the order of the station file's model; one for each interlock, with all its findings.
+        Only readings newer than the first call with a command in ``expected`` are compared with it.
         """
         found: dict[str, list[Finding]] = {name: [] for name in self._rules}
         for finding in self._findings(now_s, expected):

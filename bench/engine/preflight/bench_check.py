@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
@@ -38,7 +38,9 @@ _GB = 1e9
 def check_bench(
     station: str, procedure: str | None, emulation: Emulation, folder: Path, clock: Clock | None = None
 ) -> list[Check]:
-    """Check whether a bench is ready for a procedure, or for any where none is given.
+    """Check whether a bench is ready for a procedure, or for any where none is given. Moves nothing.
+
+    An INS that is off and that the bench can switch on is on during the check.
 
     Parameters
     ----------
@@ -71,45 +73,15 @@ def check_bench(
             opened.callback(driver.close)
             return driver
 
-        checks = preflight(bench, outputs, ins, clock, folder, plan)
-        return [procedure_check, *checks, *map(_message_check, bench.file.messages)]
-
-
-def preflight(
-    station: Station,
-    outputs: Outputs,
-    ins: Callable[[], CanIns],
-    clock: Clock,
-    folder: Path,
-    plan: Plan | None = None,
-) -> list[Check]:
-    """Check instruments and disk without moving anything.
-
-    An INS that is off and that the bench can switch on is on during the check.
-
-    Parameters
-    ----------
-    outputs : Outputs
-        Rate table and chamber.
-    ins : callable
-        Returns the driver of the INS, or raises where it can't be opened.
-    folder : Path
-        Parent of the run folder.
-    plan : Plan, optional
-        What is to be run.
-
-    Returns
-    -------
-    list of Check
-        In the order of the checks; a bench that is not ready raises nothing.
-    """
-    traffic = CanTraffic()
-    return [
-        *table_checks(station, lambda: outputs.table),
-        *chamber_checks(station, lambda: outputs.chamber),
-        *ins_checks(station, outputs, ins, clock, traffic),
-        disk_check(station, folder, plan, traffic.frames_per_s),
-    ]
+        traffic = CanTraffic()
+        return [
+            procedure_check,
+            *table_checks(bench, lambda: outputs.table),
+            *chamber_checks(bench, lambda: outputs.chamber),
+            *ins_checks(bench, outputs, ins, clock, traffic),
+            disk_check(bench, folder, plan, traffic.frames_per_s),
+            *map(_message_check, bench.file.messages),
+        ]
 
 
 def no_instrument_answers(checks: Iterable[Check]) -> bool:
@@ -131,17 +103,7 @@ def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
 
 
 def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: float) -> Check:
-    """Check whether a whole run fits on the disk, with a margin of two.
-
-    Parameters
-    ----------
-    folder : Path
-        Parent of the run folder; it need not exist yet.
-    plan : Plan or None
-        What is to be run.
-    frames_per_s : float
-        Frames on the bus; NaN where unknown.
-    """
+    """Check whether a whole run fits on the disk, with a margin; ``frames_per_s`` may be NaN."""
     subject, what = "disk", "free space"
     if math.isnan(frames_per_s):
         return Check.skipped(subject, what, "the data rate is unknown: nothing was received from the CAN bus")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 
 import can
 import numpy as np
 
+from gyrobench.bench.engine.interlocks.checks import ins_temperatures
 from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
@@ -25,6 +27,7 @@ from gyrobench.drivers.ins.readout import Alignment, InsMode
 from gyrobench.drivers.ins.resolution import resolution_report
 
 _SUBJECT = "INS"
+_check = partial(Check.of, _SUBJECT)
 #: An INS that is on sends within this time; its status comes about once a second.
 _FIRST_FRAME_S = 3.0
 #: An INS that was switched on has started within this time.
@@ -81,7 +84,7 @@ def ins_checks(
         return [unanswered(_SUBJECT, error)]
     checks: list[Check] = []
     try:
-        with contextlib.ExitStack() as switched:
+        with ExitStack() as switched:
             checks.extend(_running(station, outputs, opened, clock, traffic, switched))
     except InstrumentError as error:
         checks.append(failed(_SUBJECT, "switched off", error))
@@ -89,12 +92,7 @@ def ins_checks(
 
 
 def _running(
-    station: Station,
-    outputs: Outputs,
-    ins: CanIns,
-    clock: Clock,
-    traffic: CanTraffic,
-    switched: contextlib.ExitStack,
+    station: Station, outputs: Outputs, ins: CanIns, clock: Clock, traffic: CanTraffic, switched: ExitStack
 ) -> Iterator[Check]:
     try:
         if not _is_sending(ins, clock, _FIRST_FRAME_S):
@@ -121,7 +119,7 @@ def _silent(station: Station, error: InstrumentError) -> Check:
     return unanswered(_SUBJECT, error)
 
 
-def _switch_on(station: Station, outputs: Outputs, switched: contextlib.ExitStack) -> None:
+def _switch_on(station: Station, outputs: Outputs, switched: ExitStack) -> None:
     """Switch the supply on if the bench can and it is off; the stack switches it off."""
     unit = station.unit
     if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
@@ -139,8 +137,7 @@ def _is_sending(ins: CanIns, clock: Clock, limit_s: float) -> bool:
 
 
 def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
-    limit_s = _START_S if station.unit.power == "chamber_event" else 0.0
-    deadline = Deadline(clock, limit_s)
+    deadline = Deadline(clock, _START_S if station.unit.power == "chamber_event" else 0.0)
     while not _is_sending(ins, clock, _FIRST_FRAME_S):
         if deadline.expired():
             raise NoReplyError(
@@ -167,8 +164,7 @@ def _resolution(station: Station, ins: CanIns) -> Check:
     limits = resolution_report(station.file.ins.signals, ins.codec)
     worst = max(limits, key=lambda limit: limit.worst_dph / limit.limit_dph)
     steps = {f"{limit.unit}": limit.lsb for limit in limits}
-    return Check.of(
-        _SUBJECT,
+    return _check(
         "resolution",
         all(limit.sufficient for limit in limits),
         f"steps of {' and '.join(f'{lsb:.2g} {unit}' for unit, lsb in steps.items())} move a bias by up to "
@@ -184,8 +180,7 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
             Alignment.UNKNOWN: "", Alignment.NONE: ", not aligned",
             Alignment.COARSE: ", coarsely aligned", Alignment.FINE: ", aligned",
         }[status.alignment]  # fmt: skip
-        yield Check.of(
-            _SUBJECT,
+        yield _check(
             "mode",
             status.mode not in (InsMode.FAULT, InsMode.UNKNOWN),
             f"reports {status.mode.name.lower()}{alignment}",
@@ -195,33 +190,19 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
 
 
 def _temperatures(station: Station, status: InsStatus) -> Check:
-    signals, rules = station.file.ins.signals, station.file.interlocks
-    values = []
-    if signals.case_temperature is not None:
-        values.append(("case", status.case_c, rules.case_temperature))
-    if signals.gyro_optics_temperature is not None:
-        values += [
-            (f"optics {a}", float(c), rules.gyro_temperature)
-            for a, c in zip("xyz", status.optics_c, strict=True)
-        ]
-    if signals.gyro_electronics_temperature is not None:
-        values += [
-            (f"electronics {a}", float(c), rules.gyro_temperature)
-            for a, c in zip("xyz", status.electronics_c, strict=True)
-        ]
+    values = [(each.what, each.read(status), each.level) for each in ins_temperatures(station)]
     if not values:
         return Check.skipped(
             _SUBJECT, "temperatures", "the signal map has none", "Map them if the INS sends them."
         )
     wrong = [
         f"{name} {'unknown' if math.isnan(c) else f'{c:.1f} degC'}"
-        for name, c, rule in values
-        if not rule.low_c <= c <= rule.high_c
+        for name, c, level in values
+        if not level.low_c <= c <= level.high_c
     ]
     known = [c for _, c, _ in values if math.isfinite(c)]
     span = f"{min(known):.1f} to {max(known):.1f} degC" if known else "none known"
-    return Check.of(
-        _SUBJECT,
+    return _check(
         "temperatures",
         not wrong,
         f"{len(values)} signals, {span}"
@@ -242,8 +223,7 @@ def _stream(station: Station, ins: CanIns, clock: Clock, traffic: CanTraffic) ->
         "surplus frames": _surplus(station, ins, block, len(data.ins_time_s) + counts.lost),
     }  # fmt: skip
     found = ", ".join(f"{count} {name}" for name, count in wrong.items() if count)
-    yield Check.of(
-        _SUBJECT,
+    yield _check(
         "frames without gaps",
         len(data.ins_time_s) > 1 and not found,
         f"{len(data.ins_time_s)} epochs in {traffic.duration_s:.0f} s, {found or 'none lost'}; "
@@ -274,8 +254,7 @@ def _epoch_rate(station: Station, data: NavigationData) -> Check:
     median_s = float(np.median(np.diff(data.timestamp_s)))
     # The time stamp of one epoch jitters by some milliseconds; the mean over many is more accurate.
     mean_s = float(data.timestamp_s[-1] - data.timestamp_s[0]) / (len(data.timestamp_s) - 1)
-    return Check.of(
-        _SUBJECT,
+    return _check(
         "epoch rate",
         abs(mean_s / period_s - 1.0) <= _RATE_TOLERANCE or abs(median_s / period_s - 1.0) <= _RATE_TOLERANCE,
         f"one epoch in {mean_s * 1e3:.1f} ms, {period_s * 1e3:g} ms in the signal map",
@@ -287,8 +266,7 @@ def _clocks(station: Station, clock: Clock, data: NavigationData, traffic: CanTr
     stamps_s = np.array([message.timestamp for message in traffic.messages])
     rate = _slope(np.array(traffic.arrived_s), stamps_s)
     back = int(np.sum(np.diff(stamps_s) < 0.0))
-    yield Check.of(
-        _SUBJECT,
+    yield _check(
         "CAN time stamps",
         back == 0 and abs(rate - 1.0) <= _RATE_TOLERANCE,
         f"run at {rate:.4f} of the run's clock" + (f", jump back {back} times" if back else ""),
@@ -301,8 +279,7 @@ def _clocks(station: Station, clock: Clock, data: NavigationData, traffic: CanTr
     ins_s = float(data.ins_time_s[-1])
     is_calendar = ins_s > _CALENDAR_S and clock.speed == 1.0  # fast clocks begin at different times
     offset_s = ins_s - clock.utc().timestamp() if is_calendar else 0.0
-    yield Check.of(
-        _SUBJECT,
+    yield _check(
         "clock",
         abs(rate - 1.0) <= _RATE_TOLERANCE and abs(offset_s) <= _OFFSET_LIMIT_S,
         f"runs at {rate:.4f} of the CAN time stamps; "

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
 from gyrobench.bench.station.check import Check
@@ -14,6 +15,10 @@ from gyrobench.drivers.rate_table import AxisLimits, RateTable
 ANSWERS = "answers"
 
 _TABLE, _CHAMBER = "rate table", "chamber"
+_LIMITS = "limits"
+_FIND_CAUSE = "Find the cause and clear it at the controller."
+
+DriverT = TypeVar("DriverT", RateTable, Chamber)
 
 
 def answered(subject: str, identification: str, expected: str) -> Check:
@@ -54,45 +59,67 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
     table : callable
         Returns the driver, or raises where it can't be opened.
     """
+    checks = (("no faults", _table_faults), (_LIMITS, _table_limits))
+    yield from _checks(_TABLE, station, table, station.file.rate_table.identity, checks)
+
+
+def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
+    """Check whether the chamber answers, has no alarms, and accepts the station's set points.
+
+    Parameters
+    ----------
+    chamber : callable
+        Returns the driver, or raises where it can't be opened.
+    """
+    checks = (("no alarms", _chamber_alarms), ("air temperature", _chamber_air), (_LIMITS, _chamber_limits))
+    yield from _checks(_CHAMBER, station, chamber, station.file.chamber.identity, checks)
+
+
+def _checks(
+    subject: str,
+    station: Station,
+    driver: Callable[[], DriverT],
+    identity: str,
+    checks: Iterable[tuple[str, Callable[[Station, DriverT], tuple[bool, str, str]]]],
+) -> Iterator[Check]:
+    """Make each check from whether it passes, what was found, and the advice."""
     try:
-        opened = table()
-        yield answered(_TABLE, opened.identify(), station.file.rate_table.identity)
+        opened = driver()
+        yield answered(subject, opened.identify(), identity)
     except InstrumentError as error:
-        yield unanswered(_TABLE, error)
+        yield unanswered(subject, error)
         return
-    try:
-        faults = opened.faults()
-        yield Check.of(
-            _TABLE,
-            "no faults",
-            not faults,
-            f"reports {', '.join(faults) or 'none'}",
-            "Find the cause and clear it at the controller.",
-        )
-    except InstrumentError as error:
-        yield failed(_TABLE, "no faults", error)
-    yield _table_limits(station, opened)
+    for what, check in checks:
+        try:
+            yield Check.of(subject, what, *check(station, opened))
+        except _NotReportedError as error:
+            yield Check.skipped(subject, what, str(error).removeprefix(f"{subject}: "))
+        except InstrumentError as error:
+            yield failed(subject, what, error)
 
 
-def _table_limits(station: Station, table: RateTable) -> Check:
+class _NotReportedError(InstrumentError):
+    """The instrument does not report what is to be checked."""
+
+
+def _table_faults(station: Station, table: RateTable) -> tuple[bool, str, str]:  # noqa: ARG001
+    faults = table.faults()
+    return not faults, f"reports {', '.join(faults) or 'none'}", _FIND_CAUSE
+
+
+def _table_limits(station: Station, table: RateTable) -> tuple[bool, str, str]:
     try:
         limits = table.limits()
     except RefusedError as error:
-        return Check.skipped(_TABLE, "limits", f"the controller does not report them ({error})")
-    except InstrumentError as error:
-        return failed(_TABLE, "limits", error)
+        raise _NotReportedError(_TABLE, f"the controller does not report them ({error})") from error
     section = station.file.rate_table
     by_axis = dict(zip(section.axis_numbers, limits, strict=True))
     problems = [*_exceeded(station, "inner", by_axis[section.inner_axis_number])]
     if not section.is_single_axis:
         problems = [*_exceeded(station, "outer", by_axis[section.outer_axis_number]), *problems]
-    return Check.of(
-        _TABLE,
-        "limits",
-        not problems,
-        "; ".join(problems) or "the controller allows the station file's limits",
-        "Reduce rate_table.limits in the station file, or increase the controller's absolute limits.",
-    )
+    found = "; ".join(problems) or "the controller allows the station file's limits"
+    advice = "Reduce rate_table.limits in the station file, or increase the controller's absolute limits."
+    return not problems, found, advice
 
 
 def _exceeded(station: Station, axis: str, allowed: AxisLimits) -> Iterator[str]:
@@ -118,69 +145,32 @@ def _exceeded(station: Station, axis: str, allowed: AxisLimits) -> Iterator[str]
         )
 
 
-def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
-    """Check whether the chamber answers, has no alarms, and accepts the station's set points.
-
-    Parameters
-    ----------
-    chamber : callable
-        Returns the driver, or raises where it can't be opened.
-    """
-    try:
-        opened = chamber()
-        yield answered(_CHAMBER, opened.identify(), station.file.chamber.identity)
-    except InstrumentError as error:
-        yield unanswered(_CHAMBER, error)
-        return
-    for what, check in (
-        ("no alarms", _chamber_alarms),
-        ("air temperature", _chamber_air),
-        ("limits", _chamber_limits),
-    ):
-        try:
-            yield check(station, opened, what)
-        except InstrumentError as error:
-            yield failed(_CHAMBER, what, error)
-
-
-def _chamber_alarms(station: Station, chamber: Chamber, what: str) -> Check:  # noqa: ARG001 - as the others
+def _chamber_alarms(station: Station, chamber: Chamber) -> tuple[bool, str, str]:  # noqa: ARG001
     alarms = chamber.alarms()
-    return Check.of(
-        _CHAMBER,
-        what,
-        not alarms,
-        f"reports {', '.join(alarms) or 'none'}",
-        "Find the cause and clear it at the controller.",
-    )
+    return not alarms, f"reports {', '.join(alarms) or 'none'}", _FIND_CAUSE
 
 
-def _chamber_air(station: Station, chamber: Chamber, what: str) -> Check:
+def _chamber_air(station: Station, chamber: Chamber) -> tuple[bool, str, str]:
     try:
         air_c = chamber.read().temperature_c
     except FaultError as error:
-        return Check.skipped(_CHAMBER, what, str(error).removeprefix(f"{_CHAMBER}: "))
+        raise _NotReportedError(_CHAMBER, str(error).removeprefix(f"{_CHAMBER}: ")) from error
     limits = station.file.chamber.limits
     low_c, high_c = station.file.interlocks.chamber_air.range_c((limits.low_c, limits.high_c))
-    return Check.of(
-        _CHAMBER,
-        what,
-        low_c <= air_c <= high_c,
-        f"{air_c:.1f} degC, interlock limits {low_c:g} and {high_c:g} degC",
-        "Check sensor and controller; bring the air into this range before a run.",
-    )
+    found = f"{air_c:.1f} degC, interlock limits {low_c:g} and {high_c:g} degC"
+    advice = "Check sensor and controller; bring the air into this range before a run."
+    return low_c <= air_c <= high_c, found, advice
 
 
-def _chamber_limits(station: Station, chamber: Chamber, what: str) -> Check:
+def _chamber_limits(station: Station, chamber: Chamber) -> tuple[bool, str, str]:
     try:
         low_c, high_c = chamber.limits_c()
     except RefusedError as error:
-        return Check.skipped(_CHAMBER, what, f"the controller does not report them ({error})")
+        raise _NotReportedError(_CHAMBER, f"the controller does not report them ({error})") from error
     limits = station.file.chamber.limits
-    return Check.of(
-        _CHAMBER,
-        what,
-        low_c <= limits.low_c and limits.high_c <= high_c,
+    found = (
         f"{low_c:g} to {high_c:g} degC in the controller, {limits.low_c:g} to {limits.high_c:g} degC in the "
-        "station file",
-        "Reduce chamber.limits in the station file, or extend the controller's set point limits.",
+        "station file"
     )
+    advice = "Reduce chamber.limits in the station file, or extend the controller's set point limits."
+    return low_c <= limits.low_c and limits.high_c <= high_c, found, advice

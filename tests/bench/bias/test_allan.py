@@ -138,12 +138,12 @@ def test_each_term_is_told_from_the_others():
 
 
 def test_too_few_samples_are_refused():
-    with pytest.raises(MeasurementError, match=r"longest stretch.*has 11 samples"):
+    with pytest.raises(MeasurementError, match=r"longest segment.*has 11 samples"):
         allan_variance([np.zeros(11)], STEP)
-    with pytest.raises(MeasurementError, match=r"longest stretch.*has 0 samples"):
+    with pytest.raises(MeasurementError, match=r"longest segment.*has 0 samples"):
         allan_variance([], STEP)
     short = simulated(np.random.default_rng(10), 20, walk=1.0)
-    with pytest.raises(MeasurementError, match="tell enough to fit noise"):
+    with pytest.raises(MeasurementError, match="have enough degrees of freedom for a noise fit"):
         fit_rate_noise(allan_variance([short], STEP))
 
 
@@ -160,8 +160,8 @@ def test_samples_take_their_place_on_a_grid_in_spite_of_gaps_and_jitter():
 
 def test_expected_variance_follows_the_measured_one_where_the_mean_takes_much_off():
     random = np.random.default_rng(12)
-    stretches = [simulated(random, 400, walk=0.1, rate_walk=1.0) for _ in range(400)]
-    allan = allan_variance(stretches, STEP)
+    segments = [simulated(random, 400, walk=0.1, rate_walk=1.0) for _ in range(400)]
+    allan = allan_variance(segments, STEP)
     fit = fit_rate_noise(allan)
     np.testing.assert_allclose(fit.expected / allan.variance, 1.0, atol=0.08)
     tau = allan.tau_s[-1]

@@ -19,7 +19,7 @@ def has_no_numbers(row):
 
 
 def halved(mark, gap_frames=0):
-    """Two stretches of one window, the table where it was, and some frames between them left out."""
+    """Two segments of one window, the table where it was, and some frames between them left out."""
     middle = (mark.first_frame + mark.end_frame) // 2
     return replace(mark, end_frame=middle), replace(mark, first_frame=middle + gap_frames)
 

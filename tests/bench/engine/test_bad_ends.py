@@ -1,4 +1,4 @@
-"""Whatever ends a run, the bench is brought to its safe state and the journal says why."""
+"""However a run ends, the bench is brought to its safe state and the journal has the reason."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
-from tests.bench.engine.meddler import Meddler, RefusingOperator, run_with
+from tests.bench.engine.intervention import Intervention, RefusingOperator, run_with
 
 
 def assert_safe(folder, outcome, bench):
@@ -34,7 +34,7 @@ def test_a_signal_stops_the_run_safely(tmp_path, number):
     assert_safe(folder, outcome, bench)
 
 
-def test_a_trip_of_the_table_that_nobody_mends_ends_the_run_safely(tmp_path):
+def test_a_trip_of_the_table_that_is_not_fixed_ends_the_run_safely(tmp_path):
     def trip(bench, clock):
         bench.serial["table"].trip(1, SoftwareFault.RATE_TRIP, clock.now())
 
@@ -86,15 +86,15 @@ def test_an_unexpected_exception_is_raised_once_the_bench_is_safe(tmp_path):
     def fail(bench, clock):
         raise SurpriseError("in a step")
 
-    meddler = Meddler("turn", fail)
+    intervention = Intervention("turn", fail)
     job = prepare_job("ten_minute_check", "emulated", Emulation("ideal", 0))
     with pytest.raises(SurpriseError):
-        run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+        run_job(job, tmp_path / "run", intervention, ConsentingOperator())
     last = list(read_journal(tmp_path / "run" / "journal.jsonl"))[-1]
     assert last["ended"] == "failed"
     assert "Surprise" in last["reason"]
     assert [action["problem"] for action in last["safe_state"]] == [""] * len(last["safe_state"])
-    assert meddler.bench.world.air.set_point_c == 23.0
+    assert intervention.bench.world.air.set_point_c == 23.0
 
 
 def test_nothing_moves_before_a_wrong_procedure_is_refused(tmp_path):
@@ -105,11 +105,11 @@ def test_nothing_moves_before_a_wrong_procedure_is_refused(tmp_path):
     assert str(caught.value).count("wrong.yaml:3:") == 2
 
 
-def test_an_operator_who_does_not_go_on_stops_the_run(tmp_path):
+def test_an_operator_who_does_not_continue_stops_the_run(tmp_path):
     path = tmp_path / "ask.yaml"
     path.write_text("procedure: ask\nsteps:\n  - ask_operator: {question: 'Is the door shut?'}\n")
     job = prepare_job(str(path), "emulated")
-    watcher = Meddler("nothing", None)
+    watcher = Intervention("nothing", None)
     _, outcome = run_job(job, tmp_path / "run", watcher, RefusingOperator())
     assert outcome.ended == "stopped"
     assert "Is the door shut?" in outcome.reason

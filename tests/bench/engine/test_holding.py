@@ -46,7 +46,7 @@ def run(tmp_path, fault, operator):
     return list(read_journal(folder.journal)), outcome
 
 
-def test_a_chamber_that_was_restarted_is_commanded_anew_once_a_person_says_so(tmp_path):
+def test_a_chamber_that_was_restarted_is_commanded_again_once_the_operator_continues(tmp_path):
     entries, outcome = run(
         tmp_path, "fault: instrument_restarts, target: chamber, at_s: 150, for_s: 15", ConsentingOperator()
     )

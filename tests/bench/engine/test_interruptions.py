@@ -14,7 +14,7 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.modbus_rtu import framed
-from tests.bench.engine.meddler import Meddler, run_with
+from tests.bench.engine.intervention import Intervention, run_with
 
 FLAG = """procedure: flag_only
 disturbed_dwell: flag
@@ -54,8 +54,8 @@ def two(tmp_path):
     return path
 
 
-def consent(tmp_path, kind, deed, procedure="ten_minute_check", nth=1):
-    return run_with(tmp_path, kind, deed, procedure, nth, ConsentingOperator())
+def consent(tmp_path, kind, action, procedure="ten_minute_check", nth=1):
+    return run_with(tmp_path, kind, action, procedure, nth, ConsentingOperator())
 
 
 def events(folder, *names):
@@ -88,13 +88,13 @@ def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tmp
     assert row.flags == ""
 
 
-def test_a_trip_that_needs_a_person_says_so(tmp_path):
+def test_a_trip_that_needs_the_operator_is_recorded_as_such(tmp_path):
     folder, _, _ = consent(tmp_path, "navigate", trip_table)
     (held,) = events(folder, "held")
     assert held["waits_for"] == "the operator"
 
 
-def test_an_ins_that_falls_silent_is_switched_off_and_on_and_the_run_goes_on_by_itself(tmp_path):
+def test_an_ins_that_falls_silent_is_switched_off_and_on_and_the_run_continues_without_an_operator(tmp_path):
     folder, outcome, _ = consent(tmp_path, "navigate", switch_unit_off, nth=2)
     assert outcome.ended == "finished", outcome.reason
     (tripped,) = events(folder, "tripped")
@@ -130,7 +130,7 @@ def test_an_ins_that_falls_back_to_alignment_gives_a_flag_and_no_number_where_no
     assert (outcome.results.bins, outcome.results.joint, outcome.results.noise) == ([], [], None)
 
 
-def test_an_ins_that_aligns_anew_in_the_turn_gives_a_flag_and_no_number(tmp_path, flag_only):
+def test_an_ins_that_aligns_again_in_the_turn_gives_a_flag_and_no_number(tmp_path, flag_only):
     """Its new heading hides the East gyro's bias, and nothing in the two windows shows it."""
     folder, outcome, _ = consent(tmp_path, "turn", lambda bench, clock: bench.world.unit.align(), flag_only)
     assert outcome.ended == "finished", outcome.reason
@@ -144,7 +144,7 @@ def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_p
         axis = bench.world.axes[1]
         axis.move_to(axis.encoder(clock.now()).position_deg + 5.0, clock.now())
 
-    class Nudger(Meddler):
+    class Nudger(Intervention):
         def ticked(self, live, left_s):
             was_done = self.done
             super().ticked(live, left_s)
@@ -155,9 +155,9 @@ def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_p
                 axis.move_to(axis.encoder(live.clock.now()).position_deg - 5.0, live.clock.now())
                 self.back_s = 0.0
 
-    meddler = Nudger("navigate", nudge)
+    intervention = Nudger("navigate", nudge)
     job = prepare_job(str(flag_only), "emulated", Emulation("ideal", 0))
-    folder, outcome = run_job(job, tmp_path / "run", meddler, ConsentingOperator())
+    folder, outcome = run_job(job, tmp_path / "run", intervention, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     (row,) = read_dwells(folder.dwells)
     assert "the table moved by 5.0" in row.flags
@@ -165,7 +165,7 @@ def test_a_table_that_is_moved_and_brought_back_gives_a_flag_and_no_number(tmp_p
     assert np.isnan(row.bias_dph).all()
 
 
-def test_a_dwell_that_stays_spoilt_is_flagged_after_its_repeats_and_the_run_goes_on(tmp_path, two):
+def test_a_dwell_that_stays_invalid_is_flagged_after_its_repeats_and_the_run_continues(tmp_path, two):
     text = two.read_text()
     two.write_text(text.replace("align: {duration_s: 60}", "align: {until_fine: true, at_most_s: 100}"))
     folder, outcome, _ = consent(tmp_path, "align", lambda bench, clock: None, two)
@@ -190,7 +190,7 @@ def test_a_chamber_switched_off_at_its_panel_trips(tmp_path):
     assert "off although the bench switched it on" in tripped["why"]
 
 
-def test_a_pause_gives_the_dwell_up_and_repeats_it(tmp_path):
+def test_a_pause_discards_the_dwell_and_repeats_it(tmp_path):
     folder, outcome, _ = consent(
         tmp_path, "navigate", lambda bench, clock: os.kill(os.getpid(), signal.SIGTSTP), nth=2
     )
@@ -213,7 +213,7 @@ def test_a_hold_lets_the_dwell_end_first(tmp_path, two):
     assert story == ["ordered", "dwell_finished", "held", "continued", "dwell_finished"]
 
 
-def test_a_skipped_dwell_is_left_out(tmp_path, two):
+def test_a_skipped_dwell_is_not_measured(tmp_path, two):
     folder, outcome, _ = consent(
         tmp_path, "navigate", lambda bench, clock: os.kill(os.getpid(), signal.SIGUSR2), two
     )
@@ -222,7 +222,7 @@ def test_a_skipped_dwell_is_left_out(tmp_path, two):
     assert [row.dwell for row in read_dwells(folder.dwells)] == [2]
 
 
-def test_orders_can_be_typed(tmp_path, two):
+def test_commands_can_be_typed(tmp_path, two):
     class Typist(ConsentingOperator):
         typed = [None] * 100 + [RunCommand.SKIP]
 
@@ -230,7 +230,7 @@ def test_orders_can_be_typed(tmp_path, two):
             return self.typed.pop(0) if self.typed else None
 
     job = prepare_job(str(two), "emulated", Emulation("ideal", 0))
-    folder, outcome = run_job(job, tmp_path / "run", Meddler("nothing", None), Typist())
+    folder, outcome = run_job(job, tmp_path / "run", Intervention("nothing", None), Typist())
     assert outcome.ended == "finished", outcome.reason
     (ordered,) = events(folder, "ordered")
     assert (ordered["order"], ordered["by"]) == ("skip", "the terminal")

@@ -1,4 +1,4 @@
-"""Whole runs that tell a server on loopback how they go."""
+"""Whole runs that send messages to a server on loopback."""
 
 import json
 
@@ -46,8 +46,8 @@ def server():
 
 
 @pytest.fixture
-def run_told(tmp_path, server):
-    """Run the procedure; returns its journal and what the server was told."""
+def run_with_receiver(tmp_path, server):
+    """Run the procedure; returns its journal and what the server received."""
 
     def run(operator, faults="", on="ends, holds, resumes, needs_person", set_c=40):
         station, procedure = tmp_path / "station.yaml", tmp_path / "question.yaml"
@@ -59,14 +59,14 @@ def run_told(tmp_path, server):
             faults = str(tmp_path / "faults.yaml")
         job = prepare_job(str(procedure), str(station), Emulation("ideal", 0, faults))
         folder, outcome = run_job(job, tmp_path / "run", RunObserver(), operator)
-        told = [json.loads(body) for _, _, body in server.received]
-        return list(read_journal(folder.journal)), told, outcome
+        received = [json.loads(body) for _, _, body in server.received]
+        return list(read_journal(folder.journal)), received, outcome
 
     return run
 
 
-def test_the_end_of_a_run_is_told_and_journaled(run_told):
-    journal, (end,), _ = run_told(ConsentingOperator())
+def test_the_end_of_a_run_is_sent_and_journaled(run_with_receiver):
+    journal, (end,), _ = run_with_receiver(ConsentingOperator())
     assert (end["event"], end["ended"]) == ("ends", "finished")
     assert end["procedure"] == "question"
     assert end["left"]["hours"] == 0.0
@@ -74,8 +74,8 @@ def test_the_end_of_a_run_is_told_and_journaled(run_told):
     assert [(entry["about"], entry["answer"]) for entry in sent] == [("ends", "200 OK")]
 
 
-def test_a_question_that_nobody_answers_is_told(run_told):
-    _, (question, end), _ = run_told(Slow(30, after=int(notifications.UNANSWERED_S) + 5))
+def test_an_unanswered_question_is_sent(run_with_receiver):
+    _, (question, end), _ = run_with_receiver(Slow(30, after=int(notifications.UNANSWERED_S) + 5))
     assert question["event"] == "needs_person"
     assert question["question"] == "Is the cable plugged in?"
     assert question["answers"] == ["yes", "no"]
@@ -83,43 +83,43 @@ def test_a_question_that_nobody_answers_is_told(run_told):
     assert end["event"] == "ends"
 
 
-def test_a_question_that_is_answered_at_once_is_not_told(run_told):
-    _, told, _ = run_told(Slow(30, after=5))
-    assert [each["event"] for each in told] == ["ends"]
+def test_a_question_that_is_answered_at_once_is_not_sent(run_with_receiver):
+    _, received, _ = run_with_receiver(Slow(30, after=5))
+    assert [each["event"] for each in received] == ["ends"]
 
 
-def test_an_answer_that_ends_the_run_is_told_with_the_reason(run_told):
-    _, (end,), outcome = run_told(ConsentingOperator(patience=0))
+def test_an_answer_that_ends_the_run_is_sent_with_the_reason(run_with_receiver):
+    _, (end,), outcome = run_with_receiver(ConsentingOperator(patience=0))
     assert end["ended"] == outcome.ended == "stopped"
     assert outcome.reason in end["why"]
 
 
-def test_only_what_a_receiver_wants_is_told(run_told):
-    _, told, _ = run_told(Slow(30, after=50), on="holds")
-    assert told == []
+def test_only_selected_events_are_sent(run_with_receiver):
+    _, received, _ = run_with_receiver(Slow(30, after=50), on="holds")
+    assert received == []
 
 
-def test_a_hold_that_ends_by_itself_is_told_twice(run_told):
+def test_a_hold_that_ends_without_an_operator_is_sent_twice(run_with_receiver):
     fault = "faults:\n  - {fault: port_gone, target: chamber, at_s: 60, for_s: 120}\n"
-    _, told, outcome = run_told(ConsentingOperator(), fault)
+    _, received, outcome = run_with_receiver(ConsentingOperator(), fault)
     assert outcome.ended == "finished"
-    assert [each["event"] for each in told] == ["holds", "resumes", "ends"]
-    why = told[0]["why"].removeprefix("It continues without an operator once nothing is tripped: ")
-    assert told[1]["why"].startswith(f"The hold is over: {why}")
-    assert told[1]["left"]["hours"] > 0.0
+    assert [each["event"] for each in received] == ["holds", "resumes", "ends"]
+    why = received[0]["why"].removeprefix("It continues without an operator once nothing is tripped: ")
+    assert received[1]["why"].startswith(f"The hold is over: {why}")
+    assert received[1]["left"]["hours"] > 0.0
 
 
-def test_a_hold_that_somebody_ends_at_once_is_not_told(run_told):
+def test_a_hold_that_the_operator_ends_at_once_is_not_sent(run_with_receiver):
     fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
-    journal, told, _ = run_told(ConsentingOperator(), fault)
+    journal, received, _ = run_with_receiver(ConsentingOperator(), fault)
     assert any(entry["event"] == "held" for entry in journal)
-    assert [each["event"] for each in told] == ["ends"]
+    assert [each["event"] for each in received] == ["ends"]
 
 
-def test_a_hold_that_waits_for_a_person_is_told_with_its_reason(run_told):
+def test_a_hold_that_waits_for_the_operator_is_sent_with_its_reason(run_with_receiver):
     fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
-    _, told, _ = run_told(Slow(30, after=int(notifications.UNANSWERED_S) + 5), fault)
-    hold = told[1]
-    assert [each["event"] for each in told] == ["needs_person", "needs_person", "resumes", "ends"]
+    _, received, _ = run_with_receiver(Slow(30, after=int(notifications.UNANSWERED_S) + 5), fault)
+    hold = received[1]
+    assert [each["event"] for each in received] == ["needs_person", "needs_person", "resumes", "ends"]
     assert hold["question"] == f"The run holds: {hold['why']}"
     assert hold["answers"] == ["continue", "abort"]

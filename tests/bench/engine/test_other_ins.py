@@ -32,6 +32,6 @@ def test_the_biases_are_the_true_ones_within_what_the_resolution_allows(finished
         assert abs(bias_dph - true_dph) < 2.0 * sigma_dph
 
 
-def test_an_output_that_is_too_coarse_is_told_before_anything_moves(finished):
+def test_an_output_that_is_too_coarse_is_reported_before_anything_moves(finished):
     name, _, printed = finished
     assert ("too coarse" in " ".join(printed.split())) == (name == "emulated_sbg")

@@ -1,4 +1,4 @@
-"""What a journal tells of how far a run has come, and journals that can't be of the run."""
+"""What a journal holds on the progress of a run, and journals that can't belong to the run."""
 
 import math
 
@@ -18,16 +18,16 @@ def plan():
 def entries(plan):
     """Entries of a run that came to the end of its second dwell."""
     last = max(index for index, planned in enumerate(plan.steps) if planned.dwell == 2)
-    told = [{"event": "powered_on", "run": 1}, {"event": "ins_identified", "unit": "1003"}]
+    written = [{"event": "powered_on", "run": 1}, {"event": "ins_identified", "unit": "1003"}]
     for number, planned in enumerate(plan.steps[: last + 1], start=1):
-        told.append({"event": "step_started", "step": number, "label": planned.label, "what": "something"})
-        told.append({"event": "step_finished", "step": number})
+        written.append({"event": "step_started", "step": number, "label": planned.label, "what": "something"})
+        written.append({"event": "step_finished", "step": number})
         if planned.dwell and planned.dwell != plan.steps[number].dwell:
-            told.append({"event": "dwell_finished", "marks": {"dwell": planned.dwell}})
-    return [{"time_s": 10.0 * index, **entry} for index, entry in enumerate(told)]
+            written.append({"event": "dwell_finished", "marks": {"dwell": planned.dwell}})
+    return [{"time_s": 10.0 * index, **entry} for index, entry in enumerate(written)]
 
 
-def test_a_sound_journal_tells_what_is_done(plan, entries):
+def test_a_valid_journal_gives_what_is_finished(plan, entries):
     progress = resume_state_of(entries, plan)
     assert progress.finished == {1, 2}
     assert plan.steps[progress.next_index - 1].dwell == 2

@@ -46,8 +46,8 @@ def until(sigma_dph, times):
 
 
 def largest_sigmas_dph(watcher):
-    (told,) = watcher.estimates
-    return [float(estimate.sigma_dph.max()) for estimate in told]
+    (estimates,) = watcher.estimates
+    return [float(estimate.sigma_dph.max()) for estimate in estimates]
 
 
 def errors_in_sigmas(dwell, watcher):
@@ -65,25 +65,25 @@ def test_a_navigation_ends_as_soon_as_the_biases_are_known_well_enough(measured)
     assert np.abs(errors_in_sigmas(dwell, watcher)).max() < 4.0
 
 
-def test_a_navigation_whose_biases_stay_unknown_ends_after_its_longest_time(measured):
+def test_a_navigation_whose_biases_stay_unknown_ends_after_its_maximum_time(measured):
     dwell, watcher = measured(until(0.00001, "at_most_s: 95"), "gyro_a")
     assert dwell.windows[1].duration_s == pytest.approx(95.0, abs=1.5)
     assert min(largest_sigmas_dph(watcher)) > 0.00001
     assert max(dwell.row.sigma_dph) < 0.01
 
 
-def test_a_navigation_lasts_its_shortest_time_however_well_the_biases_are_known(measured):
+def test_a_navigation_lasts_its_minimum_time_however_well_the_biases_are_known(measured):
     dwell, watcher = measured(until(1, "at_least_s: 90, at_most_s: 400"), "gyro_a")
     assert dwell.windows[1].duration_s == pytest.approx(90.0, abs=1.5)
     assert max(largest_sigmas_dph(watcher)) < 1.0
 
 
-def test_no_bias_is_told_before_the_turn_and_the_last_one_is_near_the_result(measured):
+def test_no_bias_is_estimated_before_the_turn_and_the_last_one_is_near_the_result(measured):
     dwell, watcher = measured(half_turn(first_s=200), "gyro_a")
-    (told,) = watcher.estimates
-    assert len(told) == 3  # every 30 s of the second 100 s
+    (estimates,) = watcher.estimates
+    assert len(estimates) == 3  # every 30 s of the second 100 s
     assert sorted(largest_sigmas_dph(watcher), reverse=True) == largest_sigmas_dph(watcher)
-    final, last = dwell.estimate, told[-1]
+    final, last = dwell.estimate, estimates[-1]
     # The result has 10 s more; of nested estimates the variance of the difference is that of the variances.
     scatter_dph = np.sqrt(last.sigma_dph**2 - final.sigma_dph**2)
     assert (np.abs(last.bias_dph - final.bias_dph) < 4.0 * scatter_dph).all()
@@ -134,11 +134,11 @@ def undeclared_station(tmp_path):
     return path
 
 
-def test_noise_that_the_dwell_itself_tells_gives_nearly_the_same_uncertainties(measured, undeclared_station):
+def test_noise_estimated_from_the_dwell_gives_nearly_the_same_uncertainties(measured, undeclared_station):
     steps = half_turn(first_s=150, second="duration_s: 150")
     declared, _ = measured(steps, "gyro_a")
     estimated, watcher = measured(steps, "gyro_a", station=undeclared_station)
-    # 300 s of three gyros tell their random walk to some 5 %.
+    # 300 s of three gyros give their random walk to about 5 %.
     np.testing.assert_allclose(estimated.estimate.sigma_dph, declared.estimate.sigma_dph, rtol=0.15)
     assert (estimated.estimate.sigma_dph != declared.estimate.sigma_dph).all()
     assert estimated.row.fit_p_value > 0.001

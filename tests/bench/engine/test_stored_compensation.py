@@ -14,7 +14,7 @@ from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.command_map import Compensation
-from tests.bench.engine.meddler import Meddler
+from tests.bench.engine.intervention import Intervention
 
 #: Of the world "ideal".
 BIAS_DPH = np.array([0.003, -0.002, 0.004])
@@ -54,7 +54,7 @@ def keeps_its_compensation(bench, clock):
 
     def power_with_memory(on):
         power(on)
-        unit.loaded[:, 0] = 0.1
+        unit.loaded_table[:, 0] = 0.1
         unit.apply_compensation()
 
     unit.power = power_with_memory
@@ -65,20 +65,20 @@ def loses_it(bench, clock):
 
 
 def gets_another(bench, clock):
-    bench.world.unit.loaded[:, 0] = 0.1
+    bench.world.unit.loaded_table[:, 0] = 0.1
     bench.world.unit.apply_compensation()
 
 
 @pytest.fixture
 def run(tmp_path):
-    """``run(kind, deed, nth, compensation, answer)``: run folder, outcome, questions, notes and events."""
+    """``run(kind, action, nth, compensation, answer)``: run folder, outcome, questions, notes and events."""
 
-    def run_it(kind="power_on", deed=lambda bench, clock: None, nth=1, compensation=None, answer="clear"):
+    def run_it(kind="power_on", action=lambda bench, clock: None, nth=1, compensation=None, answer="clear"):
         path = tmp_path / "two_dwells.yaml"
         path.write_text(TWO_DWELLS)
         job = prepare_job(str(path), "emulated", Emulation("ideal", 0), compensation=compensation)
         operator = Answering(answer)
-        folder, outcome = run_job(job, tmp_path / "run", Meddler(kind, deed, nth), operator)
+        folder, outcome = run_job(job, tmp_path / "run", Intervention(kind, action, nth), operator)
         entries = list(read_journal(folder.journal))
         notes = [entry["text"] for entry in entries if entry["event"] == "note"]
         events = [entry for entry in entries if entry["event"] == "compensation"]
@@ -92,7 +92,7 @@ def biases_dph(outcome):
     return np.array([dwell.row.bias_dph for dwell in outcome.dwells])
 
 
-def test_an_ins_that_compensates_nothing_is_looked_at_and_measured(run):
+def test_an_ins_that_compensates_nothing_is_checked_and_measured(run):
     _, outcome, questions, notes, events = run()
     assert (questions, notes) == ([], [])
     nothing = {"active": False, "checksum": "00000000"}
@@ -100,8 +100,8 @@ def test_an_ins_that_compensates_nothing_is_looked_at_and_measured(run):
     np.testing.assert_allclose(biases_dph(outcome), np.tile(BIAS_DPH, (2, 1)), atol=3e-4)
 
 
-def test_an_ins_that_compensates_already_is_cleared_if_the_operator_says_so(run):
-    _, outcome, questions, notes, events = run(deed=keeps_its_compensation)
+def test_a_stored_compensation_is_cleared_if_the_operator_decides_so(run):
+    _, outcome, questions, notes, events = run(action=keeps_its_compensation)
     checksum = events[0]["found"]["checksum"]
     assert questions == [
         f"The INS applies a stored compensation ({checksum}). "
@@ -112,8 +112,8 @@ def test_an_ins_that_compensates_already_is_cleared_if_the_operator_says_so(run)
     np.testing.assert_allclose(biases_dph(outcome), np.tile(BIAS_DPH, (2, 1)), atol=3e-4)
 
 
-def test_what_a_compensation_leaves_is_measured_if_the_operator_keeps_it(run):
-    _, outcome, questions, notes, events = run(deed=keeps_its_compensation, answer="keep")
+def test_the_remaining_biases_are_measured_if_the_operator_keeps_a_stored_compensation(run):
+    _, outcome, questions, notes, events = run(action=keeps_its_compensation, answer="keep")
     assert len(questions) == 1
     assert notes == [
         f"the biases are those that remain with the stored compensation ({events[0]['found']['checksum']})"
@@ -123,7 +123,7 @@ def test_what_a_compensation_leaves_is_measured_if_the_operator_keeps_it(run):
 
 
 def test_the_operator_can_stop_because_of_it(run):
-    _, outcome, questions, _, _ = run(deed=keeps_its_compensation, answer="stop")
+    _, outcome, questions, _, _ = run(action=keeps_its_compensation, answer="stop")
     assert outcome.ended == "stopped"
     assert questions[0] in outcome.reason
 
@@ -140,7 +140,7 @@ def test_a_compensation_is_loaded_and_the_biases_are_gone(run):
 
 
 def test_nothing_is_compensated_twice(run):
-    _, outcome, questions, _, events = run(deed=keeps_its_compensation, compensation=WHOLE)
+    _, outcome, questions, _, events = run(action=keeps_its_compensation, compensation=WHOLE)
     assert questions == [
         f"The INS applies a stored compensation ({events[0]['found']['checksum']}). "
         "Clear it before the run's compensation is loaded?"
@@ -148,7 +148,7 @@ def test_nothing_is_compensated_twice(run):
     np.testing.assert_allclose(biases_dph(outcome), np.zeros((2, 3)), atol=3e-4)
 
 
-def test_a_compensation_that_the_ins_loses_is_loaded_anew_before_the_next_dwell(run):
+def test_a_compensation_that_the_ins_loses_is_loaded_again_before_the_next_dwell(run):
     _, outcome, questions, _, events = run("wait", loses_it, nth=2, compensation=WHOLE)
     assert questions == []
     assert [(each["found"]["active"], each["in_use"]["active"]) for each in events] == [(False, True)] * 2
@@ -163,20 +163,20 @@ def test_a_compensation_that_appears_in_the_middle_is_asked_about(run):
     np.testing.assert_allclose(biases_dph(outcome), np.tile(BIAS_DPH, (2, 1)), atol=3e-4)
 
 
-def test_a_compensation_that_cannot_be_cleared_stands_in_the_way_of_another(tmp_path):
+def test_a_compensation_that_cannot_be_cleared_prevents_another(tmp_path):
     text = find_document("stations", "emulated").read_text()
     station, procedure = tmp_path / "station.yaml", tmp_path / "two_dwells.yaml"
     station.write_text("\n".join(line for line in text.splitlines() if "clear_compensation" not in line))
     procedure.write_text(TWO_DWELLS)
     job = prepare_job(str(procedure), str(station), Emulation("ideal", 0), compensation=WHOLE)
-    watcher = Meddler("power_on", keeps_its_compensation)
+    watcher = Intervention("power_on", keeps_its_compensation)
     _, outcome = run_job(job, tmp_path / "run", watcher, ConsentingOperator())
     assert outcome.ended == "stopped"
     assert "INS: applies a stored compensation" in outcome.reason
     assert "no clear_compensation" in outcome.reason
 
 
-def test_an_ins_that_does_not_tell_is_given_what_is_wanted_after_each_power_on(tmp_path):
+def test_an_ins_that_does_not_report_its_compensation_is_loaded_after_each_power_on(tmp_path):
     text = find_document("stations", "emulated").read_text()
     lines = [line for line in text.splitlines() if not re.match(r" +compensation\w*: ", line)]
     station, procedure = tmp_path / "station.yaml", tmp_path / "two_dwells.yaml"
@@ -184,7 +184,9 @@ def test_an_ins_that_does_not_tell_is_given_what_is_wanted_after_each_power_on(t
     each_powered = TWO_DWELLS.replace("  - power_on\n", "").replace("wait: {duration_s: 10}", "power_on")
     procedure.write_text(f"{each_powered}        - power_off\n")
     job = prepare_job(str(procedure), str(station), Emulation("ideal", 0), compensation=WHOLE)
-    folder, outcome = run_job(job, tmp_path / "run", Meddler("power_on", lambda *_: None), Answering("clear"))
+    folder, outcome = run_job(
+        job, tmp_path / "run", Intervention("power_on", lambda *_: None), Answering("clear")
+    )
     entries = list(read_journal(folder.journal))
     assert [entry["terms"] for entry in entries if entry["event"] == "compensation"] == [[]] * 2
     assert "does not report whether it compensates" in next(
@@ -200,7 +202,7 @@ def test_an_ins_that_does_not_tell_is_given_what_is_wanted_after_each_power_on(t
         ("terms", "does not accept g_sensitivity. Map the indices"),
     ],
 )
-def test_what_the_ins_does_not_take_is_told_before_anything_moves(tmp_path, left_out, message):
+def test_what_the_ins_does_not_accept_is_refused_before_anything_moves(tmp_path, left_out, message):
     text = find_document("stations", "emulated").read_text()
     begin = text.index(f"{left_out}:")
     end = text.index("\n  noise:" if left_out == "apply_compensation" else "    apply_compensation:")

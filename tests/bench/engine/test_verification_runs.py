@@ -1,4 +1,4 @@
-"""The loop is closed: what a search found is loaded into the INS, and measured anew is what it leaves."""
+"""The loop is closed: found effects are loaded into the INS, and the remaining biases are measured."""
 
 import io
 import json
@@ -136,14 +136,14 @@ def test_the_measurements_are_at_a_temperature_and_in_directions_that_were_not_f
 def test_runs_that_are_there_are_read_instead_of_made_again(campaign, verified):
     verification, comparison = verified
     again = verification_of(campaign, verification.folder)
-    assert all(again.is_there(name) for name in again.jobs)
+    assert all(again.is_finished(name) for name in again.jobs)
     for one, other in zip(comparison.results, again.result().results, strict=True):
         assert one.rows == other.rows
 
 
-def test_a_run_of_another_seed_in_the_folder_is_told(campaign, verified):
+def test_a_run_of_another_seed_in_the_folder_is_refused(campaign, verified):
     with pytest.raises(RunFolderError, match="holds a run of another model"):
-        verification_of(campaign, verified[0].folder, seed=77).is_there("declared")
+        verification_of(campaign, verified[0].folder, seed=77).is_finished("declared")
 
 
 def test_the_seed_of_the_campaign_is_refused(campaign, tmp_path):
@@ -155,7 +155,7 @@ def test_without_an_effect_the_declared_model_alone_is_measured(campaign, tmp_pa
     run, closure, procedure = campaign
     clean = replace(closure, verdict="clean", effects=())
     verification = verification_of((run, clean, procedure), tmp_path)
-    assert list(verification.jobs) == verification.wanted == ["none", "declared"]
+    assert list(verification.jobs) == verification.selected == ["none", "declared"]
     with pytest.raises(DocumentError, match="found no effect that an INS can compensate"):
         verification_of((run, clean, procedure), tmp_path, only=["effect"])
 
@@ -163,17 +163,17 @@ def test_without_an_effect_the_declared_model_alone_is_measured(campaign, tmp_pa
 def test_what_was_measured_on_another_day_is_compared_with_what_is_measured_now(campaign, verified, tmp_path):
     shutil.copytree(verified[0].folder / "none", tmp_path / "none")
     verification = verification_of(campaign, tmp_path, only=["effect"])
-    assert (list(verification.jobs), verification.wanted) == (["none", "effect"], ["effect"])
+    assert (list(verification.jobs), verification.selected) == (["none", "effect"], ["effect"])
     assert [each.compensation for each in verification.result().results] == ["none"]
 
 
-def test_a_run_without_compensation_in_which_the_ins_kept_its_own_is_told(campaign, verified, tmp_path):
+def test_a_run_without_compensation_in_which_the_ins_kept_a_stored_one_is_noted(campaign, verified, tmp_path):
     shutil.copytree(verified[0].folder / "none", tmp_path / "none")
     entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}}
     with (tmp_path / "none" / "journal.jsonl").open("a") as journal:
         journal.write(json.dumps(entry) + "\n")
     [note] = verification_of(campaign, tmp_path, only=["none"]).result().notes
-    assert note == "In the run none the INS kept a compensation of its own (0badcafe)."
+    assert note == "In the run none the INS applied a stored compensation (0badcafe)."
 
 
 def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_model(campaign, tmp_path):
@@ -186,7 +186,7 @@ def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_
         VerificationRuns(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out")
     only = ["none", "declared"]
     able = VerificationRuns(run, closure, procedure, str(poor), new_emulation(run), tmp_path / "out", only)
-    assert able.wanted == only
+    assert able.selected == only
 
 
 def test_a_campaign_that_the_ins_compensated_already_is_refused(campaign, tmp_path):

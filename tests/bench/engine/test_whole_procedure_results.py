@@ -94,13 +94,13 @@ def test_solving_together_makes_no_bias_worse(shift_runs):
     assert all(row.joint_sigma_dph < 1.0001 * row.single_sigma_dph for row in rows)
 
 
-def test_biases_are_told_while_a_dwell_lasts_and_close_in_on_the_result(watched_shift_runs):
+def test_biases_are_estimated_during_a_dwell_and_converge_to_the_result(watched_shift_runs):
     _, outcome, watcher = watched_shift_runs["gyro_a"]
-    for dwell, told in zip(outcome.dwells, watcher.estimates, strict=True):
-        assert len(told) == 9  # every 30 s of the last 300 s, but for the end
-        sigmas = np.array([each.sigma_dph for each in told])
+    for dwell, received in zip(outcome.dwells, watcher.estimates, strict=True):
+        assert len(received) == 9  # every 30 s of the last 300 s, but for the end
+        sigmas = np.array([each.sigma_dph for each in received])
         assert (np.diff(sigmas, axis=0) < 0.0).all()
         final = dwell.estimate
         # Of nested estimates the variance of the difference is that of the variances.
         scatter_dph = np.sqrt(sigmas[-1] ** 2 - final.sigma_dph**2)
-        assert (np.abs(told[-1].bias_dph - final.bias_dph) < 4.0 * scatter_dph).all()
+        assert (np.abs(received[-1].bias_dph - final.bias_dph) < 4.0 * scatter_dph).all()

@@ -1,4 +1,4 @@
-"""The guard tells people off the bench that it had to act."""
+"""The guard sends an alarm when it had to act."""
 
 import json
 
@@ -11,12 +11,12 @@ pytestmark = pytest.mark.wall_time
 
 
 @pytest.fixture
-def start_engine_told_to(served, tmp_path):
+def start_engine_with_webhook(served, tmp_path):
     """Start an engine in small whose station has a webhook at this address."""
     engines = []
 
     def start(url):
-        station = tmp_path / "told.yaml"
+        station = tmp_path / "alarm.yaml"
         text = served.station.path.read_text()
         station.write_text(f"{text}\nmessages:\n  - {{kind: webhook, address: '{url}', on: [ends]}}\n")
         engines.append(SmallEngine(station, tmp_path / "run"))
@@ -27,22 +27,22 @@ def start_engine_told_to(served, tmp_path):
         engine.close()
 
 
-def test_a_killed_engine_is_told_as_soon_as_the_network_is_there_and_the_bench_does_not_wait_for_it(
-    start_engine_told_to,
+def test_an_alarm_is_sent_once_the_network_is_up_and_the_bench_does_not_wait_for_it(
+    start_engine_with_webhook,
 ):
     port = free_port()
-    engine = start_engine_told_to(f"http://127.0.0.1:{port}")
+    engine = start_engine_with_webhook(f"http://127.0.0.1:{port}")
     engine.process.kill()
     wait_for(lambda: "message delayed" in engine.log() and "the bench is in its safe state" in engine.log())
     server = Server(port=port)
     wait_for(lambda: not is_running(engine.guard_pid))
     ((_, _, body),) = server.received
     server.close()
-    told = json.loads(body)
-    assert (told["event"], told["station"], told["run"]) == ("guard_acted", "emulated", "run")
-    assert told["urgent"]
+    received = json.loads(body)
+    assert (received["event"], received["station"], received["run"]) == ("guard_acted", "emulated", "run")
+    assert received["urgent"]
     assert (
         "The engine died without releasing the guard, so the guard acted. The bench is in its safe state."
-        in told["why"]
+        in received["why"]
     )
     assert "message sent" in engine.log()

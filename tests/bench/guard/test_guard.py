@@ -41,7 +41,7 @@ def assert_safe(bench):
     assert set_point_c == 23.0
 
 
-def test_a_killed_engine_leaves_a_safe_bench_whatever_signals_the_guard_gets(served, start_engine):
+def test_a_killed_engine_leaves_a_safe_bench_and_its_guard_ignores_signals(served, start_engine):
     engine = start_engine()
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
         os.kill(engine.guard_pid, number)
@@ -74,14 +74,14 @@ def test_an_engine_killed_while_its_guard_starts_leaves_a_safe_bench(served, tmp
     assert 7.0 <= entry["time_s"] < 60.0
 
 
-def test_a_guard_that_can_not_write_makes_the_bench_safe_all_the_same(served, tmp_path):
+def test_a_guard_that_can_not_write_still_makes_the_bench_safe(served, tmp_path):
     served.disturb()
     with orphaned_guard(served, tmp_path / "gone") as guard:
         assert guard.wait(300) == 0
     assert_safe(served)
 
 
-def test_a_run_that_took_the_bench_in_between_is_left_alone(served, tmp_path):
+def test_a_run_that_took_the_bench_in_between_is_undisturbed(served, tmp_path):
     served.disturb()
     with (
         BenchLock(served.station, tmp_path / "resumed", WallClock()),
@@ -95,7 +95,7 @@ def test_a_run_that_took_the_bench_in_between_is_left_alone(served, tmp_path):
     assert not (tmp_path / "journal.jsonl").exists()
 
 
-def test_a_busy_port_is_tried_again_and_the_other_instrument_does_not_wait_for_it(served, tmp_path):
+def test_a_busy_port_is_retried_and_the_other_instrument_does_not_wait_for_it(served, tmp_path):
     served.disturb()
     log = tmp_path / "guard.log"
     with orphaned_guard(served, tmp_path) as guard:

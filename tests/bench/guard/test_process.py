@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.guard.process import GuardProcess, NoGuard, guard_for
+from gyrobench.bench.guard.process import Guard, GuardProcess, guard_for
 from gyrobench.bench.station.station import Station
 from tests.bench.guard.served_bench import station_file
 
@@ -21,7 +21,7 @@ def station(tmp_path):
 
 def test_a_bench_inside_the_process_has_no_guard(tmp_path):
     with guard_for(Station(find_document("stations", "emulated")), tmp_path, VirtualClock()) as guard:
-        assert isinstance(guard, NoGuard)
+        assert type(guard) is Guard
         assert guard.beat() is None
         guard.release()
 
@@ -30,7 +30,7 @@ def test_a_bench_behind_ports_has_one(station, tmp_path):
     assert isinstance(guard_for(station, tmp_path, WallClock()), GuardProcess)
 
 
-def test_a_guard_that_can_not_start_is_told(station, tmp_path, monkeypatch):
+def test_a_guard_that_can_not_start_is_an_error(station, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with (
         pytest.raises(GyrobenchError, match="did not start"),
@@ -50,7 +50,7 @@ def test_a_guard_that_can_not_be_replaced_is_noted_once_a_minute(station, tmp_pa
         guard.release()
 
 
-def test_nobody_but_the_engine_holds_its_end_of_the_pipe(station, tmp_path):
+def test_only_the_engine_holds_its_end_of_the_pipe(station, tmp_path):
     with GuardProcess(station, tmp_path, WallClock()) as guard:
         assert not os.get_inheritable(guard._pipe)
         pipe = os.fstat(guard._pipe).st_ino

@@ -17,7 +17,7 @@ def pipe():
 
 
 class JumpingClock(WallClock):
-    """A machine that is suspended for an hour between any two looks at the clock."""
+    """A machine that is suspended for an hour between any two readings of the clock."""
 
     jumps = 0
 
@@ -49,14 +49,14 @@ def test_a_suspended_machine_is_no_silence(pipe):
     assert clock.jumps >= 4
 
 
-def test_orders_come_through_a_pipe_as_they_are(pipe):
+def test_a_configuration_comes_through_a_pipe_unchanged(pipe):
     orders = GuardConfig("/a/station.yaml", "/a/run\n1", 60.0, 123, "2026-01-01T00:00:00+00:00", 7.5)
     os.write(pipe["ours"], orders.line() + b"..")
     assert GuardConfig.read(pipe["theirs"]) == orders
     assert os.read(pipe["theirs"], 10) == b".."
 
 
-def test_an_engine_gone_before_it_gave_orders_gives_none(pipe):
+def test_an_engine_that_died_before_its_configuration_gives_none(pipe):
     os.write(pipe["ours"], b'{"station": ')
     os.close(pipe.pop("ours"))
     assert GuardConfig.read(pipe["theirs"]) is None

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.folder import RunFolder, create_run_folder, open_run_folder
+from gyrobench.bench.runs.folder import PathInside, RunFolder, create_run_folder, open_run_folder
 
 
 def test_new_folders_are_numbered_under_runs(tmp_path, monkeypatch):
@@ -48,9 +48,12 @@ def test_a_run_folder_may_itself_be_reached_by_a_link(tmp_path):
     assert open_run_folder(tmp_path / "link").path == tmp_path / "link"
 
 
-def test_everything_in_a_folder_has_a_name_of_its_own(tmp_path):
+def test_all_paths_in_a_folder_differ(tmp_path):
     folder = RunFolder(tmp_path)
-    paths = [getattr(folder, name) for name, value in vars(RunFolder).items() if isinstance(value, property)]
+    paths = [
+        getattr(folder, name) for name, value in vars(RunFolder).items() if isinstance(value, PathInside)
+    ]
+    assert len(paths) == 20
     assert len(set(paths)) == len(paths)
     assert {path.parent for path in paths} == {tmp_path}
 
@@ -59,7 +62,7 @@ def test_a_run_that_was_cut_off_before_its_journal_began_makes_way(tmp_path):
     for name in ("procedure.yaml", "station.yaml", "ins.dbc", ".provenance.json.part", ".lock"):
         (tmp_path / name).write_text("left behind")
     assert create_run_folder(tmp_path, "run").path == tmp_path
-    (tmp_path / ".lock").unlink()  # files of somebody's own
+    (tmp_path / ".lock").unlink()  # files of another origin
     with pytest.raises(RunFolderError, match="not empty"):
         create_run_folder(tmp_path, "run")
     (tmp_path / ".lock").touch()

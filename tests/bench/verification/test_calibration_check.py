@@ -54,7 +54,7 @@ def verified(position="z_up", azimuth_deg=0.0, dwell=1, seed=None, flags="", fai
                 "since_power_on_s": 600.0,
                 "chamber_set_c": 10.0,
                 "chamber_c": 10.0,
-                "is_verification": True,
+                "is_calibration_check": True,
                 "align_s": ALIGN_S,
             }
             | marks
@@ -257,7 +257,7 @@ def test_a_disturbed_dwell_is_shown_and_not_judged():
 
 def test_at_an_oblique_azimuth_no_gyro_is_told():
     for row in rows_of([verified(azimuth_deg=30.0), verified(azimuth_deg=210.0, dwell=2)], [calibrated()]):
-        assert "30 deg off: verify at azimuth 0, 90, 180 or 270 deg" in row.flags
+        assert "30 deg off: check at azimuth 0, 90, 180 or 270 deg" in row.flags
         assert math.isnan(row.bias_dph)
         assert not row.is_compared
 

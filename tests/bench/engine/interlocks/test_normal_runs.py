@@ -10,7 +10,7 @@ from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.rate_table import TableReading
-from tests.bench.engine.interlocks.watched_bench import Said
+from tests.bench.engine.interlocks.watched_bench import FakeStatus
 
 
 def trips_of(folder, bench):
@@ -25,15 +25,15 @@ def trips_of(folder, bench):
             (row["outer_deg"], row["inner_deg"]), (row["outer_rate_dps"], row["inner_rate_dps"])
         )
         bench.chamber = ChamberReading(row["chamber_c"], set_c, set_c is not None)
-        bench.ins = Said(
+        bench.ins = FakeStatus(
             age_s=0.5 if is_on else math.inf,
             mode=InsMode(int(row["ins_mode"])),
             optics_c=np.array([row[f"gyro_{axis}_c"] for axis in "xyz"]),
             electronics_c=np.array([row[f"board_{axis}_c"] for axis in "xyz"]),
             case_c=row["case_c"],
         )
-        told = None if set_c is None else True
-        bench.expected = replace(ExpectedState(set_c, told, ins_on=is_on), table_prepared=True)
+        is_on_commanded = None if set_c is None else True
+        bench.expected = replace(ExpectedState(set_c, is_on_commanded, ins_on=is_on), table_prepared=True)
         tripped |= bench.poll(time_s - bench.clock.now()).keys()
     return tripped, len(telemetry["time_s"])
 

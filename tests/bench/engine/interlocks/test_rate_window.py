@@ -5,7 +5,7 @@ import pytest
 from gyrobench.bench.engine.interlocks.checks import RateWindow
 
 
-def test_nothing_is_told_before_half_the_window_is_filled():
+def test_there_is_no_rate_before_half_the_window_is_filled():
     window = RateWindow(60.0)
     assert window.per_s() is None
     window.add(0.0, 20.0)
@@ -29,7 +29,7 @@ def test_values_that_are_no_numbers_or_not_new_are_left_out():
     assert window.per_s() == pytest.approx(0.1)
 
 
-def test_a_gap_begins_anew():
+def test_a_gap_discards_older_values():
     window = RateWindow(60.0)
     window.add(0.0, 20.0)
     window.add(40.0, 20.0)

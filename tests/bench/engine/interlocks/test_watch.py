@@ -13,7 +13,7 @@ from gyrobench.drivers.rate_table import TableReading
 from tests.bench.engine.interlocks.watched_bench import ALL_WELL, WatchedBench
 
 
-def spoil(thing, **values):
+def set_values(thing, **values):
     for name, value in values.items():
         setattr(thing, name, value)
 
@@ -25,7 +25,7 @@ def optics(axis, value_c):
 
 
 def _bench(**values):
-    return lambda bench: spoil(bench, **values)
+    return lambda bench: set_values(bench, **values)
 
 
 def _chamber(*values):
@@ -37,7 +37,7 @@ def _table(*values):
 
 
 def _ins(**values):
-    return lambda bench: spoil(bench.ins, **values)
+    return lambda bench: set_values(bench.ins, **values)
 
 
 WRONG = {
@@ -75,7 +75,7 @@ def test_each_interlock_trips_alone_and_names_value_and_limit_until_it_is_good_a
     assert list(trips) == [name]
     assert all(word in trips[name].text for word in words), trips[name].text
     assert list(bench.trips()) == [name], "it trips at every tick"
-    spoil(bench, **good)
+    set_values(bench, **good)
     assert bench.poll() == {}
 
 
@@ -126,7 +126,7 @@ def test_an_instrument_is_held_to_a_command_only_by_readings_that_came_after_it(
 
 
 @pytest.mark.parametrize("silent", ["table", "chamber"])
-def test_values_that_are_too_old_to_tell_trip(watched, silent):
+def test_values_that_are_too_old_trip(watched, silent):
     bench = watched()
     bench.poll()
     others = [name for name in ("table", "chamber") if name != silent]
@@ -137,7 +137,7 @@ def test_values_that_are_too_old_to_tell_trip(watched, silent):
     assert bench.poll(1.0) == {}
 
 
-def test_everything_trips_when_nobody_polls_any_more(watched):
+def test_everything_trips_without_polls(watched):
     bench = watched()
     bench.poll()
     bench.clock.sleep(60.0)
@@ -161,7 +161,7 @@ def test_a_temperature_that_stays_unknown_trips_but_not_at_once_after_power_on(w
     assert "-60 and 95 degC" in trips["case_temperature"].text
 
 
-def test_temperatures_that_come_after_the_first_look_at_an_ins_trip_nothing_before_the_next_look(watched):
+def test_temperatures_that_come_after_the_first_reading_of_an_ins_trip_nothing_before_the_next(watched):
     bench = watched()
     bench.ins.case_c = math.nan
     assert bench.poll(1.0) == {}
@@ -220,7 +220,7 @@ def test_a_table_that_is_torn_from_its_rate_trips(watched):
     assert "-60.0 deg/s2, below the limit of -45 deg/s2" in trips["table_acceleration"].text
 
 
-def test_the_axes_are_told_apart_by_the_controllers_numbers(station_of, tmp_path):
+def test_the_axes_are_distinguished_by_the_controllers_numbers(station_of, tmp_path):
     straight = station_of()
     text = straight.path.read_text()
     for axis, number in (("outer", 2), ("inner", 1)):
@@ -232,7 +232,7 @@ def test_the_axes_are_told_apart_by_the_controllers_numbers(station_of, tmp_path
         assert list(bench.poll()) == tripped
 
 
-def test_it_tells_since_when_an_interlock_is_good(watched):
+def test_the_time_since_an_interlock_is_good_is_known(watched):
     bench = watched()
     bench.poll(10.0)
     assert bench.watch.good_since_s("chamber_alarm") == 10.0
@@ -245,7 +245,7 @@ def test_it_tells_since_when_an_interlock_is_good(watched):
     assert bench.watch.good_since_s("chamber_alarm") == 30.0
 
 
-def test_the_station_file_says_what_becomes_of_the_run(watched):
+def test_the_station_file_sets_the_rules(watched):
     bench = watched(
         "\ninterlocks:\n  chamber_alarm: {resume: automatic, resume_after_s: 900, max_resumes: 2}\n"
         "  chamber_air: {high_c: 76}\n"

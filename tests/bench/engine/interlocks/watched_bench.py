@@ -13,8 +13,8 @@ from gyrobench.drivers.rate_table import TableReading
 
 
 @dataclass
-class Said:
-    """What an INS says of itself, as :class:`gyrobench.drivers.ins.ins_status.InsStatus` gives it."""
+class FakeStatus:
+    """Status of an INS, with the fields of :class:`gyrobench.drivers.ins.ins_status.InsStatus`."""
 
     age_s: float = 0.5
     mode: InsMode = InsMode.NAVIGATE
@@ -35,7 +35,7 @@ class WatchedBench:
         self.expected = ALL_WELL
         self.table = TableReading((0.0, 0.0), (0.0, 0.0))
         self.chamber = ChamberReading(20.0, 20.0, True)
-        self.ins = Said()
+        self.ins = FakeStatus()
         self.table_faults = self.chamber_alarms = ()
         self._table_s = self._chamber_s = 0.0
 

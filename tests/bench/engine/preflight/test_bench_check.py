@@ -17,7 +17,7 @@ from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
 @pytest.fixture
-def look(tmp_path):
+def failures_of(tmp_path):
     """Check the emulated bench with a station file changed at some places; returns failures by what."""
 
     def check(*changes, procedure=None, world="ideal", faults=""):
@@ -76,17 +76,17 @@ DIALECTS = {"rate table": "acutrol3000", "chamber": "watlow_f4"}
 
 
 @pytest.mark.parametrize("subject", DIALECTS)
-def test_an_instrument_that_is_not_the_one_named_fails(look, subject):
+def test_another_instrument_than_the_one_in_the_station_file_fails(failures_of, subject):
     line = f"dialect: {DIALECTS[subject]}"
-    (failure,) = look((line, f"{line}\n  identity: 'no. 4711'")).values()
+    (failure,) = failures_of((line, f"{line}\n  identity: 'no. 4711'")).values()
     assert (failure.subject, failure.what) == (subject, "answers")
     assert "lacks 'no. 4711'" in failure.found
     assert "Connect the right instrument" in failure.advice
 
 
-def test_another_unit_than_the_one_named_fails(look):
+def test_another_unit_than_the_one_in_the_station_file_fails(failures_of):
     other = ("  interface: emulator", "  identity: serial number 77\n  interface: emulator")
-    (failure,) = look(other).values()
+    (failure,) = failures_of(other).values()
     assert failure.found == (
         "identifies as serial number 1000, firmware 103, hardware 1, which lacks 'serial number 77'"
     )
@@ -114,9 +114,9 @@ FAULTS = {
 
 
 @pytest.mark.parametrize(("fault", "found"), FAULTS.items())
-def test_faults_that_are_there_now_fail(look, fault, found):
+def test_present_faults_fail(failures_of, fault, found):
     what, words = found
-    failures = look(faults=fault)
+    failures = failures_of(faults=fault)
     assert what in failures
     assert words in failures[what].found
     assert failures[what].advice
@@ -133,8 +133,8 @@ CHANGES = {
 
 
 @pytest.mark.parametrize(("change", "what", "words"), CHANGES.values(), ids=CHANGES)
-def test_a_station_file_that_does_not_agree_with_the_instruments_fails(look, change, what, words):
-    failures = look(change)
+def test_a_station_file_that_does_not_agree_with_the_instruments_fails(failures_of, change, what, words):
+    failures = failures_of(change)
     if what is None:
         assert failures == {}
     else:
@@ -142,21 +142,21 @@ def test_a_station_file_that_does_not_agree_with_the_instruments_fails(look, cha
         assert words in failures[what].found
 
 
-def test_output_that_is_too_coarse_fails(look, tmp_path):
+def test_output_that_is_too_coarse_fails(failures_of, tmp_path):
     dbc = (Path(ins.__file__).parent / "gyrobench_ins.dbc").read_text()
     fine, coarse = "(0.0001,0) [-214748.3648|214748.3647]", "(0.01,0) [-1|1]"
     assert fine in dbc
     (tmp_path / "coarse.dbc").write_text(dbc.replace(fine, coarse))
-    failures = look(("dbc: gyrobench_ins.dbc", "dbc: coarse.dbc"))
+    failures = failures_of(("dbc: gyrobench_ins.dbc", "dbc: coarse.dbc"))
     assert "0.01 m/s" in failures["INS: resolution"].found
     assert "Map a finer output" in failures["INS: resolution"].advice
 
 
-def test_a_procedure_beyond_the_limits_fails_and_the_instruments_are_looked_at_all_the_same(look, tmp_path):
+def test_a_procedure_beyond_the_limits_fails_and_the_instruments_are_still_checked(failures_of, tmp_path):
     path = tmp_path / "hot.yaml"
     hot = "  - chamber: {temperature_c: 90, ramp_c_per_min: 1}\n"
     path.write_text(find_document("procedures", "ten_minute_check").read_text() + hot)
-    failures = look(procedure=str(path))
+    failures = failures_of(procedure=str(path))
     assert list(failures) == ["procedure: within limits"]
     assert "hot.yaml" in failures["procedure: within limits"].found
 
@@ -170,13 +170,13 @@ def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
     assert "Switch it on" in of_unit.advice
 
 
-def test_a_silent_unit_that_is_always_on_fails(look):
-    failures = look(("power: chamber_event", "power: always_on"))
+def test_a_silent_unit_that_is_always_on_fails(failures_of):
+    failures = failures_of(("power: chamber_event", "power: always_on"))
     assert list(failures) == ["INS: answers"]
     assert "sends nothing" in failures["INS: answers"].found
 
 
-def test_a_bench_of_which_nothing_can_be_opened_is_told_instrument_by_instrument(tmp_path):
+def test_a_bench_of_which_nothing_can_be_opened_fails_instrument_by_instrument(tmp_path):
     text = find_document("stations", "emulated").read_text()
     for old, new in {
         "emulator://table": "/dev/no_table", "emulator://chamber": "/dev/no_chamber",
@@ -203,7 +203,7 @@ def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):
     assert "44:59 h need" in check.found
 
 
-def test_a_station_file_that_is_wrong_is_told_before_anything_is_opened(tmp_path):
+def test_a_wrong_station_file_is_refused_before_anything_is_opened(tmp_path):
     (tmp_path / "station.yaml").write_text("station: x\n")
     with pytest.raises(DocumentError):
         check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)

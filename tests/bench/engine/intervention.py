@@ -1,4 +1,4 @@
-"""Somebody who watches a run and does something to the emulated bench."""
+"""An observer of a run that does something to the emulated bench."""
 
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
@@ -9,12 +9,12 @@ from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 
 
-class Meddler(RunObserver):
-    """Does its deed once, in the nth step of some kind; the world is ``ideal``."""
+class Intervention(RunObserver):
+    """Acts once, in the nth step of some kind; the world is ``ideal``."""
 
-    def __init__(self, kind, deed, nth=1):
+    def __init__(self, kind, action, nth=1):
         self.kind = kind
-        self.deed = deed
+        self.action = action
         self.left = nth
         self.done = False
         self.now = ""
@@ -30,7 +30,7 @@ class Meddler(RunObserver):
         self.bench = emulated_bench(BenchAddress(clock.name, world, 0))
         if self.now == self.kind and self.left == 0 and not self.done:
             self.done = True
-            self.deed(self.bench, clock)
+            self.action(self.bench, clock)
 
 
 class RefusingOperator(ConsentingOperator):
@@ -40,10 +40,10 @@ class RefusingOperator(ConsentingOperator):
         self._answer = answers[-1]
 
 
-def run_with(tmp_path, kind, deed, procedure="ten_minute_check", nth=1, operator=None):
-    """Run a procedure while somebody meddles; returns run folder, outcome and emulated bench."""
-    meddler = Meddler(kind, deed, nth)
+def run_with(tmp_path, kind, action, procedure="ten_minute_check", nth=1, operator=None):
+    """Run a procedure with an intervention; returns run folder, outcome and emulated bench."""
+    intervention = Intervention(kind, action, nth)
     job = prepare_job(str(procedure), "emulated", Emulation("ideal", 0))
-    folder, outcome = run_job(job, tmp_path / "run", meddler, operator or RefusingOperator())
-    assert meddler.done
-    return folder, outcome, meddler.bench
+    folder, outcome = run_job(job, tmp_path / "run", intervention, operator or RefusingOperator())
+    assert intervention.done
+    return folder, outcome, intervention.bench
