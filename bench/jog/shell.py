@@ -40,7 +40,7 @@ class Shell:
         self._display = display
         self._commands: Mapping[str, Command] = {
             "show": Command({"show": "all readings"}, self._show),
-            "watch": Command({"watch [S]": "print readings for S seconds, default 60"}, self._watch),
+            "watch": Command({"watch [S]": "readings for S seconds, default 60"}, self._watch),
             "table": Command(
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
