@@ -8,7 +8,6 @@ from pathlib import Path
 
 from gyrobench.bench.authoring.file_kinds import (
     COMPENSATION,
-    KINDS,
     PROCEDURE,
     STATION,
     FileKind,
@@ -105,8 +104,3 @@ def _placed(line: str) -> PlacedProblem:
     if match is None:
         return PlacedProblem(line)
     return PlacedProblem(match["message"], int(match["line"]), int(match["column"]))
-
-
-def kind_named(name: str) -> FileKind:
-    """Find a kind by its name."""
-    return KINDS[name]

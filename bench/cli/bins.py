@@ -21,26 +21,27 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 
     folder = recompute_run(run_folder)
-    verification = read_calibration_check(folder.verification) if folder.verification.exists() else []
+    check_path = folder.calibration_check
+    check = read_calibration_check(check_path) if check_path.exists() else []
     if as_json:
         print_json(
             {
                 "folder": folder.path,
                 "report": write_report(folder),
                 "bins": read_bins(folder.bias_bins),
-                "verification": verification,
+                "verification": check,
                 "acceptance": read_acceptance(folder.acceptance),
             }
         )
         return
     terminal = console()
-    print_biases(terminal, read_bins(folder.bias_bins), verification, read_acceptance(folder.acceptance))
+    print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
     results = (
         folder.bias_bins,
         folder.joint,
         folder.joint_biases,
         folder.noise,
-        folder.verification,
+        folder.calibration_check,
         folder.acceptance,
     )
     tables = [path.name for path in (folder.dwells, *results) if path.exists()]

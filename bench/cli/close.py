@@ -62,18 +62,16 @@ def close(
     from gyrobench.bench.report.closure.closure_summary import closure_summary
 
     closure = search(campaign, hold_out_cycle or ())
-    written = write_search(closure, campaign, out)
-    folder = written.page.parent
+    page, report = write_search(closure, campaign, out)
+    folder = page.parent
     if as_json:
         found = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
-        print_json({"folder": folder, "report": written.page, "closure": found})
+        print_json({"folder": folder, "report": page, "closure": found})
         return
     terminal = console()
     terminal.print(closure_summary(closure))
     tables = "closure.json, predictions.csv, model.yaml"
-    terminal.print(
-        f"Report   {written.page}\nFigures  {folder / 'figures'}\nTables   {tables}", soft_wrap=True
-    )
-    if written.report:
-        terminal.print(f"Also in  {written.report}", soft_wrap=True)
+    terminal.print(f"Report   {page}\nFigures  {folder / 'figures'}\nTables   {tables}", soft_wrap=True)
+    if report:
+        terminal.print(f"Also in  {report}", soft_wrap=True)
     terminal.print(f"Folder   {folder}", soft_wrap=True)

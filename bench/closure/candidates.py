@@ -122,12 +122,7 @@ def bic_penalty(problem: Problem) -> float:
 def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
     """Hypothesis of candidates, without the terms that do not lower the BIC.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the declared model alone.
-    candidates : sequence of Candidate
-        With fitted parameters.
+    ``problem`` has the declared model alone; the parameters of the candidates are fitted.
     """
     return hypothesis(problem, _prune(problem, candidates) if candidates else ())
 
@@ -160,14 +155,9 @@ def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
 
 
 def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Fit the parameters of several candidates together.
+    """Fit the parameters of several candidates together; the terms that they keep do not change.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the declared model alone.
-    candidates : sequence of Candidate
-        To fit at the same time; the terms that they keep do not change.
+    ``problem`` has the declared model alone.
     """
     parameters = [parameter for each in candidates for parameter in each.form.parameters]
     start = np.array([value for each in candidates for value in each.values])

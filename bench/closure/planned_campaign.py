@@ -62,14 +62,7 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
 
     The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
     Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more
-    in shorter ones.
-
-    Parameters
-    ----------
-    plan : Plan
-        Dwells of a calibration check are left out.
-    unit : PlannedUnit
-        The unit under test.
+    in shorter ones. Dwells of a calibration check are left out.
 
     Raises
     ------

@@ -328,12 +328,8 @@ def advise(
 
     Parameters
     ----------
-    document, plan : Document, Plan
-        The procedure.
     planner : callable
         Plans a changed procedure; raises a DocumentError if it can't be run.
-    unit : PlannedUnit
-        The unit under test.
     present : Separability
         Of the unchanged plan.
     target_dph : float

@@ -37,16 +37,7 @@ _MAX_EXCHANGES = 6
 
 
 class Search:
-    """A search of one problem.
-
-    Parameters
-    ----------
-    problem : Problem
-        With the declared model alone.
-    effects : sequence of Effect
-        All candidates.
-    alone : mapping of str to Hypothesis, optional
-        Each effect alone, if known.
+    """A search of one problem, which has the declared model alone.
 
     Attributes
     ----------

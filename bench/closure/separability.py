@@ -270,12 +270,7 @@ def searched_dwells(campaign: Campaign) -> Campaign:
 def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
     """Evaluate which effects a campaign could find and distinguish.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        All of its dwells are searched; its biases are not used.
-    effects : sequence of Effect
-        Candidates of the search.
+    All dwells of the campaign are searched; its biases are not used.
     """
     problem = declared_problem(campaign, np.ones(len(campaign), dtype=bool))
     assumed = {effect.name: assumed_effects(problem, effect) for effect in effects}

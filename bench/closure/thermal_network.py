@@ -182,11 +182,7 @@ def _with_start(parameters: FloatArray, segment: _Segment, readings: FloatArray)
     def weighted(values: FloatArray) -> FloatArray:
         return _weighted(segment.residuals(np.append(parameters, values), readings))
 
-    start = least_squares(
-        weighted,
-        segment.start(readings),
-        max_nfev=_MAX_EVALUATIONS,
-    ).x
+    start = least_squares(weighted, segment.start(readings), max_nfev=_MAX_EVALUATIONS).x
     return np.append(parameters, start)
 
 

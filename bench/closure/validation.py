@@ -64,12 +64,8 @@ class LackOfFit:
 def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
     """Test the residuals of a problem.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the declared model and the terms of all effects as columns.
-    parameters : int
-        Nonlinear parameters of the effects.
+    ``problem`` has the declared model and the terms of all effects as columns; ``parameters`` is the
+    number of nonlinear parameters of the effects.
     """
     dof = problem.dof - parameters
     # Knots and levels are those of the dwells searched.
@@ -176,12 +172,7 @@ def leave_out_cycles(
 
     A cycle is omitted if the others do not determine the sizes: a warm-up if they have no power-on.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the declared model alone.
-    fewer, more : sequence of Candidate
-        The effects of the two models.
+    ``problem`` has the declared model alone.
     """
     campaign = problem.campaign
     result = {}

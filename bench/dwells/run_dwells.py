@@ -59,13 +59,13 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
         The journal or the log can't be read, or the log lacks the frames of a dwell.
     """
     dwells: list[MeasuredDwell] = []
-    verifications: list[CheckDwell] = []
+    check_dwells: list[CheckDwell] = []
     for marks, frames in _recorded(folder):
         if marks.is_calibration_check:
-            verifications.append(measure_check_dwell(marks, frames, setup))
+            check_dwells.append(measure_check_dwell(marks, frames, setup))
         else:
             add_dwell(dwells, measure_dwell(marks, frames, setup))
-    return dwells, verifications
+    return dwells, check_dwells
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
@@ -257,12 +257,12 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
-    for stale in (folder.noise, folder.verification):
+    for stale in (folder.noise, folder.calibration_check):
         remove(stale)
     if results.noise is not None:
         write_noise(folder.noise, results.noise)
     if results.calibration_check:
-        write_calibration_check(folder.verification, results.calibration_check)
+        write_calibration_check(folder.calibration_check, results.calibration_check)
 
 
 def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:

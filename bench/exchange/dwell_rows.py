@@ -48,20 +48,9 @@ def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[in
 
 @dataclass(frozen=True, eq=False)
 class ReadLog:
-    """Windows of one log, and what was found while reading it.
+    """Windows of one log, with the reason why each is left out, empty for a valid window.
 
-    Attributes
-    ----------
-    path : Path
-        The log.
-    reader : SampleReader
-        What it was read with.
-    windows : list of Window
-        Good ones and others.
-    reasons : list of str
-        Why each is left out; empty for a valid window.
-    missing : int
-        Windows without any sample between the first and the last.
+    ``missing`` counts the windows without any sample between the first and the last.
     """
 
     path: Path

@@ -49,19 +49,12 @@ Batch = dict[Column, NDArray[Any]]
 class TextLog:
     """A text log.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    layout : TextFormat
-        How it is written.
-
     Attributes
     ----------
     columns : list of str
-        Names by its header; ``column 1``, ... where it has none.
+        Names from the header; ``column 1``, ... without a header.
     truncated : bool
-        Whether the last line, once all batches are read, was found to be cut off. It is left out.
+        Whether the last line was cut off and left out; known once all batches are read.
 
     Raises
     ------
@@ -282,21 +275,7 @@ _BATCH_RECORDS = 100_000
 
 
 class RecordLog:
-    """A log of binary records.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    layout : RecordFormat
-        How it is written.
-
-    Attributes
-    ----------
-    columns : list of str
-        Names of the fields.
-    truncated : bool
-        Whether the file ends in the middle of a record, which is left out.
+    """A log of binary records; an incomplete record at the end is left out, and ``truncated`` is set.
 
     Raises
     ------

@@ -33,18 +33,9 @@ from gyrobench.bench.navigation.positions import AXES
 
 @dataclass(frozen=True, eq=False)
 class LogImport:
-    """A dwell table made of logs.
+    """A dwell table made from logs: rows, numbers of windows left out by reason, warnings, and the origin.
 
-    Attributes
-    ----------
-    rows : list of DwellRow
-        One for each valid window.
-    left_out : dict of str to int
-        Windows left out, by the reason.
-    warnings : list of str
-        Limits of the table.
-    origin : dict
-        Source of the table, for the record: logs with their hashes, import map, samples.
+    The origin is for the record: logs with their hashes, import map, samples.
     """
 
     rows: list[DwellRow]

@@ -58,15 +58,7 @@ _ERROR = _Kind("CAN_ErrorFrame", 8)
 
 
 def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping[str, Any]) -> int:
-    """Write all frames; returns how many.
-
-    Parameters
-    ----------
-    dbc : Path
-        Database of the bus, attached to the file.
-    origin : mapping
-        Where the data came from, for the file's comment.
-    """
+    """Write all frames with the bus database attached and the origin in the comment; returns their number."""
     log: _Mf4Log | None = None
     try:
         for part in parts:
@@ -81,16 +73,9 @@ def write_mf4(path: Path, parts: Iterable[TimedPart], dbc: Path, origin: Mapping
 
 
 class _Mf4Log:
-    """The file while it grows; samples lie in a file beside it until it is saved.
+    """The growing file; its samples are in a temporary file in ``folder`` until it is saved.
 
-    Parameters
-    ----------
-    folder : Path
-        Where it may lie.
-    begin_s : float
-        Time of the first frame, since 1970 UTC.
-    dbc, origin
-        As above.
+    ``begin_s`` is the time of the first frame in seconds since 1970 UTC.
     """
 
     def __init__(self, folder: Path, begin_s: float, dbc: Path, origin: Mapping[str, Any]) -> None:

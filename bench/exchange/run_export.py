@@ -235,7 +235,7 @@ def _why_missing(folder: RunFolder, what: DataKind) -> str:
     """Why the run lacks a kind of data; empty if it does not."""
     match what:
         case DataKind.VERIFICATION:
-            return "" if folder.verification.exists() else "the run made no calibration check"
+            return "" if folder.calibration_check.exists() else "the run made no calibration check"
         case DataKind.TELEMETRY:
             return "" if any(folder.telemetry.glob("part-*")) else "there are no readings"
         case DataKind.NAVIGATION | DataKind.CAN:

@@ -295,8 +295,8 @@ def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> RenderableT
     title = f"Batch {name}. " if name else ""
     parts: list[RenderableType] = [Text(f"{title}{batch_sentence(batch)}", style="bold"), Text()]
     if outliers(batch):
-        parts += [_table(OUTLIER_HEADER, outlier_rows(batch), 3), Text()]
-    parts += [_table(SPREAD_HEADER, spread_rows(levels(batch)), 1), Text()]
+        parts += [plain_table(OUTLIER_HEADER, 3, outlier_rows(batch)), Text()]
+    parts += [plain_table(SPREAD_HEADER, 1, spread_rows(levels(batch))), Text()]
     parts.append(Text(f"In {scale.unit}. Between units and between runs: standard deviations without noise."))
     return Group(*parts)
 
@@ -338,10 +338,3 @@ def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
     ]
     sections.append(Section("Units", tables=tables))
     return sections
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> RenderableType:
-    table = plain_table(header, words)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    return table

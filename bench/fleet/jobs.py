@@ -94,7 +94,7 @@ def inputs_of(kind: JobKind, path: Path) -> str:
         JobKind.CLOSE: (folder.journal, folder.dwells),
         JobKind.REPORT: (
             *(folder.journal, folder.dwells, folder.bias_bins, folder.acceptance, folder.noise),
-            *(folder.joint, folder.joint_biases, folder.verification),
+            *(folder.joint, folder.joint_biases, folder.calibration_check),
             *(place / FINDINGS_FILE for place in (folder.closure, folder.verify)),
         ),
     }[kind]

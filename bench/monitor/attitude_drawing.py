@@ -44,16 +44,10 @@ class Arrow:
 
 @dataclass(frozen=True)
 class AxesDrawing:
-    """Drawing of an attitude.
+    """Drawing of an attitude, with its directions in words.
 
-    Attributes
-    ----------
-    floor, box : tuple of str
-        Lines on the ground and faces of the unit, the farthest first, as points of polygons.
-    behind, before : tuple of Arrow
-        Arrows that point away from the viewer, and towards the viewer.
-    words : str
-        The same in words: "x East, y South, z Down".
+    Lines on the ground and faces of the unit are points of polygons, the farthest first; arrows are behind
+    or before the unit.
     """
 
     floor: tuple[str, ...]

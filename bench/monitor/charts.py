@@ -64,16 +64,9 @@ class Axis:
 
 @dataclass(frozen=True)
 class CurvePath:
-    """A line or an area.
+    """A line or an area: CSS classes, data of an SVG path in the square, and label in the legend.
 
-    Attributes
-    ----------
-    look : str
-        CSS classes.
-    path : str
-        Data of an SVG path in the square; empty for a curve without values.
-    label : str
-        For the legend; empty for a curve that is not in it.
+    The path is empty for a curve without values, the label for a curve without a legend.
     """
 
     look: str
@@ -83,19 +76,7 @@ class CurvePath:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart.
-
-    Attributes
-    ----------
-    title : str
-        Also read by screen readers.
-    x, y : Axis
-        Its axes.
-    curves : tuple of CurvePath
-        In the order of drawing.
-    now_percent : float or None
-        Position of a mark at the present; None for no mark.
-    """
+    """A chart: title for screen readers, axes, curves in the order of drawing, position of a mark at now."""
 
     title: str
     x: Axis

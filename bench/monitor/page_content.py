@@ -89,18 +89,8 @@ class Tile:
 class Headline:
     """The top of the page.
 
-    Attributes
-    ----------
-    sign, state, reason : str
-        State, and the reason of a hold, stop or failure.
-    look : str
-        CSS class: "good", "notable" or "bad".
-    tiles : tuple of Tile
-        Time left, temperature, dwell.
-    end : datetime or None
-        Expected end; None if unknown, as while it waits.
-    share_done : float
-        Of the planned duration.
+    ``look`` is a CSS class: "good", "notable" or "bad". ``end`` is None if unknown, as while the run waits;
+    ``share_done`` is of the planned duration.
     """
 
     sign: str

@@ -22,15 +22,7 @@ Point = tuple[float, float]
 
 
 class Canvas:
-    """A grid of characters, drawn on by coordinates from 0 to 1, from the left and from the bottom.
-
-    Parameters
-    ----------
-    width, height : int
-        In characters.
-    is_ascii : bool
-        Whether only ASCII may be used.
-    """
+    """A grid of characters with coordinates from 0 to 1, from the left and from the bottom."""
 
     def __init__(self, width: int, height: int, is_ascii: bool = False) -> None:
         self.width, self.height = width, height
@@ -41,7 +33,7 @@ class Canvas:
         self._letters: dict[tuple[int, int], str] = {}
 
     def line(self, points: Sequence[Point], style: str = _NO_STYLE, every: int = 1) -> None:
-        """Join points by lines; a point that is not known breaks the line.
+        """Join points by lines, broken at unknown points.
 
         With ``every`` above 1 only each so many columns of dots has one: the line is dotted.
         """
@@ -114,19 +106,7 @@ _STEPS = (1.0, 2.0, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot.
-
-    Attributes
-    ----------
-    x, y : sequence of float, same length
-        NaN breaks the line.
-    style : str
-        Colour, as rich names it.
-    letter : str
-        Written at the line's end, to distinguish it without colour; may be empty.
-    is_dotted : bool
-        Whether it is single dots.
-    """
+    """One line of a plot, broken at NaN, with a rich style and a letter at its end."""
 
     x: Sequence[float]
     y: Sequence[float]
@@ -145,22 +125,9 @@ def plot(
     is_ascii: bool,
     mark_x: float | None = None,
 ) -> list[Text]:
-    """Draw curves into a rectangle of characters.
+    """Draw curves into a rectangle of ``width`` by ``height`` characters, labels included.
 
-    Parameters
-    ----------
-    width, height : int
-        Of the whole with labels, in characters.
-    x_range : tuple of float
-        Ends of the horizontal axis.
-    x_labels : tuple of str
-        What is written at its ends.
-    min_span : float
-        The vertical axis spans as much at least.
-    is_ascii : bool
-        Whether only ASCII may be used.
-    mark_x : float, optional
-        Position of a vertical line.
+    The vertical axis spans at least ``min_span``; a vertical line marks ``mark_x``.
     """
     low, high = _y_range(curves, min_span)
     label_width = max(len(_number(low)), len(_number(high)))

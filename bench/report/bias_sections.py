@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
@@ -16,8 +17,9 @@ from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.content import RunContent
 from gyrobench.bench.report.figures.bias import before_after_figure
 from gyrobench.bench.report.number_format import BiasScale, bins_by_temperature, p_text, scale_of_bins
-from gyrobench.bench.report.page import Mark, Section, SectionFigure, SectionTable
+from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import (
+    NOTHING_TO_COMPARE,
     agreement_sentence,
     differing,
     equality_sentence,
@@ -25,69 +27,65 @@ from gyrobench.bench.report.statements import (
     scatter_sentence,
 )
 
+_UNCERTAIN_MAXIMUM = (
+    "Largest difference between two positions in each temperature bin, with its standard uncertainty. Noise "
+    "alone makes the largest of several differences greater than zero: with six equal positions it is usually"
+    " about 2.5 times the uncertainty of one of them, so the p-value decides. Filled markers: significant "
+    "difference."
+)
+_LIMIT_LINE = " The red line is the acceptance limit."
+_BIAS_FIGURE = (
+    "Bias of the {} against its own temperature{}. Lines join the weighted means of the temperature bins, "
+    "faint points are single dwells; bars are standard uncertainties. All gyros have the same scale."
+)
+_BOTH_SIDES = ", on the left by the state-space estimator, on the right by the paper's method"
+_COMPARED = (
+    "Comparison of positions{}. p: probability of such differences if the bias were the same in all "
+    "positions. Spread: difference of the positions' mean temperatures inside the bin."
+)
+_PAPER_P = "; in grey by the paper's method, whose systematic errors are not in its p"
+_DWELLS = (
+    "Bias ± standard uncertainty in {}; start in h:mm; temperatures in °C.{} Fit: p-value of the residuals. "
+    "Flagged dwells are not in the bins."
+)
 
-@dataclass(frozen=True)
-class ComparisonText:
-    """How the positions compare in a bin by one estimator: largest difference, and between which."""
 
-    p_value: str
-    difference: str
-    pair: str
-    differs: bool
+def comparison_section(
+    bins: Sequence[BiasBin], acceptance: Acceptance | None, figures: Mapping[str, Path], *notes: str
+) -> Section:
+    """Results in sentences, gyro by gyro, and the largest differences.
 
-
-@dataclass(frozen=True)
-class BinRow:
-    """A temperature bin of one gyro as text: a cell for each position, and what their comparison shows.
-
-    Bins in a row that are empty in all positions make one row without cells; without the paper's
-    method there are no cells of it.
+    Parameters
+    ----------
+    bins : sequence of BiasBin
+        Of all gyros.
+    acceptance : Acceptance or None
+        Whose limit the figure shows.
+    figures : mapping of str to Path
+        PNG files by name.
+    *notes : str
+        Paragraphs below the results.
     """
-
-    label: str
-    cells: list[str]
-    paper_cells: list[str]
-    comparison: ComparisonText | None
-    paper_comparison: ComparisonText | None
-    temperature_spread: str
-
-    @property
-    def differs(self) -> bool:
-        """Whether the positions differ by the state-space estimator."""
-        return self.comparison is not None and self.comparison.differs
-
-    @property
-    def verdict(self) -> str:
-        """Say which estimators find that the positions differ."""
-        by_paper = self.paper_comparison is not None and self.paper_comparison.differs
-        if self.paper_comparison is None or not (self.differs or by_paper):
-            return "differs" if self.differs else ""
-        if self.differs:
-            return "differs by both" if by_paper else "differs, by the paper's not"
-        return "only by the paper's"
+    boxes = [_gyro_box(gyro, [each for each in bins if each.gyro == gyro]) for gyro in AXES]
+    if all(box.text == NOTHING_TO_COMPARE for box in boxes):
+        scattered = [replace(box, text="") for box in boxes if box.notes]
+        boxes = [Box("stopped", "", NOTHING_TO_COMPARE), *scattered] if bins else []
+    caption = _UNCERTAIN_MAXIMUM + (_LIMIT_LINE if acceptance and acceptance.limits else "")
+    drawn = _pictures(figures, "position_differences", caption)
+    return Section("Results", boxes=boxes, paragraphs=[note for note in notes if note], figures=drawn)
 
 
-@dataclass(frozen=True)
-class GyroPart:
-    """What the report says of one gyro."""
-
-    label: str
-    name: str
-    unit: str
-    sentence: str
-    agreement: str
-    scatter: str
-    rows: list[BinRow]
+def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
+    comparisons = compare_positions(bins)
+    colour = ("failed" if differing(comparisons) else "finished") if comparisons else "stopped"
+    notes = [agreement_sentence(comparisons, compare_positions(paper_bins(bins))), scatter_sentence(bins)]
+    return Box(
+        colour, f"{gyro_label(gyro)}.", equality_sentence(comparisons), [note for note in notes if note]
+    )
 
 
-def measured_positions(bins: Iterable[BiasBin]) -> list[str]:
-    """Positions that have bins, in the order of the paper."""
-    measured = {each.position for each in bins}
-    return [name for name in POSITIONS if name in measured]
-
-
-def gyro_part(gyro: str, bins: Sequence[BiasBin]) -> GyroPart:
-    """Put the bins of one gyro into words and tables.
+def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]) -> Section | None:
+    """Figure and tables of one gyro; None without data.
 
     Parameters
     ----------
@@ -95,110 +93,135 @@ def gyro_part(gyro: str, bins: Sequence[BiasBin]) -> GyroPart:
         Which gyro.
     bins : sequence of BiasBin
         Of all gyros: each has a column for every position measured.
+    figures : mapping of str to Path
+        PNG files by name.
     """
     own = [each for each in bins if each.gyro == gyro]
     by_paper = paper_bins(own)
+    has_paper = any(not each.is_empty for each in by_paper)
+    caption = _BIAS_FIGURE.format(gyro_label(gyro), _BOTH_SIDES if has_paper else "")
+    drawn = _pictures(figures, f"bias_{gyro}", caption)
+    if not (own or drawn):
+        return None
     scale = scale_of_bins([*own, *by_paper])
-    comparisons, paper_comparisons = compare_positions(own), compare_positions(by_paper)
-    texts, paper_texts = _comparison_texts(comparisons, scale), _comparison_texts(paper_comparisons, scale)
-    spreads = {each.bin_low_c: f"{each.temperature_spread_c:.1f}" for each in comparisons}
-    positions = measured_positions(bins)
-    rows = [
-        BinRow(
-            bin_label(low, high),
-            _bin_cells(members, positions, scale, with_count=True),
-            _bin_cells(paper_bins(members), positions, scale, with_count=False),
-            texts.get(low),
-            paper_texts.get(low),
-            spreads.get(low, ""),
-        )
-        for low, high, members in bins_by_temperature(own)
+    measured = {each.position for each in bins}
+    positions = [name for name in POSITIONS if name in measured]
+    rows = []
+    for low, high, members in bins_by_temperature(own):
+        cells = _bin_cells(members, positions, scale)
+        rows.append([bin_label(low, high), *(cells or ["empty in all positions"])])
+    tables = [
+        SectionTable(
+            f"Bias ± standard uncertainty in {scale.unit} (number of dwells), by temperature of the gyro"
+            + ("; in grey by the paper's method" if has_paper else ""),
+            ["bin / °C", *map(position_label, positions)],
+            rows,
+        ),
+        _comparison_table(compare_positions(own), compare_positions(by_paper), scale),
     ]
-    return GyroPart(
-        gyro_label(gyro),
-        gyro,
-        scale.unit,
-        equality_sentence(comparisons),
-        agreement_sentence(comparisons, paper_comparisons),
-        scatter_sentence(own),
-        rows,
-    )
+    return Section(gyro_label(gyro), figures=drawn, tables=[each for each in tables if each.rows])
 
 
-def _comparison_texts(
-    comparisons: Sequence[PositionComparison], scale: BiasScale
-) -> dict[float, ComparisonText]:
-    """Comparisons by the lower end of their bin."""
-    different = differing(comparisons)
-    return {
-        each.bin_low_c: ComparisonText(
-            p_text(each.p_value),
-            scale.with_sigma(each.largest_difference_dph, each.largest_difference_sigma_dph),
-            " above ".join(map(position_label, each.largest_pair)),
-            each in different,
-        )
-        for each in comparisons
-    }
-
-
-def _bin_cells(
-    members: Iterable[BiasBin], positions: Iterable[str], scale: BiasScale, *, with_count: bool
-) -> list[str]:
-    """Texts of the positions of one bin; none where all are empty."""
+def _bin_cells(members: Sequence[BiasBin], positions: Iterable[str], scale: BiasScale) -> list[str]:
+    """Texts of the positions of one bin, the paper's result in a second line; none where all are empty."""
     texts = {
-        each.position: scale.with_sigma(each.bias_dph, each.sigma_dph)
-        + (f" ({each.count})" if with_count else "")
+        each.position: f"{scale.with_sigma(each.bias_dph, each.sigma_dph)} ({each.count})"
         for each in members
         if not each.is_empty
     }
+    for each in paper_bins(members):
+        if each.position in texts and not each.is_empty:
+            texts[each.position] += f"\n{scale.with_sigma(each.bias_dph, each.sigma_dph)}"
     return [texts.get(position, "empty") for position in positions] if texts else []
 
 
-@dataclass(frozen=True)
-class DwellLine:
-    """A dwell as text: temperatures of the chamber's set point and the gyros, both estimates, fit."""
+def _comparison_table(
+    comparisons: Sequence[PositionComparison], by_paper: Sequence[PositionComparison], scale: BiasScale
+) -> SectionTable:
+    paper = {each.bin_low_c: each for each in by_paper}
+    ours, theirs = differing(comparisons), differing(by_paper)
+    rows: list[list[str]] = []
+    marks: list[Mark] = []
+    for each in comparisons:
+        other = paper.get(each.bin_low_c)
+        texts = [_comparison_texts(one, scale) for one in (each, other) if one is not None]
+        pair, p_value, difference = ("\n".join(lines) for lines in zip(*texts, strict=True))
+        verdict = _significance(each in ours, None if other is None else other in theirs)
+        rows.append(
+            [
+                bin_label(each.bin_low_c, each.bin_high_c),
+                pair,
+                verdict,
+                p_value,
+                difference,
+                f"{each.temperature_spread_c:.1f}",
+            ]
+        )
+        marks.append("bad" if each in ours else "")
+    return SectionTable(
+        _COMPARED.format(_PAPER_P if by_paper else ""),
+        ["bin / °C", "largest difference", "significant", "p", f"size / ({scale.unit})", "spread / K"],
+        rows,
+        words=3,
+        marks=marks,
+    )
 
-    dwell: int
-    cycle: int
-    position: str
-    start: str
-    temperatures: list[str]
-    biases: list[str]
-    paper_biases: list[str]
-    fit: str
-    flags: str
+
+def _comparison_texts(each: PositionComparison, scale: BiasScale) -> tuple[str, str, str]:
+    pair = " above ".join(map(position_label, each.largest_pair))
+    size = scale.with_sigma(each.largest_difference_dph, each.largest_difference_sigma_dph)
+    return pair, p_text(each.p_value), size
 
 
-@dataclass(frozen=True)
-class DwellTable:
-    """All dwells, and the unit of their biases."""
+def _significance(ours: bool, by_paper: bool | None) -> str:
+    """Name the estimators that find a difference."""
+    if by_paper is None or not (ours or by_paper):
+        return "yes" if ours else ""
+    if ours:
+        return "both methods" if by_paper else "state-space only"
+    return "paper's method only"
 
-    unit: str
-    rows: list[DwellLine]
 
-
-def dwell_table(rows: Sequence[DwellRow]) -> DwellTable:
-    """Put the dwells into a table."""
+def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
+    """All dwells in a table; a sentence without any."""
+    if not rows:
+        return Section("Dwells", [empty])
     estimates = [*rows, *paper_rows(rows)]
     scale = BiasScale.of(
         [bias for row in estimates for bias in row.bias_dph],
         [sigma for row in estimates for sigma in row.sigma_dph],
     )
-    return DwellTable(scale.unit, [_dwell_line(row, scale) for row in rows])
-
-
-def _dwell_line(row: DwellRow, scale: BiasScale) -> DwellLine:
-    return DwellLine(
-        dwell=row.dwell,
-        cycle=row.cycle,
-        position=position_label(row.position),
-        start=hours_minutes(row.start_s),
-        temperatures=[_temperature(value) for value in (row.chamber_set_c, *row.gyro_c)],
-        biases=_dwell_biases(row, scale),
-        paper_biases=[text for own in paper_rows([row]) for text in _dwell_biases(own, scale)],
-        fit=p_text(row.fit_p_value),
-        flags=row.flags,
+    lines: list[list[str]] = []
+    marks: list[Mark] = []
+    for row in rows:
+        lines.append(_dwell_cells(row, scale))
+        marks.append("doubtful" if row.flags else "")
+        if row.flags:
+            lines.append(["", f"flagged: {row.flags}"])
+            marks.append("doubtful")
+    header = ["position", "dwell", "cycle", "start", "chamber set", *(f"{gyro_label(gyro)}" for gyro in AXES)]
+    header += [*(f"{gyro.upper()} bias" for gyro in AXES), "fit p"]
+    paper = " In grey by the paper's method." if paper_rows(rows) else ""
+    return Section(
+        "Dwells", tables=[SectionTable(_DWELLS.format(scale.unit, paper), header, lines, marks=marks)]
     )
+
+
+def _dwell_cells(row: DwellRow, scale: BiasScale) -> list[str]:
+    biases = _dwell_biases(row, scale)
+    for own in paper_rows([row]):
+        biases = [
+            f"{one}\n{other}".rstrip() for one, other in zip(biases, _dwell_biases(own, scale), strict=True)
+        ]
+    return [
+        position_label(row.position),
+        str(row.dwell),
+        str(row.cycle),
+        hours_minutes(row.start_s),
+        *("" if math.isnan(value) else f"{value:.1f}" for value in (row.chamber_set_c, *row.gyro_c)),
+        *biases,
+        p_text(row.fit_p_value),
+    ]
 
 
 def _dwell_biases(row: DwellRow, scale: BiasScale) -> list[str]:
@@ -206,38 +229,38 @@ def _dwell_biases(row: DwellRow, scale: BiasScale) -> list[str]:
     return ["" if math.isnan(bias) else scale.with_sigma(bias, sigma) for bias, sigma in pairs]
 
 
-def _temperature(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.1f}"
+def _pictures(figures: Mapping[str, Path], name: str, caption: str) -> list[SectionFigure]:
+    return [SectionFigure(name, caption, figures[name])] if name in figures else []
 
 
 _HOW = (
-    "Positions are compared within one stop of the chamber, in one power-on, at the mean temperature of the "
-    "stop, with the gyro's own curve over temperature; passes of a stop in several cycles are judged by "
-    "their mean where they agree, else one by one. "
-    "The largest of several noisy differences is larger than the largest true one, so the table tells "
-    "between which limits the true one lies. Pass: every pair of positions stays below the limit with "
-    "{0:g} % confidence. Fail: some pair is above it with {0:g} % confidence, allowing for the number of all "
-    "pairs. Marginal: between the two. A unit at a limit is accepted, and one within all limits is "
-    "rejected, with a probability of at most {1:g} %."
+    "Positions are compared within one plateau and one power cycle, at the mean temperature of the plateau; "
+    "each bias is corrected to that temperature with the gyro's own temperature curve. Plateaus of one set "
+    "point in several cycles are averaged where they agree and judged separately otherwise. The largest of "
+    "several noisy differences overestimates the largest true one, so the table gives confidence limits for "
+    "the true one. Pass: every pair of positions is below the limit with {0:g} % confidence. Fail: at least "
+    "one pair is above it with {0:g} % confidence, corrected for the number of pairs. Marginal: neither. The "
+    "probability of accepting a unit at a limit, and of rejecting one within all limits, is at most {1:g} %."
 )
 _LACKING = (
-    "Planned dwells that were not compared with the others of their stop, because they are flagged or "
-    "missing, or because of a power-on or other temperatures between them: {}."
+    "Planned dwells not compared with the others of their plateau (flagged, missing, or separated by a power "
+    "cycle or other temperatures): {}."
 )
 _DISAGREEING = (
-    "Passes of the same stop disagree by more than their noise does, and are judged one by one: {}. Bias "
-    "may depend there on how the temperature came about."
+    "Plateaus of one set point differ between cycles by more than their noise and are judged separately: {}. "
+    "The bias may depend on the temperature history."
 )
-_MOST_NAMED = 12
+_MAX_NAMED = 12
 _CAPTIONS = (
-    "Largest difference between two positions in {}, by temperature of the gyro",
-    "Largest difference between two positions, and largest bias, in {}, by temperature of the gyro",
+    "Largest difference between two positions in {}, with confidence limits, by temperature of the gyro",
+    "Largest difference between two positions, and largest bias, in {}, with confidence limits, by "
+    "temperature of the gyro",
 )
 _MARKS: Mapping[Verdict, Mark] = MappingProxyType({"pass": "", "marginal": "doubtful", "fail": "bad"})
 
 
 def acceptance_section(acceptance: Acceptance | None) -> Section | None:
-    """Put the judgements of a run into a table; None where the procedure states no limits."""
+    """Judgements of a run in a table; None without limits."""
     if acceptance is None or acceptance.limits is None:
         return None
     limits = acceptance.limits
@@ -255,13 +278,13 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
 
 
 def _limits_sentence(limits: AcceptanceLimits) -> str:
-    told = [f"{limits.position_difference_dph:g} deg/h between two positions at one stop"]
+    texts = [f"{limits.position_difference_dph:g} deg/h between two positions at one plateau"]
     if limits.bias_dph is not None:
-        told.append(f"a bias of {limits.bias_dph:g} deg/h of either sign")
-    sentence = f"Limits of the procedure: {listed(told)}."
+        texts.append(f"{limits.bias_dph:g} deg/h for the magnitude of the bias")
+    sentence = f"Limits of the procedure: {listed(texts)}."
     if limits.bias_sigma_dph is not None:
         sentence += (
-            f" A dwell whose bias is less certain than {limits.bias_sigma_dph:g} deg/h counts as "
+            f" A dwell with a standard uncertainty above {limits.bias_sigma_dph:g} deg/h counts as "
             "not measured."
         )
     return sentence
@@ -290,7 +313,7 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
         position_label(position)
         + ("" if set_c is None else f" at {set_c:g} °C in the chamber")
         + f" in cycle {cycle}"
-        for cycle, set_c, position in places[:_MOST_NAMED]
+        for cycle, set_c, position in places[:_MAX_NAMED]
     ]
     more = len(places) - len(named)
     return _LACKING.format(listed([*named, f"{more} more"] if more else named))
@@ -301,7 +324,7 @@ def _acceptance_table(acceptance: Acceptance) -> SectionTable:
     scale = BiasScale.of([each.limit_dph for each in judged], [each.sigma_dph for each in judged])
     return SectionTable(
         _CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit),
-        ["gyro", "bin / °C", "position", "verdict", "measured ± 1 σ", "true, at least", "at most", "limit"],
+        ["gyro", "bin / °C", "positions", "verdict", "measured ± 1 σ", "lower", "upper", "limit"],
         [_acceptance_row(each, scale) for each in judged],
         words=4,
         marks=[_MARKS[each.verdict] for each in judged],
@@ -322,16 +345,16 @@ def _acceptance_row(judged: Judgement, scale: BiasScale) -> list[str]:
 
 
 _TEXT = (
-    "Before: run {0}{1}. After: this run. Both panels of a figure have the same scale; lines join the "
-    "weighted means of the temperature bins, bars are standard uncertainties."
+    "Before: run {0}{1}. After: this run. Lines join the weighted means of the temperature bins; bars are "
+    "standard uncertainties."
 )
-_OTHER_UNIT = "The two runs are of different units: {} before, {} after."
+_OTHER_UNIT = "The runs are of different units: {} before, {} after."
 _FIGURE = "{}: bias by position, before and after."
 _NOT_COMPARABLE = ["", "nothing to compare", ""]
 
 
 def before_after_section(before: RunContent, after: RunContent, marked_c: Sequence[float] = ()) -> Section:
-    """Set the biases of an earlier run beside those of this one."""
+    """Compare the biases of an earlier run with those of this one."""
     verdict = f", unit {before.acceptance.verdict}" if before.acceptance and before.acceptance.limits else ""
     paragraphs = [_TEXT.format(before.name, verdict)]
     units = [", ".join(sorted({row.unit for row in content.dwells})) for content in (before, after)]
@@ -362,7 +385,7 @@ def _before_after_table(before: Sequence[BiasBin], after: Sequence[BiasBin]) -> 
     ]
     return SectionTable(
         f"Largest difference between positions over all bins, in {scale.unit}",
-        ["gyro", "run", "bin / °C", "between", "difference ± 1 σ"],
+        ["gyro", "run", "bin / °C", "positions", "difference ± 1 σ"],
         rows,
         words=4,
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
 
 from rich import box
 from rich.console import Group, JustifyMethod, RenderableType
@@ -19,43 +18,29 @@ from gyrobench.bench.report.statements import SIGNIFICANCE
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _METHODS = (
-    "Without a turn, the INS aligned itself and navigated. The heading after two alignments half a turn "
-    "apart shows the gyro that points East; the velocity that builds up after an alignment shows the gyro "
-    "that points North, by the full error model, started as the alignment leaves it. The second slope of "
-    "the velocity East alone, without Schuler loop and rotation of the Earth, stands beside it. The paper "
-    "names these two ways and leaves out the details, so azimuths, times, temperatures and the evaluation "
-    "are chosen here."
+    "The INS aligns itself and navigates without a turn. The headings of two alignments half a turn apart "
+    "give the bias of the gyro that points East; the velocity after an alignment gives the bias of the gyro "
+    "that points North, by the full error model. The second derivative of the East velocity alone, without "
+    "Schuler loop and Earth rotation, is given for comparison. The paper states these two methods without "
+    "details; azimuths, times, temperatures and the evaluation are chosen here."
 )
 _CALIBRATED = (
-    "Calibrated biases are those of the same position, with straight lines between the temperatures; what a "
-    "bend of the curve adds is in their uncertainty. What a bias changes from one power-on to the next is in "
-    "no uncertainty here: after another power-on a difference of that size is no fault of the calibration."
+    "Calibrated biases are those of the same position, interpolated linearly between temperatures; their "
+    "uncertainty includes the curvature. Turn-on bias is not included: after another power-on, a difference "
+    "of that size is not an error of the calibration."
 )
 _UNKNOWN_ACCELEROMETERS = (
-    "For {} of {} biases the calibration does not tell the bias of the accelerometer along the gyro. At rest "
-    "nothing tells the one from the other: at middle latitudes 100 µg pass for 0.0009 deg/h. The "
-    "uncertainties hold {:.0f} µg, which is why they are large."
+    "For {} of {} biases the calibration has no bias of the accelerometer along the gyro. At rest the two "
+    "can't be distinguished: at middle latitudes 100 µg appear as 0.0009 deg/h. The large uncertainties "
+    "include {:.0f} µg."
 )
 _LARGE_ACCELEROMETER_UG = 100.0
+_HEADER = ("position", "gyro", "method", "gyro / °C", "bias", "by slope", "calibrated", "difference / σ")
 _NOTHING = "No bias could be compared with a calibrated one."
 
 
-@dataclass(frozen=True)
-class VerificationLine:
-    """A row as text: where, how, temperature, biases, and the difference in standard uncertainties."""
-
-    position: str
-    gyro: str
-    method: str
-    temperature_c: str
-    bias: str
-    slope: str
-    calibrated: str
-    difference: str
-
-
 def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
-    """Set the biases of a verification beside the calibrated ones; None without any."""
+    """Measured and calibrated biases; None without any."""
     if not rows:
         return None
     has_calibrated = any(not math.isnan(row.calibrated_dph) for row in rows)
@@ -66,14 +51,14 @@ def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
         accelerometer_sentence(rows),
     ]
     return Section(
-        "Verification of the calibration",
+        "Calibration check",
         [text for text in paragraphs if text],
         tables=[_bias_table(rows), *_flag_tables(rows)],
     )
 
 
 def verification_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
-    """Say how many biases agree with the calibration, and where the largest difference is."""
+    """Number of biases that agree with the calibration, and the largest difference."""
     compared = [row for row in rows if row.is_compared]
     flagged = sum(bool(row.flags) for row in rows)
     alone = len(rows) - len(compared) - flagged
@@ -86,7 +71,7 @@ def verification_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
 
 
 def accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
-    """Say what not knowing the accelerometers does; empty where they are known."""
+    """Effect of unknown accelerometer biases; empty if they are known."""
     sigmas_ug = [row.accelerometer_sigma_ug for row in rows if not row.flags]
     large = [sigma for sigma in sigmas_ug if sigma > _LARGE_ACCELEROMETER_UG]
     return _UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)) if large else ""
@@ -100,21 +85,21 @@ def verification_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     )
 
 
-def verification_lines(rows: Sequence[CalibrationCheckRow]) -> list[VerificationLine]:
-    """Rows as text; a star marks a difference that chance does not explain."""
+def verification_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
+    """Cells of :data:`_HEADER`; a star marks a significant difference."""
     scale = verification_scale(rows)
     differing = _differing(rows)
     return [
-        VerificationLine(
-            position=place_label(row),
-            gyro=row.gyro.upper(),
-            method=row.method,
-            temperature_c="" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
-            bias=_with_sigma(scale, row.bias_dph, row.sigma_dph),
-            slope=_with_sigma(scale, row.paper_bias_dph, row.paper_sigma_dph),
-            calibrated=_with_sigma(scale, row.calibrated_dph, row.calibrated_sigma_dph),
-            difference=_difference(row, row in differing),
-        )
+        [
+            place_label(row),
+            row.gyro.upper(),
+            row.method,
+            "" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
+            _with_sigma(scale, row.bias_dph, row.sigma_dph),
+            _with_sigma(scale, row.paper_bias_dph, row.paper_sigma_dph),
+            _with_sigma(scale, row.calibrated_dph, row.calibrated_sigma_dph),
+            _difference(row, row in differing),
+        ]
         for row in rows
     ]
 
@@ -128,13 +113,13 @@ def place_label(row: CalibrationCheckRow) -> str:
 
 
 def dwells_text(rows: Sequence[CalibrationCheckRow]) -> str:
-    """Say how many dwells a verification took: "12 dwells for verification"."""
+    """Number of dwells: "12 dwells for the calibration check"."""
     numbers = {row.dwell for row in rows} | {row.turned_dwell for row in rows if row.turned_dwell}
-    return f"{counted(len(numbers), 'dwell')} for verification"
+    return f"{counted(len(numbers), 'dwell')} for the calibration check"
 
 
 def flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
-    """Where something was wrong, and what."""
+    """Places and texts of flags."""
     return [
         (
             f"dwell {row.dwell}, {position_label(row.position)} at {row.azimuth_deg:g} deg, "
@@ -148,17 +133,17 @@ def flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
 
 def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
     count, different = len(compared), len(_differing(compared))
-    allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
+    corrected = f"corrected for {count} comparisons" if count > 1 else "one comparison"
     if different:
         verb = "differs" if different == 1 else "differ"
         which = f"{different} of {count} biases {verb}" if count > 1 else "The bias differs"
-        found = f"{which} from the calibration (p < {SIGNIFICANCE:g}, {allowing})."
+        found = f"{which} from the calibration (p < {SIGNIFICANCE:g}, {corrected})."
     else:
         which = f"All {count} biases agree" if count > 1 else "The bias agrees"
-        found = f"{which} with the calibration (no p < {SIGNIFICANCE:g}, {allowing})."
+        found = f"{which} with the calibration (no p < {SIGNIFICANCE:g}, {corrected})."
     worst = max(compared, key=lambda row: abs(row.difference_dph))
     return (
-        f"{found} The largest difference, measured less calibrated, is "
+        f"{found} The largest difference, measured minus calibrated, is "
         f"{dph_with_sigma(worst.difference_dph, worst.difference_sigma_dph)} "
         f"({_sigmas(worst):+z.1f} standard uncertainties): {gyro_label(worst.gyro)} in "
         f"{place_label(worst)} at {worst.temperature_c:.0f} °C, by {worst.method}."
@@ -166,7 +151,7 @@ def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
 
 
 def _differing(rows: Sequence[CalibrationCheckRow]) -> list[CalibrationCheckRow]:
-    """Rows whose difference chance does not explain, allowing for the number of comparisons (Bonferroni)."""
+    """Rows with a significant difference, corrected for the number of comparisons (Bonferroni)."""
     compared = [row for row in rows if row.is_compared]
     return [row for row in compared if row.p_value < SIGNIFICANCE / len(compared)]
 
@@ -187,51 +172,41 @@ def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:
 
 def _bias_table(rows: Sequence[CalibrationCheckRow]) -> SectionTable:
     return SectionTable(
-        f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured less "
-        "calibrated in standard uncertainties of both; * chance does not explain it",
-        [
-            "position",
-            "gyro",
-            "seen in",
-            "gyro / °C",
-            "bias",
-            "by the slope",
-            "calibrated",
-            "difference / σ",
-        ],
-        [astuple(line) for line in verification_lines(rows)],
+        f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured minus "
+        "calibrated in combined standard uncertainties; * significant",
+        _HEADER,
+        verification_rows(rows),
         words=3,
     )
 
 
 def _flag_tables(rows: Sequence[CalibrationCheckRow]) -> list[SectionTable]:
     lines = flag_lines(rows)
-    return [SectionTable("Flagged", ["where", "what was wrong"], lines, words=2)] if lines else []
+    return [SectionTable("Flagged", ["dwell", "flag"], lines, words=2)] if lines else []
 
 
-_HEADERS = ("position", "gyro", "seen in", "°C", "bias", "slope", "calibrated", "diff")
+_HEADERS = ("position", "gyro", "method", "°C", "bias", "slope", "calibrated", "diff")
 _WORDS = 3
 _LEGEND = (
-    "slope: by the second slope of the velocity East alone. diff: bias less calibrated one in standard "
-    "uncertainties of both; * chance does not explain it. Changes from power-on to power-on are in no "
-    "uncertainty."
+    "slope: by the second derivative of the East velocity alone. diff: measured minus calibrated bias in "
+    "combined standard uncertainties; * significant. Turn-on bias is not included in the uncertainties."
 )
 
 
 def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
-    """Biases that a verification shows beside the calibrated ones, and what that says."""
+    """Measured beside calibrated biases, and the result."""
     if not rows:
-        return Text("Nothing was verified.")
-    # Not the table's title: rich would fold that to the width of the table.
+        return Text("No biases to check.")
+    # Not the table's title: rich wraps titles at the width of the table.
     unit = verification_scale(rows).unit
-    heading = Text(f"Verification: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
+    heading = Text(f"Calibration check: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
     for number, header in enumerate(_HEADERS):
         is_word = number < _WORDS
         justify: JustifyMethod = "left" if is_word else "right"
         table.add_column(header, justify=justify, no_wrap=is_word, min_width=len(header))
-    for line in verification_lines(rows):
-        table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in astuple(line)))
+    for cells in verification_rows(rows):
+        table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in cells))
     flags = [f"{where}: {what}" for where, what in flag_lines(rows)]
     sentences = [verification_sentence(rows), accelerometer_sentence(rows), *flags, _LEGEND]
     return Group(heading, table, *(Text(one) for one in sentences if one))

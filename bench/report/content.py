@@ -1,4 +1,4 @@
-"""All that a run folder holds, read with patience: a run that was cut off has a report as well."""
+"""Contents of a run folder for its report; missing or damaged files of an interrupted run are noted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Entry = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class RunContent:
-    """What was found in a run folder.
+    """Contents of a run folder.
 
     Attributes
     ----------
@@ -48,17 +48,15 @@ class RunContent:
     provenance, procedure, station : mapping
         Content of these files; empty where missing.
     dwells, bins, telemetry
-        Content of the tables; empty where missing. Bins are worked out from the dwells where
-        only their own file is missing.
+        The tables; empty where missing. Bins are computed from the dwells if only their file is missing.
     joint_biases, joint_plateaus, noise, verification
-        What solving dwells together, the noise of the INS and verifying a calibration gave; empty
-        where there is none.
+        Joint solution, noise of the INS, calibration check; empty without results.
     acceptance : Acceptance or None
-        Verdict on the unit; None where there is none.
+        Verdict on the unit, or None.
     chapters : list of Findings
-        What was found by the search for effects, and by its proof, on these dwells.
+        Results of the search for effects and of the verification on these dwells.
     problems : list of str
-        What is missing or can't be read.
+        Missing or unreadable files.
     """
 
     name: str
@@ -79,7 +77,7 @@ class RunContent:
 
     @cached_property
     def facts(self) -> RunFacts:
-        """What the journal tells in short."""
+        """Summary of the journal."""
         return facts_of(self.journal)
 
     @property
@@ -93,86 +91,71 @@ class RunContent:
         )
 
     def entries(self, event: str) -> list[Entry]:
-        """Entries of the journal that tell of one kind of event, in order."""
+        """Entries of the journal of one kind of event, in order."""
         return [entry for entry in self.journal if entry.get("event") == event]
 
     def last(self, event: str) -> Entry:
-        """Return the last entry of one kind; empty where there is none."""
+        """Last entry of one kind; empty without one."""
         return next(iter(reversed(self.entries(event))), {})
 
 
 def read_run(folder: RunFolder) -> RunContent:
-    """Read a run folder; what is missing or damaged is noted, not raised."""
+    """Read a run folder; missing or damaged files become problems, not errors."""
     problems: list[str] = []
     journal: list[Entry] = []
-    nothing: Entry = {}
-    no_dwells: list[DwellRow] = []
-    no_bins: list[BiasBin] = []
-    no_readings: Mapping[str, FloatArray] = {}
 
-    def read(path: Path, reader: Callable[[], T], missing: T) -> T:
+    def read(path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
         if not path.exists():
-            problems.append(f"{path.name} is missing.")
+            problems.extend([] if is_optional else [f"{path.name} is missing."])
             return missing
         try:
-            return reader()
+            return reader(path)
         except (GyrobenchError, json.JSONDecodeError) as error:
             problems.append(f"{path.name} can't be used: {error}")
             return missing
 
-    def read_if_there(path: Path, reader: Callable[[], T], missing: T) -> T:
-        return read(path, reader, missing) if path.exists() else missing
-
-    no_joint_biases: list[JointBiasRow] = []
-    no_joint_stops: list[JointPlateauRow] = []
-    no_verification: list[CalibrationCheckRow] = []
-    read(folder.journal, lambda: journal.extend(read_journal(folder.journal)), None)
-    procedure = read(folder.procedure, lambda: _mapping(folder.procedure), nothing)
-    verification = read_if_there(
-        folder.verification, lambda: read_calibration_check(folder.verification), no_verification
+    read(folder.journal, lambda path: journal.extend(read_journal(path)), None)
+    procedure: Entry = read(folder.procedure, _mapping, {})
+    verification: list[CalibrationCheckRow] = read(
+        folder.calibration_check, read_calibration_check, [], is_optional=True
     )
-    # A run of verifications only has no dwells to put into a table.
-    read_dwell_table = read_if_there if verification else read
-    dwells = read_dwell_table(folder.dwells, lambda: read_dwells(folder.dwells), no_dwells)
-    bins = read(folder.bias_bins, lambda: read_bins(folder.bias_bins), no_bins)
+    # A run with calibration checks only has no table of dwells.
+    dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=bool(verification))
+    bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
         journal=journal,
-        provenance=read(folder.provenance, lambda: read_provenance(folder), nothing),
+        provenance=read(folder.provenance, lambda _: read_provenance(folder), {}),
         procedure=procedure,
-        station=read(folder.station, lambda: _mapping(folder.station), nothing),
+        station=read(folder.station, _mapping, {}),
         dwells=dwells,
         bins=bins or _bins(dwells, procedure, problems),
-        telemetry=read(folder.telemetry, lambda: read_telemetry(folder.telemetry), no_readings),
-        joint_biases=read_if_there(
-            folder.joint_biases, lambda: read_joint_biases(folder.joint_biases), no_joint_biases
-        ),
-        joint_plateaus=read_if_there(folder.joint, lambda: read_joint_plateaus(folder.joint), no_joint_stops),
-        noise=read_if_there(folder.noise, lambda: read_noise(folder.noise), None),
+        telemetry=read(folder.telemetry, read_telemetry, {}),
+        joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
+        joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
+        noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
-        acceptance=read_if_there(folder.acceptance, lambda: read_acceptance(folder.acceptance), None),
+        acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),
         problems=problems,
     )
 
 
 def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
-    """Read what search and proof found; of another state of the dwells it would mislead."""
+    """Results of search and verification, unless the dwells have changed since."""
     chapters = []
     for place, command in ((folder.closure, "close"), (folder.verify, "verify")):
-        again = f"`gyrobench {command} {folder.path.name}` makes it anew."
+        again = f"Repeat `gyrobench {command} {folder.path.name}`."
         if not (place / FINDINGS_FILE).exists():
             if any(place.glob("*.html")):
-                problems.append(
-                    f"{place.name}/{FINDINGS_FILE} is missing, so it is not in this report. {again}"
-                )
+                problems.append(f"{place.name}/{FINDINGS_FILE} is missing and not in this report. {again}")
             continue
         try:
             found = read_findings_file(place)
             if found.dwells_sha256 == file_sha256(folder.dwells):
                 chapters.append(found)
             else:
-                problems.append(f"{place.name}: dwells.csv has changed since, so it is left out. {again}")
+                problems.append(f"{place.name}: left out because dwells.csv has changed since. {again}")
         except GyrobenchError as error:
             problems.append(f"{place.name} can't be used: {error}")
     return chapters
@@ -188,5 +171,5 @@ def _bins(dwells: Sequence[DwellRow], procedure: Entry, problems: list[str]) -> 
     try:
         return bin_biases([row for row in dwells if not row.flags], float(width_c))
     except (GyrobenchError, TypeError, ValueError) as error:
-        problems.append(f"The dwells can't be sorted into temperature bins: {error}")
+        problems.append(f"The dwells can't be binned by temperature: {error}")
         return []

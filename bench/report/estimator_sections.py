@@ -30,41 +30,39 @@ from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRo
 _STATE_SPACE = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "
     "with Schuler loop, Earth rate, accelerometer biases and initial errors, to velocity and heading of"
-    " a whole dwell. Its uncertainty holds the noise and what is not known of unit and bench."
+    " a whole dwell. Its uncertainty includes noise and the prior uncertainties of unit and bench."
 )
 _PAPER = (
-    "What the paper's method makes of the same data stands beside them in grey: quadratic fits of the "
-    "velocities and slopes of the heading, before and after a turn of 180 deg. Its uncertainty is that "
-    "of the noise alone."
+    "Results of the paper's method from the same data are in grey: quadratic fits of the velocities and "
+    "slopes of the heading, before and after a turn of 180 deg. Their uncertainty includes noise only."
 )
-_UNKNOWN = "The dwell table does not tell by which estimator these biases were measured."
+_UNKNOWN = "The estimator of these biases is unknown: the dwell table has no column for it."
 _LEAKS = (
-    "The paper's method leaves out that the errors of an INS are coupled. Over windows of ten minutes "
-    "it reads a level bias 8 to 17 % wrong, because the Schuler loop feeds velocity back into tilt; up "
-    "to 20 % of one axis leaks into another, because the Earth's rotation couples them; and 10 µg of "
-    "accelerometer bias pass for up to 0.001 deg/h. In each position the same bias leaks differently, "
-    "so a difference between positions that only the paper's method finds may be its own. The "
-    "state-space estimator has all this in its model."
+    "The paper's method neglects the coupling of INS errors. Over windows of ten minutes, a level bias is "
+    "8 to 17 % in error because the Schuler loop feeds velocity back into tilt; up to 20 % of one axis "
+    "leaks into another through the Earth's rotation; and 10 µg of accelerometer bias appear as up to "
+    "0.001 deg/h. The leakage depends on the position, so a difference between positions found only by "
+    "the paper's method may be an artefact. The state-space estimator models all of these."
 )
 _DIFFERENCES = (
-    "The paper's bias less the state-space one, dwell by dwell. Bars are the uncertainties of both "
-    "combined; as both come from the same data, noise alone keeps them closer together than that. "
-    "Points beyond their bars are what the paper's method leaves out."
+    "Bias by the paper's method minus bias by the state-space estimator, for each dwell. Bars are combined "
+    "standard uncertainties; both use the same data, so noise alone separates them by less. Points beyond "
+    "their bars show systematic errors of the paper's method."
 )
 _FIT = (
-    "In each dwell the residuals of velocity and heading, summed minute by minute, are compared with "
-    "the noise: a wrong model leaves residuals that are slow, and these add up."
+    "The residuals of velocity and heading in each dwell, summed over one-minute blocks, are compared with "
+    "the noise: a wrong model leaves slowly varying residuals, which add up."
 )
-_FIT_SIZES = "Size of the residuals of each dwell, 1 where model and noise are true."
+_FIT_SIZES = "Residuals of each dwell relative to the expected size; 1 if model and noise are correct."
 _FIT_P_VALUES = (
-    f"Left: {_FIT_SIZES[0].lower()}{_FIT_SIZES[1:]} Right: share of the dwells whose p-value is below a "
-    "value; the straight line where model and noise are true, the grey band what chance makes of it in "
-    f"{100 * (1 - SIGNIFICANCE):.0f} of 100 runs."
+    f"Left: {_FIT_SIZES[0].lower()}{_FIT_SIZES[1:]} Right: cumulative distribution of the p-values, "
+    "with its expectation if model and noise are correct, and the band that it leaves with a probability of "
+    f"{100 * SIGNIFICANCE:.0f} %."
 )
 
 
 def estimators_note(rows: Sequence[DwellRow]) -> str:
-    """Say by which estimator the biases of the report are."""
+    """Name the estimators of the report."""
     if paper_rows(rows):
         return f"{_STATE_SPACE} {_PAPER}"
     if any(not math.isnan(row.fit_p_value) for row in rows):
@@ -77,23 +75,22 @@ def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ())
     both = with_both(rows)
     if not both:
         return None
-    # A single dwell has no course to draw: the table says it all.
     drawn = (
         [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both, marked_c))]
         if len(both) > 1
         else []
     )
-    return Section("The two estimators", [_LEAKS], drawn, [_difference_table(both)])
+    return Section("Comparison of the estimators", [_LEAKS], drawn, [_difference_table(both)])
 
 
 def fit_section(rows: Sequence[DwellRow]) -> Section | None:
-    """Tell whether model and noise explain the data; None where no dwell was tested."""
+    """Whether model and noise explain the data; None if no dwell was tested."""
     sentence = fit_sentence(rows)
     if not sentence:
         return None
     caption = _FIT_P_VALUES if has_distribution(rows) else _FIT_SIZES
     return Section(
-        "Does the model explain the data?",
+        "Goodness of fit",
         [_FIT, sentence],
         [SectionFigure("fit", caption, fit_figure(rows))],
     )
@@ -110,39 +107,38 @@ def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:
         where = f"{position_label(row.position)}, {row.gyro_c[axis]:.0f} °C, dwell {row.dwell}"
         cells.append([gyro_label(gyro), where, scale.text(rms_dph), scale.with_sigma(*largest)])
     return SectionTable(
-        f"The paper's bias less the state-space one in {scale.unit}, over {counted(len(rows), 'dwell')}",
-        ["gyro", "largest in", "rms", "largest ± combined uncertainty"],
+        f"Paper's method minus state-space estimator in {scale.unit}, over {counted(len(rows), 'dwell')}",
+        ["gyro", "dwell of the largest", "rms", "largest ± combined uncertainty"],
         cells,
         words=2,
     )
 
 
 _TOGETHER = (
-    "On each plateau the dwells are also solved together: they share accelerometer biases, "
-    "the errors of the gyros' axes and any rate that is fixed in the navigation frame. The gyro biases of "
-    "each dwell stay its own."
+    "The dwells of each plateau are also solved jointly: they share accelerometer biases, misalignments of "
+    "the gyros, and any rate fixed in the navigation frame. Each dwell keeps its own gyro biases."
 )
 _UP = (
-    "A rate Up that nobody declared, from a wrong latitude for instance, adds to the bias of a vertical gyro "
-    "that points up and takes from it when it points down: half the sum of the two is the bias, half their "
-    "difference the rate, if the bias is the same both ways."
+    "An undeclared rate Up, from a wrong latitude for instance, adds to the bias of a vertical gyro that "
+    "points up and subtracts when it points down. If the bias is the same in both positions, half the sum of "
+    "the two results is the bias and half the difference is the rate."
 )
 _LATITUDE = (
-    "they do once a rate North is allowed, so the latitude is wrong by more than declared. The biases "
-    "without the rate Up are right where it applies; check the latitude that station and INS have."
+    "they do with a free rate North, so the latitude error exceeds the declared uncertainty. Use the biases "
+    "without the rate Up, and check the latitude in station file and INS."
 )
-_NOT_TRUSTED = "the joint biases of this plateau are not to be trusted."
+_NOT_TRUSTED = "the joint biases of this plateau are invalid."
 _WRONG_FIT_P = 1e-3
-#: An accelerometer known no better has only what was known of it before.
+#: An accelerometer bias with a larger uncertainty is not estimated from the data.
 _UNKNOWN_ACCELEROMETER_UG = 100.0
 
 
 def joint_section(biases: Sequence[JointBiasRow], plateaus: Sequence[JointPlateauRow]) -> Section | None:
-    """Tell what solving together gives; None where nothing was, or a table is missing."""
+    """Results of the joint solution; None without its tables."""
     if not (biases and plateaus):
         return None
     return Section(
-        "All dwells of one temperature together",
+        "Joint solution of each plateau",
         [
             f"{_TOGETHER} {_gain_sentence(biases)}",
             f"{_UP} {_finding_sentence(plateaus)}",
@@ -158,15 +154,15 @@ def _gain_sentence(rows: Sequence[JointBiasRow]) -> str:
         for wanted in (False, True)
     )
     if not (level or vertical):
-        return "That makes the uncertainty of neither level nor vertical gyros smaller (medians)."
+        return "The joint solution does not reduce the uncertainties (medians)."
     return (
-        f"That makes the uncertainty of level gyros {level or 'no'} smaller and that of vertical ones "
-        f"{vertical or 'no'} smaller (medians)."
+        f"This reduces the standard uncertainty of level gyros by {level or '0 %'} and of vertical gyros by "
+        f"{vertical or '0 %'} (medians)."
     )
 
 
 def _smaller(gain: float) -> str:
-    """Write by how much; empty where it rounds to nothing."""
+    """Reduction in percent; empty if it rounds to zero."""
     text = f"{100.0 * (1.0 - 1.0 / gain):.1f}"
     return f"{text} %" if float(text) > 0.0 else ""
 
@@ -178,24 +174,21 @@ def _is_vertical(row: JointBiasRow) -> bool:
 def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
     last = plateaus[-1]
     finding = Finding[last.finding.upper()]
-    where = "Over all plateaus" if last.plateau == 0 else "On this plateau"
+    where = "Over all plateaus" if last.plateau == 0 else "At this plateau"
     if finding is Finding.NO_PAIR:
         return f"{where}: {finding.value}."
     rate = f"{1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h"
     latitude = f"{last.latitude_error_arcmin:+.2f} ± {last.latitude_error_sigma_arcmin:.2f} arcmin"
     p_value = _p_in_brackets(last.up_rate_p_value)
-    text = f"{where} the half-differences amount to {rate}{p_value}: {finding.value}."
+    text = f"{where} the half-difference is {rate}{p_value}: {finding.value}."
     if finding in (Finding.LATITUDE, Finding.NOT_CONTRADICTED):
-        text += (
-            f" It would be a latitude error of {latitude}; joint_biases.csv also holds the biases without it."
-        )
+        text += f" Equivalent latitude error: {latitude}; joint_biases.csv also has the biases without it."
     return text
 
 
 def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     return [
-        f"On plateau {row.plateau} the dwells do not agree on what they share"
-        f"{_p_in_brackets(row.fit_p_value)}: "
+        f"At plateau {row.plateau} dwells disagree on shared parameters{_p_in_brackets(row.fit_p_value)}: "
         + (_LATITUDE if row.any_north_p_value >= _WRONG_FIT_P else _NOT_TRUSTED)
         for row in plateaus
         if row.fit_p_value < _WRONG_FIT_P
@@ -203,7 +196,7 @@ def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
 
 
 def _p_in_brackets(p_value: float) -> str:
-    """Write " (p = 0.012)" or " (p <1e-09)"; empty where nothing was compared."""
+    """Text as " (p = 0.012)" or " (p <1e-9)"; empty for NaN."""
     text = p_text(p_value)
     return text and f" (p {text if text.startswith('<') else f'= {text}'})"
 
@@ -222,10 +215,10 @@ def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
                 f"{float(np.median([row.gain for row in chosen])):.3f}",
             ]
     return SectionTable(
-        "Median uncertainty of a bias by itself and solved together, 10⁻³ deg/h, and their ratio",
+        "Median standard uncertainty of a bias, single and joint, 10⁻³ deg/h, and their ratio",
         [
-            *("plateau", "level, by itself", "level, together", "gain"),
-            *("vertical, by itself", "vertical, together", "gain"),
+            *("plateau", "level, single", "level, joint", "ratio"),
+            *("vertical, single", "vertical, joint", "ratio"),
         ],
         cells,
     )
@@ -233,8 +226,8 @@ def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
 
 def _plateau_table(plateaus: Sequence[JointPlateauRow]) -> SectionTable:
     return SectionTable(
-        "What the dwells of each plateau share: accelerometer biases in µg where the "
-        "dwells tell them, rates in 10⁻³ deg/h, p of the fit",
+        "Shared parameters of each plateau: accelerometer biases in µg where observable, rates in 10⁻³ deg/h,"
+        " p-value of the fit",
         ["plateau", "chamber °C", "dwells", "x", "y", "z", "rate North", "rate Up", "p"],
         [
             [
@@ -266,20 +259,21 @@ def _signed(value: float, sigma: float, decimals: int) -> str:
 
 
 _TEXT = (
-    "Allan deviation of the rates and accelerations at rest, from the output of the INS in all good dwells. "
-    "The uncertainties of the biases stand on these noises: where one is larger than declared, they are too "
-    "small."
+    "Allan deviation of the rates and accelerations at rest, from the output of the INS in all unflagged "
+    "dwells. The uncertainties of the biases are based on the declared noise: if the measured noise is "
+    "larger, they are too small."
 )
-_ESTIMATED = "The station declares no noise: each dwell was evaluated with the noise of its own windows."
+_ESTIMATED = (
+    "The station declares no noise: each dwell was evaluated with the noise estimated from its windows."
+)
 _FIGURE = (
-    "Allan deviation, with the random walk that was fitted and the one that the station declares. Thin lines "
-    "are all that was fitted: the random walk, steeper at the left the noise of the output, rising at the "
-    "right the tilt that the gyros' random walk makes."
+    "Allan deviation with the fitted and the declared random walk. Thin lines: the complete fit, with output "
+    "noise at short and tilt caused by the gyros' random walk at long averaging times."
 )
 
 
 def noise_section(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> Section | None:
-    """Set the measured noise beside that of the station's file; None where none was measured."""
+    """Measured and declared noise; None without a measurement."""
     if noise is None:
         return None
     declared = _declared(station)
@@ -291,7 +285,9 @@ def noise_section(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> Se
             if each.declared > 0.0
         ]
         tables = [
-            SectionTable("Measured and declared", ["parameter", "measured, declared: verdict"], rows, words=2)
+            SectionTable(
+                "Noise, measured and declared", ["parameter", "measured, declared: verdict"], rows, words=2
+            )
         ]
     return Section(
         "Noise of the INS",

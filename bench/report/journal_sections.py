@@ -13,22 +13,22 @@ from typing import Any
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 
-#: Planned and real duration, s, of every step done, by kind.
+#: Planned and actual duration, s, of every finished step, by kind.
 Took = Mapping[str, Sequence[tuple[float, float]]]
 
 
 @dataclass(frozen=True)
 class KindDuration:
-    """What the steps of one kind were to take together, and took.
+    """Planned and actual duration of the steps of one kind.
 
     Attributes
     ----------
     kind : str
         Name of the kind for people: "go to".
     count : int
-        Steps done.
+        Finished steps.
     planned_s, took_s : float
-        Sums over these.
+        Sums over them.
     """
 
     kind: str
@@ -38,14 +38,14 @@ class KindDuration:
 
     @property
     def difference(self) -> str:
-        """How much more it took than planned: "+0:12:05", and in percent of the plan."""
+        """Actual minus planned duration: "+0:12:05", and in percent of the plan."""
         late_s = self.took_s - self.planned_s
         text = f"{'-' if round(late_s) < 0 else '+'}{clock_time(abs(late_s))}"
         return f"{text} ({100.0 * late_s / self.planned_s:+.1f} %)" if self.planned_s > 0.0 else text
 
 
 def durations_by_kind(took: Took) -> list[KindDuration]:
-    """Sum up by kind, what took longest first, and all together at the end; empty if nothing was done."""
+    """Sums by kind, longest first, and the total last; empty if no step has finished."""
     kinds = [_summed(kind.replace("_", " "), pairs) for kind, pairs in took.items() if pairs]
     kinds.sort(key=lambda each: -each.took_s)
     everything = [pair for pairs in took.values() for pair in pairs]
@@ -53,7 +53,7 @@ def durations_by_kind(took: Took) -> list[KindDuration]:
 
 
 def took_in_journal(journal: Iterable[Mapping[str, Any]]) -> dict[str, list[tuple[float, float]]]:
-    """Gather the durations of the steps that a journal tells the end of."""
+    """Durations of the finished steps of a journal."""
     took: dict[str, list[tuple[float, float]]] = {}
     for entry in journal:
         if entry.get("event") == "step_finished" and {"kind", "planned_s", "took_s"} <= entry.keys():
@@ -74,19 +74,19 @@ def _summed(kind: str, pairs: Sequence[tuple[float, float]]) -> KindDuration:
 
 Entry = Mapping[str, Any]
 
-#: More rows than these nobody reads; what is the same but for its numbers goes into one, then the rest.
-MOST_ROWS = 60
+#: Longest table; beyond it, events are grouped.
+MAX_ROWS = 60
 
-_LONGEST_S = 1e12
+_MAX_TIME_S = 1e12
 _NUMBERS = re.compile(r"\d+(?:[.:]\d+)*")
-#: Most telling first: these keep their rows where there are too many.
+#: Most important first: these keep their rows when events are grouped.
 _KINDS = (
     "interlock",
     "held",
     "dwell flagged",
     "dwell repeated",
-    "dwell left out",
-    "order",
+    "dwell skipped",
+    "command",
     "resumed",
     "ended",
     "note",
@@ -95,13 +95,13 @@ _KINDS = (
 _MARKS: Mapping[str, Mark] = MappingProxyType(
     {"interlock": "bad", "ended": "bad", "held": "doubtful", "dwell flagged": "doubtful"}
 )
-_QUIET = "The journal tells of no fault, hold, repeat, order or note."
-_ALL = "Times from the start. What repeats is told once, with how often; journal.jsonl holds all of it"
+_QUIET = "The journal has no fault, hold, repeat, command or note."
+_ALL = "Times from the start. Repeated events are counted in one row; journal.jsonl has all of them"
 
 
 @dataclass(frozen=True)
 class RunEvent:
-    """Something that happened, from when to when, how often, and what came of it."""
+    """An event, or several alike: times of the first and last, number, and outcome."""
 
     first_s: float
     last_s: float
@@ -119,22 +119,37 @@ class RunEvent:
 
 
 def run_events(journal: Sequence[Entry]) -> list[RunEvent]:
-    """Gather the events of a journal in order, those of the same text together.
+    """Events of a journal in order, equal ones grouped.
 
-    Never more than :data:`MOST_ROWS`: then those that differ only in numbers go together, and what is
-    still too much goes into one event a kind, exchanges that were repeated first.
+    More than :data:`MAX_ROWS` are grouped further: first those that differ only in numbers, then all of a
+    kind, repeated exchanges first.
     """
     events = _grouped(_events(journal), lambda each: (each.kind, each.what, each.outcome))
-    if len(events) > MOST_ROWS:
+    if len(events) > MAX_ROWS:
         events = _grouped(events, lambda each: (each.kind, _shape(each.what), _shape(each.outcome)))
     for kind in reversed(_KINDS):
-        if len(events) > MOST_ROWS:
+        if len(events) > MAX_ROWS:
             events = _grouped(events, partial(_kind_or_itself, kind))
     return sorted(events, key=lambda each: each.first_s)
 
 
+def durations_section(journal: Sequence[Entry]) -> Section:
+    """Planned and actual durations in a table."""
+    kinds = durations_by_kind(took_in_journal(journal))
+    title = "Planned and actual duration"
+    if not kinds:
+        return Section(title, ["The journal has no finished step."])
+    rows = [
+        [each.kind, str(each.count), clock_time(each.planned_s), clock_time(each.took_s), each.difference]
+        for each in kinds
+    ]
+    header = ["kind of step", "steps", "planned / h:mm:ss", "actual / h:mm:ss", "difference"]
+    marks: list[Mark] = ["sum" if each is kinds[-1] else "" for each in kinds]
+    return Section(title, tables=[SectionTable("", header, rows, marks=marks)])
+
+
 def events_section(journal: Sequence[Entry]) -> Section:
-    """Put the events of a run into a table."""
+    """Events of a run in a table."""
     events = run_events(journal)
     if not events:
         return Section("Flags, holds and retries", [_QUIET])
@@ -161,7 +176,7 @@ def _events(journal: Iterable[Entry]) -> list[RunEvent]:
 
 
 class _Gathered:
-    """Events in order; the outcome of one is known when a later entry tells it."""
+    """Events in order; later entries add the outcome of earlier ones."""
 
     def __init__(self) -> None:
         self.events: list[RunEvent] = []
@@ -175,15 +190,15 @@ class _Gathered:
             "answers_again": lambda entry: self._close("retry", entry.get("instrument"), "answers again"),
             "dwell_given_up": self._given_up,
             "dwell_finished": self._finished,
-            "dwell_skipped": lambda entry: self._add(entry, "dwell left out", f"dwell {entry.get('dwell')}"),
+            "dwell_skipped": lambda entry: self._add(entry, "dwell skipped", f"dwell {entry.get('dwell')}"),
             "ordered": lambda entry: self._add(
-                entry, "order", str(entry.get("order")), f"by {entry.get('by')}"
+                entry, "command", str(entry.get("order")), f"by {entry.get('by')}"
             ),
             "run_resumed": self._resumed,
             "run_ended": self._ended,
             "note": lambda entry: self._add(entry, "note", str(entry.get("text"))),
             "journal_repaired": lambda entry: self._add(
-                entry, "note", "The journal's last line was cut off and has been dropped."
+                entry, "note", "The last line of the journal was incomplete and has been removed."
             ),
         }
 
@@ -210,8 +225,8 @@ class _Gathered:
         self._await("safe", None, index)
 
     def _made_safe(self, entry: Entry) -> None:
-        told = entry.get("actions")
-        actions = [each for each in told if isinstance(each, Mapping)] if isinstance(told, list) else []
+        found = entry.get("actions")
+        actions = [each for each in found if isinstance(each, Mapping)] if isinstance(found, list) else []
         failed = [str(action.get("what")) for action in actions if action.get("problem")]
         self._close("safe", None, f"safe state NOT reached: {listed(failed)}" if failed else "made safe")
 
@@ -222,7 +237,7 @@ class _Gathered:
     def _continued(self, entry: Entry) -> None:
         held_s = _seconds(entry.get("held_s"))
         after = f" after {clock_time(held_s)}" if held_s is not None else ""
-        self._close("hold", None, f"went on by {entry.get('by')}{after}")
+        self._close("hold", None, f"continued by {entry.get('by')}{after}")
 
     def _retry(self, entry: Entry) -> None:
         instrument = entry.get("instrument")
@@ -240,12 +255,12 @@ class _Gathered:
         dwell = marks.get("dwell") if isinstance(marks, Mapping) else None
         self._close("dwell", dwell, "measured again, flagged" if flags else "measured again, good")
         if flags:
-            self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "kept out of the bins")
+            self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "excluded from the bins")
 
     def _resumed(self, entry: Entry) -> None:
         next_step = entry.get("next_step")
-        self._close("hold", None, "the run ended meanwhile")
-        self._add(entry, "resumed", "The run was cut short and gone on with.", f"from step {next_step} on")
+        self._close("hold", None, "the run ended during the hold")
+        self._add(entry, "resumed", "The run was interrupted and resumed.", f"from step {next_step}")
 
     def _ended(self, entry: Entry) -> None:
         if entry.get("ended") != "finished":
@@ -253,11 +268,11 @@ class _Gathered:
 
 
 def _seconds(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) and abs(value) < _LONGEST_S else None
+    return float(value) if isinstance(value, int | float) and abs(value) < _MAX_TIME_S else None
 
 
 def _grouped(events: Iterable[RunEvent], key: Callable[[RunEvent], object]) -> list[RunEvent]:
-    """Put events of the same key together, at the place of the first."""
+    """Group events of the same key at the place of the first."""
     groups: dict[object, RunEvent] = {}
     for each in events:
         first = groups.setdefault(key(each), each)

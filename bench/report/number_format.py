@@ -1,4 +1,4 @@
-"""Numbers and names as people read them, the same in figures, report and terminal."""
+"""Numbers with units, decimals and p-values for people, the same in figures, report and terminal."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from gyrobench.bench.foundations.text import bin_label, listed
 
 BinT = TypeVar("BinT")
 
-#: The two estimators as people read them.
+#: Names of the estimators.
 STATE_SPACE, PAPER = "state-space estimator", "paper's method"
-#: Why a run has no results of the paper's method.
-NO_PAPER = "The paper's method takes two windows half a turn apart, so it does not apply to these dwells."
+#: Reason for missing results of the paper's method.
+NO_PAPER = "The paper's method needs two windows half a turn apart, so it does not apply to these dwells."
 
 _SMALLEST_P = 1e-9
 _PLAIN_P = 0.001
 _LARGE_BIAS_DPH = 1.0
-_MOST_DECIMALS = 4
-_MOST_DECIMALS_DPH = 7
+_MAX_DECIMALS = 4
+_MAX_DECIMALS_DPH = 7
 
 
 @dataclass(frozen=True)
 class BiasScale:
-    """Unit and number of decimals in which some biases are read best.
+    """Unit and number of decimals for a set of biases.
 
     Attributes
     ----------
     factor : float
-        What to multiply a bias in deg/h by.
+        Factor for a bias in deg/h.
     unit : str
-        The unit of the product.
+        Unit of the product.
     decimals : int
-        So many that the smallest uncertainty shows one digit, or two if it begins with 1 or 2.
+        Decimals that show one digit of the smallest uncertainty, or two if it begins with 1 or 2.
     """
 
     factor: float
@@ -44,11 +44,11 @@ class BiasScale:
 
     @classmethod
     def of(cls, bias_dph: Iterable[float], sigma_dph: Iterable[float]) -> BiasScale:
-        """Choose for these biases and uncertainties; NaN among them is passed over."""
+        """Choose for these biases and uncertainties, without NaN."""
         largest = max((abs(value) for value in bias_dph if math.isfinite(value)), default=0.0)
         factor, unit = (1.0, "deg/h") if largest >= _LARGE_BIAS_DPH else (1000.0, "0.001 deg/h")
         smallest = min((value for value in sigma_dph if value > 0.0), default=1.0)
-        return cls(factor, unit, _decimals(smallest * factor, _MOST_DECIMALS))
+        return cls(factor, unit, _decimals(smallest * factor, _MAX_DECIMALS))
 
     def text(self, value_dph: float) -> str:
         """Write a bias, without its unit."""
@@ -66,8 +66,8 @@ def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:
 
 
 def dph_with_sigma(value_dph: float, sigma_dph: float) -> str:
-    """Write a bias with its uncertainty and unit, in deg/h whatever its size."""
-    decimals = _decimals(sigma_dph, _MOST_DECIMALS_DPH)
+    """Write a bias with its uncertainty and unit, in deg/h."""
+    decimals = _decimals(sigma_dph, _MAX_DECIMALS_DPH)
     return f"{value_dph:z.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
 
 
@@ -104,7 +104,7 @@ def by_temperature(
     bins : iterable
         One for each position and bin.
     ends_c, is_filled : callable
-        Give the ends of one, and whether anything was measured there.
+        Return the ends of one, and whether anything was measured there.
     """
     groups: dict[tuple[float, float], list[BinT]] = {}
     for each in sorted(bins, key=ends_c):
@@ -121,7 +121,7 @@ def by_temperature(
 
 
 def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
-    """Write the ranges of some bins, those that meet as one: "-20 to 5 °C and 10 to 15 °C"."""
+    """Ranges of bins, adjacent ones merged: "-20 to 5 °C and 10 to 15 °C"."""
     ranges: list[tuple[float, float]] = []
     for low, high in sorted({(each.bin_low_c, each.bin_high_c) for each in bins}):
         if ranges and math.isclose(ranges[-1][1], low, abs_tol=1e-6):
@@ -132,7 +132,7 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
 
 
 def true_minus(text: str) -> str:
-    """With true minus signs, which are as wide as the plus and read as numbers."""
+    """Text with minus signs in place of hyphens."""
     return text.replace("-", "−")
 
 

@@ -1,29 +1,38 @@
-"""HTML pages that need nothing beside them: their parts as data, the template, and ``findings.json``."""
+"""HTML pages that need nothing beside them: their parts as data, one template, and ``findings.json``.
+
+Pages of findings (search, verification, batch) and the report of a run are all made of sections.
+"""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
-from pydantic import Field
+from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic.dataclasses import dataclass
 
 from gyrobench.bench.foundations.csv_tables import read_text
-from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
-from gyrobench.bench.navigation.positions import position_label
 from gyrobench.bench.report.figures.style import save_figure
 
-#: What to make of a row.
-Mark = Literal["", "bad", "doubtful"]
+#: Name of the file that keeps findings beside their page, for the report of the run.
+FINDINGS_FILE = "findings.json"
+
+#: Highlight of a row: an error, a warning, a sum.
+Mark = Literal["", "bad", "doubtful", "sum"]
+
+_CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+_NOT_SAVED = Field(exclude=True)
+_PAGE = "page.html.j2"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=_CONFIG)
 class SectionTable:
     """A table of texts.
 
@@ -32,11 +41,12 @@ class SectionTable:
     caption : str
         What it shows, with units.
     header, rows : sequence of str, sequence of sequences of str
-        One cell for each column.
+        One cell for each column; the last cell of a shorter row spans the rest. A second line of a cell
+        is grey.
     words : int
-        So many columns at the left hold words; those after them hold numbers.
+        Number of columns of words at the left; the others hold numbers.
     marks : sequence of str
-        What to make of each row: "bad", "doubtful" or nothing; without any, nothing of all.
+        Highlight of each row; without any, none.
     """
 
     caption: str
@@ -46,71 +56,94 @@ class SectionTable:
     marks: Sequence[Mark] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, config=_CONFIG)
 class SectionFigure:
-    """A figure, the name of its file without suffix, and what it shows.
+    """A figure, or its PNG file; the name of the file without suffix; and a caption."""
 
-    One that was drawn before is given by its PNG file.
-    """
-
-    name: str
+    name: Annotated[str, Field(pattern="^[a-z0-9_]{1,80}$")]
     caption: str
-    figure: Figure | Path
+    figure: Annotated[Figure | Path | None, _NOT_SAVED] = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, config=_CONFIG)
+class Box:
+    """A statement in a box: colour ("finished", "stopped", "failed", "open"), its gist, text, and notes."""
+
+    colour: str
+    gist: str
+    text: str
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False, config=_CONFIG)
 class Section:
-    """One part of a report; paragraphs first, then figures, then tables."""
+    """One part of a page; its contents stand in the order of the attributes."""
 
     title: str
+    boxes: Annotated[Sequence[Box], _NOT_SAVED] = Field(default=(), kw_only=True)
     paragraphs: Sequence[str] = ()
+    facts: Annotated[Mapping[str, str], _NOT_SAVED] = Field(default={}, kw_only=True)
+    items: Annotated[Sequence[str], _NOT_SAVED] = Field(default=(), kw_only=True)
     figures: Sequence[SectionFigure] = ()
     tables: Sequence[SectionTable] = ()
+    sections: Annotated[Sequence[Section], _NOT_SAVED] = Field(default=(), kw_only=True)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, config=_CONFIG)
 class Findings:
-    """What such a page says.
+    """Result of an analysis, as a page of its own and as a chapter of the report of its run.
 
     Attributes
     ----------
     title : str
-        Of the page.
+        Title of the page.
     source : str
-        What was looked at, for people.
-    judgement : str
-        In a word or two.
+        What was analysed.
+    judgement, sentence : str
+        Verdict in a word or two, and in a sentence.
     colour : str
-        Of the box around it: a class of the template, "finished", "stopped" or "failed".
-    sentence : str
-        The judgement in a sentence.
+        Colour of the verdict, as in :class:`Box`.
     facts : mapping of str to str
         Names and values.
     sections : sequence of Section
-        The rest.
+        The details.
     dwells_sha256 : str
-        Hash of the dwell table that was looked at; empty where there is none.
+        Hash of the dwell table analysed; empty without one.
     """
 
     title: str
     source: str
     judgement: str
-    colour: str
+    colour: Annotated[str, Field(pattern="^[a-z]+$")]
     sentence: str
     facts: Mapping[str, str]
     sections: Sequence[Section]
     dwells_sha256: str = ""
 
+    @property
+    def chapter(self) -> Section:
+        """These findings as one section."""
+        gist = f"{self.judgement[:1].upper()}{self.judgement[1:]}."
+        box = Box(self.colour, gist, self.sentence)
+        return Section(self.title, boxes=[box], facts=self.facts, sections=self.sections)
 
-def render_page(template: str, **content: object) -> str:
-    """Fill a template of this package.
+
+_FINDINGS = TypeAdapter(Findings)
+
+
+def render_page(page: Section, source: str, title: str = "", sign_off: str | None = None) -> str:
+    """Give a page as HTML text.
 
     Parameters
     ----------
-    template : str
-        Name of its file.
-    **content
-        What the template asks for.
+    page : Section
+        The page; figures of its sections are PNG files.
+    source : str
+        Line below the title.
+    title : str
+        Title of the browser's window; by default that of the page with its source.
+    sign_off : str, optional
+        Name for a sign-off table, which may be empty; it comes with a table of contents.
     """
     environment = Environment(
         loader=PackageLoader("gyrobench.bench.report"),
@@ -120,21 +153,13 @@ def render_page(template: str, **content: object) -> str:
         lstrip_blocks=True,
     )
     environment.filters["data_uri"] = _data_uri
-    environment.filters["position"] = position_label
-    return environment.get_template(template).render(**content)
-
-
-def _data_uri(path: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return environment.get_template(_PAGE).render(
+        page=page, source=source, title=title or f"{page.title}: {source}", sign_off=sign_off
+    )
 
 
 def with_figure_files(folder: Path, sections: Iterable[Section]) -> list[Section]:
-    """Draw the figures of some sections into a folder that is there; those drawn before stay where they are.
-
-    Returns
-    -------
-    list of Section
-        The sections with PNG files as figures.
+    """Draw the figures of sections into an existing folder; gives the sections with PNG files.
 
     Raises
     ------
@@ -146,114 +171,8 @@ def with_figure_files(folder: Path, sections: Iterable[Section]) -> list[Section
     ]
 
 
-def _as_file(folder: Path, drawn: SectionFigure) -> SectionFigure:
-    if isinstance(drawn.figure, Path):
-        return drawn
-    path = folder / f"{drawn.name}.png"
-    save_figure(drawn.figure, path)
-    return replace(drawn, figure=path)
-
-
-#: Name of the file.
-FINDINGS_FILE = "findings.json"
-
-
-def write_findings_file(folder: Path, findings: Findings) -> None:
-    """Write what a page says, without its pictures, which are in ``figures/`` beside it.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
-    fields = {**vars(findings), "sections": [_section_model(each) for each in findings.sections]}
-    text = _Findings.model_validate(fields).model_dump_json(indent=1)
-    write_whole(folder / FINDINGS_FILE, f"{text}\n".encode())
-
-
-def read_findings_file(folder: Path) -> Findings:
-    """Read what a page says; a picture that is missing is left out.
-
-    Raises
-    ------
-    DocumentError
-        The file can't be read or holds something else.
-    """
-    path = folder / FINDINGS_FILE
-    text = read_text(path)
-    try:
-        model = _Findings.model_validate(parse_json(text))
-    except ValueError as error:
-        raise DocumentError(f"{path}: holds no findings: {error}") from error
-    return Findings(
-        **{**dict(model), "sections": [_section_of_model(each, folder) for each in model.sections]}
-    )
-
-
-class _Table(StrictModel):
-    caption: str
-    header: list[str]
-    rows: list[list[str]]
-    words: int
-    marks: list[Mark]
-
-
-class _Figure(StrictModel):
-    name: str = Field(pattern="^[a-z0-9_]{1,80}$")
-    caption: str
-
-
-class _Section(StrictModel):
-    title: str
-    paragraphs: list[str]
-    figures: list[_Figure]
-    tables: list[_Table]
-
-
-class _Findings(StrictModel):
-    title: str
-    source: str
-    judgement: str
-    colour: str = Field(pattern="^[a-z]+$")
-    sentence: str
-    facts: dict[str, str]
-    sections: list[_Section]
-    dwells_sha256: str
-
-
-def _section_model(section: Section) -> _Section:
-    return _Section(
-        title=section.title,
-        paragraphs=list(section.paragraphs),
-        figures=[_Figure(name=each.name, caption=each.caption) for each in section.figures],
-        tables=[
-            _Table(
-                caption=each.caption,
-                header=list(each.header),
-                rows=[list(row) for row in each.rows],
-                words=each.words,
-                marks=list(each.marks),
-            )
-            for each in section.tables
-        ],
-    )
-
-
-def _section_of_model(model: _Section, folder: Path) -> Section:
-    paths = [(each, folder / "figures" / f"{each.name}.png") for each in model.figures]
-    return Section(
-        model.title,
-        model.paragraphs,
-        [SectionFigure(each.name, each.caption, path) for each, path in paths if path.is_file()],
-        [SectionTable(**dict(each)) for each in model.tables],
-    )
-
-
-_TEMPLATE = "findings.html.j2"
-
-
 def write_findings(path: Path, findings: Findings) -> Path:
-    """Write the page, its figures into ``figures/`` and ``findings.json`` beside it; its folder is there.
+    """Write the page, its figures into ``figures/`` and ``findings.json`` beside it; its folder exists.
 
     Raises
     ------
@@ -262,7 +181,47 @@ def write_findings(path: Path, findings: Findings) -> Path:
     """
     folder = path.parent
     make_folder(folder / "figures")
-    sections = with_figure_files(folder / "figures", findings.sections)
-    write_whole(path, render_page(_TEMPLATE, findings=replace(findings, sections=sections)).encode())
-    write_findings_file(folder, findings)
+    drawn = replace(findings, sections=with_figure_files(folder / "figures", findings.sections))
+    write_whole(path, render_page(drawn.chapter, findings.source).encode())
+    write_whole(folder / FINDINGS_FILE, _FINDINGS.dump_json(findings, indent=1) + b"\n")
     return path
+
+
+def read_findings_file(folder: Path) -> Findings:
+    """Read the findings of a page; missing pictures are left out.
+
+    Raises
+    ------
+    DocumentError
+        The file can't be read or is invalid.
+    """
+    path = folder / FINDINGS_FILE
+    text = read_text(path)
+    try:
+        findings = _FINDINGS.validate_python(parse_json(text))
+    except ValueError as error:
+        raise DocumentError(f"{path}: not a file of findings: {error}") from error
+    return replace(
+        findings, sections=[_with_pictures(each, folder / "figures") for each in findings.sections]
+    )
+
+
+def _with_pictures(section: Section, folder: Path) -> Section:
+    pictures = [replace(each, figure=folder / f"{each.name}.png") for each in section.figures]
+    return replace(section, figures=[each for each in pictures if _is_file(each.figure)])
+
+
+def _is_file(figure: Figure | Path | None) -> bool:
+    return isinstance(figure, Path) and figure.is_file()
+
+
+def _as_file(folder: Path, drawn: SectionFigure) -> SectionFigure:
+    if not isinstance(drawn.figure, Figure):
+        return drawn
+    path = folder / f"{drawn.name}.png"
+    save_figure(drawn.figure, path)
+    return replace(drawn, figure=path)
+
+
+def _data_uri(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -24,9 +23,9 @@ from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
     before_after_section,
-    dwell_table,
-    gyro_part,
-    measured_positions,
+    comparison_section,
+    dwells_section,
+    gyro_section,
 )
 from gyrobench.bench.report.calibration_check import (
     dwells_text,
@@ -44,19 +43,23 @@ from gyrobench.bench.report.estimator_sections import (
 from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph, position_difference_figure
 from gyrobench.bench.report.figures.style import save_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
-from gyrobench.bench.report.journal_sections import (
-    clock_time,
-    durations_by_kind,
-    events_section,
-    took_in_journal,
-)
-from gyrobench.bench.report.page import Section, render_page, with_figure_files
-from gyrobench.bench.report.statements import NOTHING_TO_COMPARE, VERDICT_COLOURS, verdict_sentence
+from gyrobench.bench.report.journal_sections import durations_section, events_section
+from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
+from gyrobench.bench.report.statements import VERDICT_COLOURS, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 
-_TEMPLATE = "report.html.j2"
+_PROGRAMS = ("gyrobench", "python", "platform")
+_TIME = "%Y-%m-%d %H:%M:%S"
+_MAX_OFFSET_S = 86_000.0
+_INTERRUPTED = "It was killed or is still running: the journal has no end."
+_NO_BIAS = "No dwell gave a bias."
+_DWELL_BANDS = " Bands and bars are dwells by position; a hollow bar is a flagged dwell."
+_HASHES = (
+    "SHA-256 of the files in the run folder. The hash of a log in parts is that of the list of its parts' "
+    "hashes, as printed by: sha256sum can/*.blf | sha256sum"
+)
 
 
 def write_report(
@@ -68,17 +71,16 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` and the figures of a run, from what its folder holds.
 
-    Parts that are missing, because the run failed or was cut off, are named in the report.
+    The report names parts that are missing because the run failed or was interrupted.
 
     Parameters
     ----------
     folder : RunFolder
-        The run; its report and figures are written anew.
+        The run; its report and figures are replaced.
     prepared_by : str
-        Name for the sign-off, kept in the run for the next time; without one that of the last time, or a
-        blank line.
+        Name for the sign-off, kept in the run; without one the name kept, or a blank line.
     out : Path, optional
-        Folder to write into; without one the run's.
+        Output folder; default: the run folder.
     before : RunFolder, optional
         Run before a change, to compare with this one.
     mark_temperatures_c : sequence of float
@@ -101,11 +103,13 @@ def write_report(
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
-    figures = save_figures(
-        into, content.telemetry, content.dwells, content.bins, content.acceptance, marked_c
-    )
+    drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
+    figures = []
+    for name, figure in drawn:
+        figures.append(into.figures / f"{name}.png")
+        save_figure(figure, figures[-1])
     compared = [before_after_section(read_run(before), content, marked_c)] if before else []
-    sections = with_figure_files(into.figures, [*compared, *_sections(content, marked_c)])
+    sections = with_figure_files(into.figures, [*compared, *_analysis_sections(content, marked_c)])
     write_whole(into.report, render(content, figures, sections, hashes, by).encode())
     return into.report
 
@@ -124,45 +128,46 @@ def render(
     content : RunContent
         What the run left.
     figures : iterable of Path
-        PNG files, by the names of :func:`gyrobench.bench.report.run_report.save_figures`.
+        PNG files, by the names of :func:`run_figures`.
     sections : sequence of Section
-        Parts that are not in every report, with figures that are drawn.
+        Optional sections with PNG files as figures; they come before the dwells.
     hashes : sequence of DataHash
-        What ties the report to its data.
+        Of the data of the report.
     prepared_by : str
         Name for the sign-off.
     """
-    return render_page(
-        _TEMPLATE,
-        figures={path.stem: path for path in figures},
-        run=content,
-        unit=serial_number_of(content),
-        facts=head_lines(content),
-        ending=ending_of(content),
-        acceptance=content.acceptance,
-        acceptance_colour=VERDICT_COLOURS[content.acceptance.verdict] if content.acceptance else "",
-        acceptance_sentence=verdict_sentence(content.acceptance) if content.acceptance else "",
-        acceptance_sections=[each for each in [acceptance_section(content.acceptance)] if each],
-        prepared_by=prepared_by,
-        instruments=instruments_of(content),
-        versions=versions_of(content.provenance),
-        positions=measured_positions(content.bins),
-        gyros=[gyro_part(gyro, content.bins) for gyro in AXES],
-        nothing_to_compare=NOTHING_TO_COMPARE,
-        verification=verification_sentence(content.verification) if content.verification else "",
-        note=estimators_note(content.dwells),
-        sections=sections,
-        hashes=hashes,
-        chapters=content.chapters,
-        events=[events_section(content.journal)],
-        dwells=dwell_table(content.dwells),
-        durations=durations_by_kind(took_in_journal(content.journal)),
-        clock_time=clock_time,
+    drawn = {path.stem: path for path in figures}
+    unit, facts = serial_number_of(content), head_lines(content)
+    verification = verification_sentence(content.verification) if content.verification else ""
+    no_bias = "" if content.bins or verification else _NO_BIAS
+    no_dwell = f"{facts['dwells']}, without a turn." if verification else "No dwell was measured."
+    parts = [
+        acceptance_section(content.acceptance),
+        comparison_section(
+            content.bins, content.acceptance, drawn, no_bias, verification, estimators_note(content.dwells)
+        ),
+        _temperature_section(content, drawn),
+        *(gyro_section(gyro, content.bins, drawn) for gyro in AXES),
+        *sections,
+        *(found.chapter for found in content.chapters),
+        dwells_section(content.dwells, no_dwell),
+        events_section(content.journal),
+        durations_section(content.journal),
+        _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
+        _instruments_section(content),
+        _hashes_section(hashes),
+        _safe_state_section(content.facts.safe_state),
+        _list_section("Missing in the run folder", content.problems),
+    ]
+    title = f"Gyro bias of unit {unit}" if unit else "Gyro bias"
+    started = f", started {facts['started']}" if "started" in facts else ""
+    page = Section(
+        title, boxes=verdict_boxes(content), facts=facts, sections=[part for part in parts if part]
     )
+    return render_page(page, f"Run {content.name}{started}", f"{title}: {content.name}", prepared_by)
 
 
 def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
-    """Read a run, and hash what the report is to be tied to."""
     content = read_run(folder)
     try:
         return content, data_hashes(folder)
@@ -171,8 +176,8 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
         return replace(content, problems=[*content.problems, problem]), []
 
 
-def _sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
-    """Parts that this run has something for."""
+def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
+    """Sections that this run has data for."""
     sections = [
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
@@ -183,10 +188,72 @@ def _sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     return [section for section in sections if section]
 
 
-_PROGRAMS = ("gyrobench", "python", "platform")
-_CUT_OFF = "It was killed or cut off, or has not ended yet: the journal does not tell of its end."
-_TIME = "%Y-%m-%d %H:%M:%S"
-_MOST_OFFSET_S = 86_000.0
+def verdict_boxes(content: RunContent) -> list[Box]:
+    """How the run ended, and the verdict on the unit."""
+    facts, acceptance = content.facts, content.acceptance
+    is_safe = not any(action.get("problem") for action in facts.safe_state)
+    notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
+    notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
+    colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
+    gist = f"The run {facts.ended}." if facts.ended else "The run has not ended."
+    boxes = [Box(colour, gist, facts.reason or ("" if facts.ended else _INTERRUPTED), notes)]
+    if acceptance:
+        verdict = acceptance.verdict
+        boxes.append(Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance)))
+    return boxes
+
+
+def _temperature_section(content: RunContent, figures: Mapping[str, Path]) -> Section | None:
+    if "temperature" not in figures:
+        return None
+    caption = f"Temperatures over the run.{_DWELL_BANDS if content.dwells else ''}"
+    return Section("Temperatures", figures=[SectionFigure("temperature", caption, figures["temperature"])])
+
+
+def _list_section(title: str, items: object) -> Section | None:
+    return Section(title, items=[str(each) for each in items]) if isinstance(items, list) and items else None
+
+
+def _instruments_section(content: RunContent) -> Section:
+    instruments, own = instruments_of(content), content.provenance
+    versions = {name: own[name] for name in _PROGRAMS if name in own} | own.get("packages", {})
+    parts = [
+        _list_section("Resolution of the INS output", content.last("resolution").get("lines")),
+        Section("Versions", [", ".join(f"{name} {version}" for name, version in versions.items())])
+        if versions
+        else None,
+        Section("SHA-256 of the input files", facts=_texts(own["files_sha256"]))
+        if own.get("files_sha256")
+        else None,
+    ]
+    return Section(
+        "Instruments and software",
+        paragraphs=[] if instruments else ["The instruments are unknown."],
+        facts=_texts(instruments),
+        sections=[part for part in parts if part],
+    )
+
+
+def _hashes_section(hashes: Sequence[DataHash]) -> Section | None:
+    names = {
+        f"{each.name} ({each.count} files)" if each.count > 1 else each.name: each.sha256 for each in hashes
+    }
+    return Section("Data of this report", paragraphs=[_HASHES], facts=names) if hashes else None
+
+
+def _safe_state_section(actions: Sequence[Entry]) -> Section:
+    if not actions:
+        return Section("Safe state", ["The journal has no safe state."])
+    texts = [
+        f"{action.get('what', 'unnamed action')}{': failed: ' if problem else ''}{problem}"
+        for action in actions
+        for problem in [str(action.get("problem") or "")]
+    ]
+    return Section("Safe state", items=texts)
+
+
+def _texts(facts: Mapping[str, object]) -> dict[str, str]:
+    return {str(name): str(value) for name, value in facts.items()}
 
 
 def serial_number_of(content: RunContent) -> str:
@@ -203,82 +270,67 @@ def _dwells_text(content: RunContent) -> str:
 
 
 def head_lines(content: RunContent) -> dict[str, str]:
-    """What was run, on what, by whom and when; what is not known is left out."""
-    told, own = content.facts, content.provenance
-    options = {**own.get("options", {}), **told.options}
-    begun = parsed_utc(own.get("started_utc") or told.started_utc)
+    """Unit, procedure, bench, operator and times of a run; unknown ones are left out."""
+    facts, own = content.facts, content.provenance
+    options = {**own.get("options", {}), **facts.options}
+    begun = parsed_utc(own.get("started_utc") or facts.started_utc)
     lines = {
-        "unit": serial_number_of(content) or "serial number not known",
-        "procedure": told.procedure or content.procedure.get("procedure"),
+        "unit": serial_number_of(content) or "serial number unknown",
+        "procedure": facts.procedure or content.procedure.get("procedure"),
         "purpose": content.procedure.get("description"),
-        "bench": told.station or content.station.get("station"),
+        "bench": facts.station or content.station.get("station"),
         "started by": " on ".join(str(own[name]) for name in ("operator", "host") if own.get(name)),
         "started": _both_times(begun, 0.0, own),
-        "ended": _both_times(begun, told.last_s, own) if told.ended else "",
-        "duration": _duration(told),
+        "ended": _both_times(begun, facts.last_s, own) if facts.ended else "",
+        "duration": _duration(facts),
         "dwells": _dwells_text(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),
     }
     return {name: str(value) for name, value in lines.items() if value}
 
 
-def _duration(told: RunFacts) -> str:
-    more = f", gone on with {counted(told.resumes, 'time')}" if told.resumes else ""
-    return f"{hours_minutes(told.last_s)} h{more}" if told.last_s else ""
+def _duration(facts: RunFacts) -> str:
+    more = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
+    return f"{hours_minutes(facts.last_s)} h{more}" if facts.last_s else ""
 
 
 def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> str:
-    """Write a time in UTC, and as clocks on the bench showed it, where that is known."""
+    """Time in UTC, and in local time of the bench where its offset is known."""
     if begun is None:
         return ""
     try:
         moment = begun.astimezone(UTC) + timedelta(seconds=after_s)
         text = f"{moment.strftime(_TIME)} UTC"
         offset_s = provenance.get("utc_offset_s")
-        if not isinstance(offset_s, int | float) or not abs(offset_s) < _MOST_OFFSET_S:
+        if not isinstance(offset_s, int | float) or not abs(offset_s) < _MAX_OFFSET_S:
             return text
         if not offset_s:
-            return f"{text}, which is local time too"
+            return f"{text}, also local time"
         local = moment.astimezone(timezone(timedelta(seconds=offset_s)))
     except OverflowError:
         return ""
     return f"{text}, {local.strftime(_TIME)} local time ({local.tzname()})"
 
 
-def ending_of(content: RunContent) -> Entry:
-    """Tell how the run ended: word, reason, the step that did not end, safe state."""
-    told = content.facts
-    return {
-        "word": told.ended or "not ended",
-        "reason": told.reason or ("" if told.ended else _CUT_OFF),
-        "step": "" if told.ended == "finished" else _open_step(content),
-        "safe_state": told.safe_state,
-    }
-
-
-def _open_step(content: RunContent) -> str:
-    """Say which step had begun and not ended; empty where none had."""
+def open_step_of(content: RunContent) -> str:
+    """Step that had started and not finished when the run ended; empty if none."""
+    if content.facts.ended == "finished":
+        return ""
     steps = [entry for entry in content.journal if entry.get("event") in ("step_started", "step_finished")]
     if not steps or steps[-1]["event"] == "step_finished":
         return ""
     last = steps[-1]
     where = f" ({last['label']})" if last.get("label") else ""
-    return f"step {last.get('step', '?')}, {last.get('what', 'of unknown kind')}{where}"
+    return f"{last.get('step', '?')}, {last.get('what', 'unknown kind')}{where}"
 
 
 def instruments_of(content: RunContent) -> dict[str, str]:
-    """What each instrument said it is."""
+    """Identity of each instrument."""
     known = dict(content.provenance.get("instruments", {}))
     identity = content.last("ins_identified").get("identity")
     if isinstance(identity, Mapping):
         identity = ", ".join(f"{name} {value}" for name, value in identity.items())
     return known | ({"INS": identity} if identity else {})
-
-
-def versions_of(provenance: Entry) -> dict[str, Any]:
-    """Versions of the programs that made the run."""
-    own = {name: provenance[name] for name in _PROGRAMS if name in provenance}
-    return {**own, **provenance.get("packages", {})}
 
 
 _LACKING = (
@@ -289,14 +341,14 @@ _LACKING = (
 
 
 def write_pdf(page: Path, pdf: Path) -> Path:
-    """Lay a self-contained HTML page out as PDF.
+    """Convert a self-contained HTML page to PDF.
 
     Parameters
     ----------
     page : Path
-        What :func:`gyrobench.bench.report.run_report.write_report` wrote.
+        A page of :func:`write_report`.
     pdf : Path
-        Where to write.
+        Output file.
 
     Raises
     ------
@@ -321,43 +373,17 @@ def write_pdf(page: Path, pdf: Path) -> Path:
     return pdf
 
 
-def save_figures(
-    folder: RunFolder,
+def run_figures(
     telemetry: Readings,
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None = None,
     marked_c: Sequence[float] = (),
-) -> list[Path]:
-    """Draw everything that a run gives into its folder of figures.
-
-    Returns
-    -------
-    list of Path
-        Of temperature.png, bias_x.png, bias_y.png, bias_z.png and position_differences.png those
-        that there are data for.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
-    """
-    make_folder(folder.figures)
-    paths = []
-    for name, figure in run_figures(telemetry, dwells, bins, acceptance, marked_c):
-        paths.append(folder.figures / f"{name}.png")
-        save_figure(figure, paths[-1])
-    return paths
-
-
-def run_figures(
-    telemetry: Readings,
-    dwells: Sequence[DwellRow],
-    bins: Sequence[BiasBin],
-    acceptance: Acceptance | None,
-    marked_c: Sequence[float],
 ) -> Iterator[tuple[str, Figure]]:
-    """Draw what a run gives: name and figure, one after the other."""
+    """Draw the figures that there are data for, one after the other.
+
+    Yields names and figures: temperature, bias_x, bias_y, bias_z and position_differences.
+    """
     if len(telemetry.get("time_s", ())) or dwells:
         yield "temperature", temperature_figure(telemetry, dwells, marked_c)
     if bins or any(not row.flags for row in dwells):

@@ -15,68 +15,66 @@ from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_text, temperature_ranges
 
-#: What there is to say of a run, or a gyro, whose positions can't be compared.
-NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin holds dwells of two positions."
+#: Result without positions to compare.
+NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions."
 
-#: Positions count as different where chance alone would show this in one of a hundred gyros.
+#: Significance level of the differences between positions, per gyro.
 SIGNIFICANCE = 0.01
 
 _AS_EXPECTED = "Error model and noise explain the data."
 _TOO_SMALL = (
-    "The noise is larger than assumed, or something acts that the error model lacks; the uncertainties are "
-    "too small."
+    "The noise is larger than assumed, or the error model lacks an effect; the uncertainties are too small."
 )
-_TOO_LARGE = "The noise is smaller than assumed; the uncertainties are wider than they need be."
+_TOO_LARGE = "The noise is smaller than assumed; the uncertainties are too large."
 
 
 def differing(comparisons: Iterable[PositionComparison]) -> list[PositionComparison]:
-    """Comparisons that show a difference of positions.
-
-    Every bin is one more chance for noise to look like a difference, so the significance is
-    divided by the number of bins of the gyro (Bonferroni).
-    """
+    """Comparisons with a significant difference, corrected for the bins of the gyro (Bonferroni)."""
     comparisons = list(comparisons)
     gyros = [each.gyro for each in comparisons]
     return [each for each in comparisons if each.p_value < SIGNIFICANCE / gyros.count(each.gyro)]
 
 
 def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
-    """Say in plain words what the comparisons of one gyro's positions show."""
+    """Result of the comparisons of one gyro."""
     if not comparisons:
         return NOTHING_TO_COMPARE
     count = len(comparisons)
-    allowing = f"allowing for {count} comparisons" if count > 1 else "one comparison"
+    corrected = f"corrected for {count} comparisons" if count > 1 else "one comparison"
     different = differing(comparisons)
     if not different:
         where = temperature_ranges(comparisons)
-        return f"No difference between positions found from {where} (no p < {SIGNIFICANCE:g}, {allowing})."
+        return (
+            f"No significant difference between positions from {where} (no p < {SIGNIFICANCE:g}, "
+            f"{corrected})."
+        )
     worst = max(different, key=lambda each: each.largest_difference_dph)
     high, low = map(position_label, worst.largest_pair)
     difference = dph_with_sigma(worst.largest_difference_dph, worst.largest_difference_sigma_dph)
     return (
         f"The bias differs between positions in {len(different)} of {count} bins: from "
-        f"{temperature_ranges(different)} (p < {SIGNIFICANCE:g}, {allowing}). Most from "
+        f"{temperature_ranges(different)} (p < {SIGNIFICANCE:g}, {corrected}). Largest difference from "
         f"{temperature_ranges([worst])}: {high} above {low} by {difference}."
     )
 
 
 def scatter_sentence(bins: Iterable[BiasBin]) -> str:
-    """Say where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
+    """Where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
     tested = [each for each in bins if each.count > 1]
     wide = [each for each in tested if each.spread_p_value < SIGNIFICANCE / len(tested)]
     if not wide:
         return ""
     places = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in wide)
     return (
-        "Dwells of the same position and bin scatter more than their uncertainties explain, so the "
-        f"uncertainty of the mean and the p-value are too small here: {places}."
+        "Dwells of the same position and bin scatter more than their uncertainties explain; the "
+        f"uncertainty of the mean and the p-value are too small at {places}."
     )
 
 
 def agreement_sentence(
     comparisons: Sequence[PositionComparison], by_paper: Sequence[PositionComparison]
 ) -> str:
-    """Say whether the paper's method finds the same bins of one gyro different; empty if it has none."""
+    """Whether the paper's method finds the same bins different; empty without its results."""
     if not by_paper:
         return ""
     ours = {each.bin_low_c: each for each in differing(comparisons)}
@@ -84,14 +82,14 @@ def agreement_sentence(
     more = [each for low, each in theirs.items() if low not in ours]
     fewer = [each for low, each in ours.items() if low not in theirs]
     if not more and not fewer:
-        return "The paper's method says the same."
+        return "The paper's method agrees."
     parts = [f"it also finds a difference from {temperature_ranges(more)}"] if more else []
     parts += [f"it finds none from {temperature_ranges(fewer)}"] if fewer else []
-    return f"The paper's method judges otherwise: {', and '.join(parts)}."
+    return f"The paper's method disagrees: {', and '.join(parts)}."
 
 
 def fit_sentence(rows: Iterable[DwellRow]) -> str:
-    """Say whether error model and noise explain the data of the dwells; empty where no test is known."""
+    """Whether error model and noise explain the data of the dwells; empty without tests."""
     tested = [row for row in rows if not math.isnan(row.fit_p_value)]
     if not tested:
         return ""
@@ -100,11 +98,11 @@ def fit_sentence(rows: Iterable[DwellRow]) -> str:
     if chance < SIGNIFICANCE:
         size, verdict = ("too small", _TOO_SMALL) if median(p_values) < 0.5 else ("too large", _TOO_LARGE)
     else:
-        size, verdict = "as chance would have them", f"{_AS_EXPECTED}{_outlier_sentence(tested)}"
+        size, verdict = "as expected", f"{_AS_EXPECTED}{_outlier_sentence(tested)}"
     ratios = [row.fit_ratio for row in tested]
     if len(tested) == 1:
         size = f"{ratios[0]:.2f} times as large as expected (p {_equals(p_values[0])})"
-        return f"Residuals of the only dwell are {size}. {verdict}"
+        return f"Residuals of the only dwell tested are {size}. {verdict}"
     return (
         f"Residuals of {len(tested)} dwells are {min(ratios):.2f} to {max(ratios):.2f} times as large as "
         f"expected, median {median(ratios):.2f}; their p-values are {size} (Kolmogorov-Smirnov p "
@@ -118,7 +116,7 @@ def _outlier_sentence(rows: Sequence[DwellRow]) -> str:
         return ""
     which = f"dwell{'s' if len(outliers) > 1 else ''} {listed([str(row.dwell) for row in outliers])}"
     smallest = min(row.fit_p_value for row in outliers)
-    return f" Something disturbed {which} (smallest p {_equals(smallest)})."
+    return f" Outlying: {which} (smallest p {_equals(smallest)})."
 
 
 def _equals(p_value: float) -> str:
@@ -130,21 +128,21 @@ def _equals(p_value: float) -> str:
 VERDICT_COLOURS: Mapping[RunVerdict, str] = MappingProxyType(
     {"accepted": "finished", "marginal": "stopped", "rejected": "failed", "not judged": "open"}
 )
-_NO_LIMITS = "The procedure states no acceptance limits."
-_NOTHING = "No stop of the chamber has good dwells in two positions."
-_ADVICE = "The data do not tell on which side of it the unit is; more cycles would."
-_LACKING = "{} not compared with all others of the stop, so the rest can't accept the unit."
+_NO_LIMITS = "The procedure has no acceptance limits."
+_NOTHING = "No plateau has good dwells in two positions."
+_ADVICE = "The uncertainty is too large for a verdict; measure more cycles."
+_LACKING = "{} not compared with the others of the plateau, so the unit can't be accepted."
 
 
 def verdict_sentence(acceptance: Acceptance) -> str:
-    """Say why the verdict on the run is what it is."""
+    """Reason of the verdict on the unit."""
     if acceptance.limits is None:
         return _NO_LIMITS
     limit = _limit(acceptance)
     with_confidence = f"with {100.0 * acceptance.limits.confidence:g} % confidence"
     match acceptance.verdict:
         case "accepted":
-            return f"All gyros keep {limit} at all {_stops(acceptance)}, {with_confidence}."
+            return f"All gyros are within {limit} at {_plateaus(acceptance)}, {with_confidence}."
         case "rejected":
             return f"{_gyros(acceptance, 'fail')} beyond {limit}, {with_confidence}."
         case "marginal":
@@ -161,8 +159,8 @@ def _limit(acceptance: Acceptance) -> str:
     limits = acceptance.limits
     if limits is None:
         return ""
-    told = f"the limit of {limits.position_difference_dph:g} deg/h between positions"
-    return told if limits.bias_dph is None else f"{told} or that of {limits.bias_dph:g} deg/h for the bias"
+    text = f"the limit of {limits.position_difference_dph:g} deg/h between positions"
+    return text if limits.bias_dph is None else f"{text} or that of {limits.bias_dph:g} deg/h for the bias"
 
 
 def _lacking_sentence(acceptance: Acceptance) -> str:
@@ -170,9 +168,9 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
     return _LACKING.format(f"{counted(len(dwells), 'planned dwell')} {'was' if len(dwells) == 1 else 'were'}")
 
 
-def _stops(acceptance: Acceptance) -> str:
+def _plateaus(acceptance: Acceptance) -> str:
     bins = {(each.bin_low_c, each.bin_high_c) for each in acceptance.judgements}
-    return f"{counted(acceptance.plateaus, 'stop')} compared, in {counted(len(bins), 'temperature bin')}"
+    return f"{counted(acceptance.plateaus, 'plateau')} in {counted(len(bins), 'temperature bin')}"
 
 
 def _gyros(acceptance: Acceptance, verdict: str) -> str:

@@ -90,15 +90,15 @@ class RunFolder:
     noise = PathInside("noise.json")
     #: Verdict on the unit.
     acceptance = PathInside(ACCEPTANCE)
-    #: The dwell table that a verification was compared with.
+    #: The dwell table of the calibration that was checked.
     calibration = PathInside("calibration.csv")
     #: The compensation that was loaded into the INS.
     compensation = PathInside(COMPENSATION)
     #: Verification of a calibration.
-    verification = PathInside("verification.csv")
+    calibration_check = PathInside("verification.csv")
     #: Folder of the search for effects in this run.
     closure = PathInside(CLOSURE)
-    #: Folder of the proof of the compensation that the search gave.
+    #: Folder of the verification of a compensation.
     verify = PathInside("verify")
     #: Folder of the figures.
     figures = PathInside("figures")

@@ -1,4 +1,4 @@
-"""Verification of a calibration: what alignment, and navigation straight after it, show of the biases.
+"""Biases for a calibration check: from alignments, and from the navigation straight after one.
 
 An INS that levelled and gyrocompassed itself starts with the attitude errors that its own sensors
 make: tilts that hide the accelerometer biases, and a heading at which the East gyro's bias hides

@@ -23,14 +23,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap, bind_signals
 
 #: Bias difference between positions that a rotational INS of 1 nmi in 24 h allows.
 LIMIT_DPH = 0.001
 
-_STANDARD_GRAVITY_MPS2 = 9.80665
-_DPH_RADPS = np.pi / 180.0 / 3600.0
 _MAX_SPEED_MPS = 10.0
 _FLOATS: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.float64}
 
@@ -110,7 +109,7 @@ def horizontal_gyro_errors_dph(step_mps: float, window_s: float, samples: float)
     """Compute standard deviation and bound of a horizontal gyro's bias for a velocity step, deg/h."""
     sigma = np.sqrt(720.0 / samples) * step_mps / np.sqrt(12.0) / window_s**2
     worst = 20.0 * step_mps / (np.sqrt(3.0) * window_s**2)
-    scale = 1.0 / _STANDARD_GRAVITY_MPS2 / _DPH_RADPS
+    scale = 1.0 / STANDARD_GRAVITY / DPH_TO_RADPS
     return float(sigma / np.sqrt(2.0) * scale), float(worst * scale)
 
 
@@ -118,7 +117,7 @@ def vertical_gyro_errors_dph(step_rad: float, window_s: float, samples: float) -
     """Compute standard deviation and bound of the vertical gyro's bias for an azimuth step, deg/h."""
     sigma = np.sqrt(12.0 / samples) * step_rad / np.sqrt(12.0) / window_s
     worst = 1.5 * step_rad / window_s
-    return float(sigma / np.sqrt(2.0) / _DPH_RADPS), float(worst / _DPH_RADPS)
+    return float(sigma / np.sqrt(2.0) / DPH_TO_RADPS), float(worst / DPH_TO_RADPS)
 
 
 def _azimuth(signal_map: SignalMap, signals: dict[str, BoundSignal]) -> tuple[str, float]:

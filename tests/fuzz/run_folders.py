@@ -201,9 +201,9 @@ def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
 
     def use(folder: Path, data: bytes) -> None:
         copy = RunFolder(_copied(run, folder))
-        copy.verification.write_bytes(data)
+        copy.calibration_check.write_bytes(data)
         read_run(copy)
-        rows = read_calibration_check(copy.verification)
+        rows = read_calibration_check(copy.calibration_check)
         cells = cells_of(data)
         if len(rows) != len(cells):
             raise WrongResultError(f"{len(rows)} rows instead of {len(cells)}")
@@ -223,7 +223,7 @@ def use_calibration_table(run: Path) -> Callable[[Path, bytes], None]:
         copy = RunFolder(_copied(run, folder))
         copy.calibration.write_bytes(data)
         recompute_run(copy.path)
-        for row in read_calibration_check(copy.verification):
+        for row in read_calibration_check(copy.calibration_check):
             difference_dph = row.bias_dph - row.calibrated_dph
             if row.is_compared and not math.isclose(
                 row.difference_dph, difference_dph, rel_tol=1e-6, abs_tol=1e-8

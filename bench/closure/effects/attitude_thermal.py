@@ -67,10 +67,7 @@ def _form_without_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> 
 
 
 def _along(
-    campaign: Campaign,
-    flow: FloatArray,
-    onset: tuple[float, ...],
-    shape: Callable[[FloatArray], FloatArray],
+    campaign: Campaign, flow: FloatArray, onset: tuple[float, ...], shape: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
     """Parts of a flow (n, 3) that follow gravity along the body axes below the onset: (n, 3, 3)."""
     onset_c, width_c = onset

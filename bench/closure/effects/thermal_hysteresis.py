@@ -31,10 +31,7 @@ def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 
 def _compensation(fitted: FittedForm) -> InsTerms:
     return InsTerms(
-        {
-            "hysteresis_dph_per_k": fitted.sizes_dph[:, 0],
-            "half_width_k": np.full(3, fitted.values[0]),
-        }
+        {"hysteresis_dph_per_k": fitted.sizes_dph[:, 0], "half_width_k": np.full(3, fitted.values[0])}
     )
 
 

@@ -37,9 +37,7 @@ def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 
 
 def _compensation(fitted: FittedForm) -> InsTerms:
-    return InsTerms(
-        {"warm_up_dph": fitted.sizes_dph[:, 0], "warm_up_s": np.full(3, fitted.values[0])},
-    )
+    return InsTerms({"warm_up_dph": fitted.sizes_dph[:, 0], "warm_up_s": np.full(3, fitted.values[0])})
 
 
 EFFECT = Effect(

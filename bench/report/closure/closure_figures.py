@@ -31,15 +31,15 @@ BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"
 FOUND_COLOUR, TIED_COLOUR, OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
 NOTE_COLOUR, NOISE_COLOUR, BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
 _HELD_OUT_COLOUR = "#D55E00"
+_S_PER_H, _PERCENT = 3600.0, 100.0
+_MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
+#: Share of a position's width over which its dwells are spread, in the order of time.
+_SPREAD = 0.7
+_BINS_C, _MAX_BINS = (5.0, 10.0, 20.0, 50.0), 12
 
 
 def draw_dwells(
-    axes: Axes,
-    along: FloatArray,
-    values: FloatArray,
-    searched: BoolArray,
-    gyro: str,
-    size: float = 2.6,
+    axes: Axes, along: FloatArray, values: FloatArray, searched: BoolArray, gyro: str, size: float = 2.6
 ) -> None:
     """Draw a point for each dwell (n,) of a gyro; held-out dwells are hollow."""
     colour, _, marker = GYRO_STYLES[gyro]
@@ -60,26 +60,12 @@ def draw_dwells(
         )
 
 
-_S_PER_H = 3600.0
-_MARGIN = 1.1
-_POINT_SIZE = 2.2
-#: Share of a position's width over which its dwells are spread, in the order of time.
-_SPREAD = 0.7
-
-
 @house_style
 def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     """Draw measured minus predicted bias against temperature, time, temperature rate and position.
 
     Top: declared model, bottom: with the effects found, on the same scale; without effects the declared
     model alone. The band is one standard deviation of the noise.
-
-    Parameters
-    ----------
-    closure : Closure
-        Outcome of a search.
-    gyro : {"x", "y", "z"}
-        The gyro.
     """
     axis = AXES.index(gyro)
     models = {"declared model": closure.declared}
@@ -133,11 +119,6 @@ def _positions(closure: Closure) -> list[str]:
 def _name_positions(axes: Axes, closure: Closure) -> None:
     names = _positions(closure)
     axes.set_xticks(range(len(names)), [position_label(name) for name in names], fontsize=7, rotation=90)
-
-
-_BAR_HEIGHT_IN = 0.27
-_MAX_POWER = 12.0
-_PERCENT = 100.0
 
 
 @house_style
@@ -203,22 +184,12 @@ def _legend(figure: Figure, found: set[str], tied: set[str]) -> None:
         )
 
 
-_S_PER_H = 3600.0
-
-
 @house_style
 def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     """Draw partial residuals for each gyro: measured bias minus the model without the main term.
 
     The main term is the one that changes the gyro's bias most in the dwells searched. A monotonic
     function of time is drawn over time. The line is the fitted term.
-
-    Parameters
-    ----------
-    closure : Closure
-        Outcome of a search.
-    found : FoundEffect
-        One of its effects.
     """
     columns = found.candidate.columns(closure.campaign)
     rest_dph = residuals_dph(closure, closure.model)
@@ -285,10 +256,6 @@ def _draw(
     draw_dwells(axes, main.along, values, searched, gyro)
     axes.plot(along, line, color="black", linewidth=1.0, label="fit")
     axes.set_xlabel(main.label, fontsize=8)
-
-
-_BINS_C = (5.0, 10.0, 20.0, 50.0)
-_MAX_BINS = 12
 
 
 @house_style

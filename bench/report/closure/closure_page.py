@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -63,14 +62,8 @@ _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped"
 
 def closure_sections(closure: Closure) -> list[Section]:
     """All parts: residual, effects, alternatives, held-out error, lack of fit."""
-    sections = [
-        _residual(closure),
-        _effects(closure),
-        _alternatives(closure),
-        _error(closure),
-        _lack_of_fit(closure),
-    ]
-    return [section for section in sections if section]
+    parts = (_residual, _effects, _alternatives, _error, _lack_of_fit)
+    return [section for part in parts if (section := part(closure))]
 
 
 def _residual(closure: Closure) -> Section:
@@ -191,21 +184,8 @@ def _paragraphs(*sentences: str) -> Sequence[str]:
 def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write.
-    closure : Closure
-        Outcome of a search.
-    source : str
-        The run folder or table that was searched, as displayed.
-    dwells : Path, optional
-        The dwell table searched; the report of its run includes only findings with its hash.
-
-    Returns
-    -------
-    Path
-        The page.
+    ``source`` is displayed; ``dwells`` is the table searched: the report of its run includes only a page
+    with its hash.
 
     Raises
     ------
@@ -240,33 +220,20 @@ def _facts(closure: Closure) -> dict[str, str]:
     }
 
 
-@dataclass(frozen=True)
-class SearchFiles:
-    """Files written.
-
-    Attributes
-    ----------
-    page : Path
-        The page of the search.
-    report : Path or None
-        The updated report of the run; None if the files are not in a run folder.
-    """
-
-    page: Path
-    report: Path | None
-
-
-def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -> SearchFiles:
+def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -> tuple[Path, Path | None]:
     """Write the files of a search and update the report of its run.
 
     Parameters
     ----------
-    closure : Closure
-        Outcome of the search.
     campaign : Path
         The run folder or dwell table that was searched.
     folder : Path, optional
         Where to write; by default ``closure``, in the run folder or beside the table.
+
+    Returns
+    -------
+    page, report : Path, Path or None
+        The page, and the updated report; None if the files are not in a run folder.
 
     Raises
     ------
@@ -277,4 +244,4 @@ def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -
     folder = folder or (run or RunFolder(campaign.parent)).closure
     write_closure(folder, closure)
     page = write_closure_page(folder, closure, str(campaign), run.dwells if run else campaign)
-    return SearchFiles(page, write_report(run) if run and folder == run.closure else None)
+    return page, write_report(run) if run and folder == run.closure else None

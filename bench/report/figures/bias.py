@@ -30,13 +30,13 @@ from gyrobench.bench.report.figures.style import (
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, scale_of_bins
 from gyrobench.bench.report.statements import SIGNIFICANCE, differing
 
-#: Room above and below the biases, as matplotlib leaves it.
+#: Margin above and below the biases, as matplotlib's.
 _MARGIN = 1.1
 
 
 @dataclass(frozen=True)
 class _Panel:
-    """What one estimator gives for one gyro."""
+    """Results of one estimator for one gyro."""
 
     estimator: str
     dwells: list[DwellRow]
@@ -58,8 +58,8 @@ def bias_figure(
     """Draw one gyro's bias against its own temperature, a line for each position.
 
     Counterpart of the paper's Figs. 8 and 9, or 12 and 13. Single dwells are faint; the lines
-    join the weighted means of the bins. All with standard uncertainties. What the paper's method
-    gives stands beside it on the same scale, where it is known.
+    join the weighted means of the bins. All with standard uncertainties. Results of the paper's
+    method, if any, are in a second panel on the same scale.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def bias_figure(
     bins : iterable of BiasBin
         Those of other gyros are left out.
     span_dph : float
-        What the axis spans at least: figures with the same span have the same scale; see
+        Minimum span of the axis: figures with the same span have the same scale; see
         :func:`bias_span_dph`.
     marked_c : sequence of float
         Temperatures in degC to mark with a line.
@@ -96,7 +96,7 @@ def bias_figure(
 
 
 def bias_span_dph(dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> float:
-    """Say how far the biases of the gyro that varies most lie apart, with their uncertainties."""
+    """Largest range of the biases of any gyro with their uncertainties."""
     rows, every = list(dwells), list(bins)
     spans = []
     for axis, gyro in enumerate(AXES):
@@ -230,7 +230,7 @@ def position_difference_figure(
 ) -> Figure:
     """Draw the largest difference between positions in every bin of the three gyros.
 
-    Filled markers are differences that chance does not explain; see
+    Filled markers are significant differences; see
     :func:`gyrobench.bench.report.statements.differing`. The acceptance limit, if any, is a red line.
     """
     found = differing(comparisons)
@@ -256,7 +256,7 @@ def position_difference_figure(
         mark_temperatures(axes, "x", marked_c)
         figure.legend(loc="outside upper center", ncols=len(AXES))
     else:
-        say_empty(axes, "no bin holds dwells of two positions")
+        say_empty(axes, "no bin has dwells in two positions")
     return figure
 
 
@@ -264,7 +264,7 @@ def _mark_limit(axes: Axes, limit: float) -> None:
     axes.axhline(limit, color=_LIMIT_COLOUR, linewidth=1.0)
     axes.set_ylim(top=max(axes.get_ylim()[1], 1.15 * limit))
     axes.annotate(
-        "limit of acceptance",
+        "acceptance limit",
         (0.0, limit),
         (3, 2),
         xycoords=axes.get_yaxis_transform(),
@@ -281,7 +281,7 @@ def _draw_differences(
         return
     gyro = comparisons[0].gyro
     colour, _, marker = GYRO_STYLES[gyro]
-    verdict = f"p < {SIGNIFICANCE:g}" if is_found else "no difference found"
+    verdict = f"p < {SIGNIFICANCE:g}" if is_found else "not significant"
     widths = [each.bin_high_c - each.bin_low_c for each in comparisons]
     axes.errorbar(
         [0.5 * (c.bin_low_c + c.bin_high_c) + shift * w for c, w in zip(comparisons, widths, strict=True)],

@@ -40,10 +40,10 @@ def separability_figure(separability: Separability, target_dph: float, name: str
     figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
     axes = figure.subplots()
     axes.grid(False)
-    axes.set_title(f"How alike effects look in {name}")
+    axes.set_title(f"Correlation of effects in {name}")
     if len(names) < 2:
         axes.set_axis_off()
-        say_empty(axes, "fewer than two effects can be seen")
+        say_empty(axes, "fewer than two observable effects")
         return figure
     values = np.array(
         [[separability.correlation.get((row, column), 1.0) for column in names] for row in names]
@@ -76,14 +76,14 @@ def separability_figure(separability: Separability, target_dph: float, name: str
 
 
 _MARKERS = "os^Dv<>P*X"
-_APART_DAYS = 0.6
+_OFFSET_DAYS = 0.6
 
 
 @house_style
 def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
     """Draw the levels of a unit's gyros, one panel a gyro, one colour a temperature bin.
 
-    A line that chance does not explain is drawn whole, another one dotted.
+    Significant slopes have a solid line, others a dotted one.
     """
     figure = new_figure(7.2)
     panels = figure.subplots(len(AXES), 1, sharex=True)
@@ -98,7 +98,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
         if mine:
             panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="bin; slope per month")
         else:
-            say_empty(panel, "no bias without compensation")
+            say_empty(panel, "no uncompensated bias")
     locator = AutoDateLocator(minticks=3, maxticks=9)
     panels[-1].xaxis.set_major_locator(locator)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
@@ -109,7 +109,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
 
 def _draw(panel: Axes, trend: Trend, scale: BiasScale, number: int, bins: int) -> None:
     colour = mpl.colormaps["viridis"](number / max(bins, 2))
-    apart = timedelta(days=_APART_DAYS * (number - (bins - 1) / 2.0))
+    apart = timedelta(days=_OFFSET_DAYS * (number - (bins - 1) / 2.0))
     times = [run.started_utc + apart for run in trend.runs]
     quantity = trend.quantity
     label = f"{bin_label(quantity.bin_low_c, quantity.bin_high_c)} °C"

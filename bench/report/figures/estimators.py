@@ -30,8 +30,8 @@ _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()) -> Figure:
     """Draw the difference of the two estimates of every dwell against the gyro's temperature.
 
-    Bars are the uncertainties of both combined. Both come from the same data, so noise alone
-    drives them less far apart: points beyond their bars are what the paper's method leaves out.
+    Bars are combined uncertainties. Both use the same data, so noise alone separates them by less:
+    points beyond their bars show systematic errors of the paper's method.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
         axes.set_title(gyro_label(gyro))
         axes.axhline(0.0, color="#444444", linewidth=0.9)
         _draw_estimator_differences(axes, axis, both, scale, marked_c)
-    panels[0].set_ylabel(f"{PAPER} less\n{STATE_SPACE} / ({scale.unit})")
+    panels[0].set_ylabel(f"{PAPER} minus\n{STATE_SPACE} / ({scale.unit})")
     panels[1].set_xlabel("temperature of the gyro / °C")
     if both:
         handles, labels = panels[0].get_legend_handles_labels()
@@ -65,7 +65,7 @@ def with_both(dwells: Iterable[DwellRow]) -> list[DwellRow]:
 
 
 def differences_dph(row: DwellRow) -> list[tuple[float, float]]:
-    """The paper's bias less the state-space one for each gyro, and their uncertainties combined."""
+    """Paper's method minus state-space bias for each gyro, and combined uncertainties."""
     both = zip(row.bias_dph, row.sigma_dph, row.paper_bias_dph, row.paper_sigma_dph, strict=True)
     return [(paper - bias, math.hypot(sigma, paper_sigma)) for bias, sigma, paper, paper_sigma in both]
 
@@ -96,20 +96,20 @@ def _draw_estimator_differences(
         mark_temperatures(axes, "x", marked_c)
 
 
-#: The band that leaves out as much as the test of the text rejects.
-_MANY = 1.0 - SIGNIFICANCE
-#: Fewer p-values have no distribution to speak of.
-_FEWEST_FOR_DISTRIBUTION = 5
-#: The residuals' axis holds at least this, so that a scatter of a few percent looks like one.
+#: Probability of the band, matching the significance level of the test.
+_BAND = 1.0 - SIGNIFICANCE
+#: Least number of p-values for a distribution.
+_MIN_FOR_DISTRIBUTION = 5
+#: Minimum range of the residuals' axis.
 _RATIOS = (0.8, 1.2)
 _MARGIN = 0.05
 
 
 @house_style
 def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
-    """Draw how large the residuals of each dwell are, and how their p-values are distributed.
+    """Draw the size of the residuals of each dwell, and the distribution of their p-values.
 
-    A few dwells have no distribution: see :func:`has_distribution`.
+    Few dwells have no distribution: see :func:`has_distribution`.
 
     Parameters
     ----------
@@ -120,9 +120,9 @@ def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
     figure = new_figure(3.4)
     ratios = [1.5, 1.0] if has_distribution(tested) else [1.0]
     panels = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
-    panels[0].set(title="Size of the residuals", xlabel="dwell", ylabel="residual / expected")
+    panels[0].set(title="Size of residuals", xlabel="dwell", ylabel="residual / expected")
     if not tested:
-        say_empty(panels[0], "no dwell was tested")
+        say_empty(panels[0], "no dwell tested")
         return figure
     _draw_ratios(panels[0], tested)
     for axes in panels[1:]:
@@ -133,7 +133,7 @@ def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
 
 def has_distribution(dwells: Iterable[DwellRow]) -> bool:
     """Whether enough dwells were tested for a distribution of their p-values."""
-    return len(_tested(dwells)) >= _FEWEST_FOR_DISTRIBUTION
+    return len(_tested(dwells)) >= _MIN_FOR_DISTRIBUTION
 
 
 def _tested(dwells: Iterable[DwellRow]) -> list[DwellRow]:
@@ -178,16 +178,16 @@ def _set_ranges(axes: Axes, numbers: Sequence[int], ratios: Sequence[float]) -> 
 
 
 def _draw_distribution(axes: Axes, p_values: Sequence[float]) -> None:
-    """Draw the share of dwells below each p-value, and the band that chance keeps it in."""
+    """Draw the cumulative distribution of the p-values and its band if the model is correct."""
     axes.set(title="p-values", xlabel="p-value of the fit", ylabel="share of dwells below")
     axes.set(xlim=(0, 1), ylim=(0, 1))
     count = len(p_values)
-    band = uniformity_band(count, _MANY)
+    band = uniformity_band(count, _BAND)
     ends = np.array([0.0, 1.0])
-    axes.fill_between(ends, ends - band, ends + band, color="#dddddd", label="_chance", linewidth=0.0)
+    axes.fill_between(ends, ends - band, ends + band, color="#dddddd", label="_band", linewidth=0.0)
     axes.plot(ends, ends, color="#444444", linewidth=0.9)
     axes.annotate(
-        f"grey: {_MANY:.0%} by chance",
+        f"grey: {_BAND:.0%} band",
         (1.0, 0.0),
         (-3, 3),
         xycoords="axes fraction",

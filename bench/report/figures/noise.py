@@ -19,7 +19,7 @@ _MICRO_G = UG_PER_SQRT_HZ_TO_SI  # m/s^2: the same number
 _FITTED = "#000000"
 _DECLARED = "#D55E00"
 _FIT_WIDTH = 0.7
-_FIT_LABEL = "all that was fitted"
+_FIT_LABEL = "complete fit"
 _LEVEL = "#555555"
 _WIDEST_BAR = 0.9  # of the value: an error bar down to zero would reach to the end of a log axis
 _MARGIN = 1.3
@@ -30,8 +30,8 @@ _FEW_DECADES = 50.0
 def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure:
     """Draw the Allan deviations of the three gyros and of the horizontal accelerations.
 
-    Lines of slope -1/2 are the random walks, fitted and declared; thin lines the whole noise that
-    was fitted. Channels whose noise the resolution hides are faint and have no error bars.
+    Lines of slope -1/2 are the random walks, fitted and declared; thin lines the complete fit.
+    Channels whose noise is below the resolution are faint and have no error bars.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def _draw_channel(
         tau,
         deviation,
         sigma,
-        label=label if fit else f"{label} (hidden)",
+        label=label if fit else f"{label} (below resolution)",
         linestyle="none",
         marker=marker,
         markersize=4.0,
@@ -99,7 +99,7 @@ def _draw_walks(
     name, size = walk
     if not axes.containers:
         axes.set(xticks=[], yticks=[])
-        say_empty(axes, "the output never changes: its resolution hides the noise")
+        say_empty(axes, "constant output: noise below resolution")
         return
     tau = np.array([axes.dataLim.x0, axes.dataLim.x1])
     levels = [axes.dataLim.y0, axes.dataLim.y1]

@@ -1,4 +1,4 @@
-"""How the figures look: size, colours, markers; and figures as PNG files."""
+"""Style of the figures: size, colours, markers; and PNG files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.files import write_whole
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2
 
-#: Decorator for all that draws, so that neither a matplotlibrc nor other code has a say.
+#: Decorator of drawing functions: makes figures independent of matplotlibrc and other code.
 house_style = matplotlib.style.context(
     [
         "default",
@@ -47,7 +47,7 @@ house_style = matplotlib.style.context(
 
 @dataclass(frozen=True)
 class PositionStyle:
-    """Look of a position; marker and fill tell it without the colour."""
+    """Style of a position; marker and fill identify it without colour."""
 
     colour: str
     marker: str
@@ -64,7 +64,7 @@ class PositionStyle:
         return self.colour if self.is_filled else "white"
 
 
-#: Colours of Okabe and Ito; the marker tells the vertical axis, a filled one that it points up.
+#: Colours of Okabe and Ito; the marker gives the vertical axis, a filled one points up.
 POSITION_STYLES: Mapping[str, PositionStyle] = MappingProxyType(
     {
         "z_up": PositionStyle("#0072B2", "o", True),
@@ -90,7 +90,7 @@ def new_figure(height_in: float) -> Figure:
 
 
 def say_empty(axes: Axes, message: str) -> None:
-    """Write into axes why nothing is drawn in them."""
+    """Write the reason for empty axes into them."""
     axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", va="center", color="#666666")
 
 

@@ -37,11 +37,11 @@ from gyrobench.bench.report.figures.style import (
 Readings = Mapping[str, FloatArray]
 
 _SHORT_RUN_S = 7200.0
-_SHORTEST_AXIS_S = 60.0
+_MIN_AXIS_S = 60.0
 
 
 @dataclass(frozen=True)
-class _Stay:
+class _Band:
     """Time spent in one position."""
 
     start_s: float
@@ -54,7 +54,7 @@ class _Stay:
 def temperature_figure(
     telemetry: Readings, dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
 ) -> Figure:
-    """Draw the temperatures of a run over time, and its dwells: what the paper's Fig. 7 plans, measured.
+    """Draw the measured temperatures and dwells of a run over time, as planned in the paper's Fig. 7.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ def temperature_figure(
     marked_c : sequence of float
         Temperatures in degC to mark with a line.
     """
-    stays = [_Stay(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
+    bands = [_Band(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
     time_s = telemetry.get("time_s", np.empty(0))
     figure = new_figure(4.8)
-    title = "Temperatures and positions" if stays else "Temperatures"
-    ends_s = [*time_s[-1:], *(stay.end_s for stay in stays)]
-    axes, unit_s = _time_axes(figure, title, ends_s, with_positions=bool(stays))
-    _draw_stays(figure, stays, unit_s)
+    title = "Temperatures and positions" if bands else "Temperatures"
+    ends_s = [*time_s[-1:], *(band.end_s for band in bands)]
+    axes, unit_s = _time_axes(figure, title, ends_s, with_positions=bool(bands))
+    _draw_bands(figure, bands, unit_s)
     time = time_s / unit_s
 
     def draw(column: str, label: str, **look: Any) -> None:
@@ -97,7 +97,7 @@ def plan_figure(plan: Plan) -> Figure:
     time_s, chamber_c, gyro_c = temperature_profile(plan)
     figure = new_figure(4.8)
     axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s])
-    _draw_stays(figure, [_Stay(*span) for span in position_spans(plan)], unit_s)
+    _draw_bands(figure, [_Band(*span) for span in position_spans(plan)], unit_s)
     axes.plot(time_s / unit_s, chamber_c, label="chamber, ramped set point", color="#777777", linewidth=1.6)
     axes.plot(time_s / unit_s, gyro_c, label="gyros, predicted", color=GYRO_STYLES["x"][0])
     _finish_temperatures(figure, axes, plan.procedure.marked_temperatures_c)
@@ -117,24 +117,24 @@ def _time_axes(
         lanes.set_ylim(len(POSITIONS) - 0.5, -0.5)
         lanes.set_yticks(range(len(POSITIONS)), [position_label(name) for name in POSITIONS], fontsize=7)
         lanes.grid(False)
-    panels[-1].set(xlabel=f"time / {unit}", xlim=(0.0, max(end_s, _SHORTEST_AXIS_S) / unit_s))
+    panels[-1].set(xlabel=f"time / {unit}", xlim=(0.0, max(end_s, _MIN_AXIS_S) / unit_s))
     return panels[0], unit_s
 
 
-def _draw_stays(figure: Figure, stays: Iterable[_Stay], unit_s: float) -> None:
+def _draw_bands(figure: Figure, bands: Iterable[_Band], unit_s: float) -> None:
     """Bands across the temperatures, bars in the row of the position below."""
     upper, lower = figure.axes[0], figure.axes[-1]
     rows = list(POSITIONS)
-    for stay in stays:
-        start, width = stay.start_s / unit_s, (stay.end_s - stay.start_s) / unit_s
-        colour = POSITION_STYLES[stay.position].colour
+    for band in bands:
+        start, width = band.start_s / unit_s, (band.end_s - band.start_s) / unit_s
+        colour = POSITION_STYLES[band.position].colour
         upper.axvspan(start, start + width, color=colour, alpha=0.18, linewidth=0.0)
         lower.add_patch(
             Rectangle(
-                (start, rows.index(stay.position) - 0.38),
+                (start, rows.index(band.position) - 0.38),
                 width,
                 0.76,
-                facecolor="none" if stay.is_flagged else colour,
+                facecolor="none" if band.is_flagged else colour,
                 edgecolor=colour,
                 linewidth=0.8,
             )

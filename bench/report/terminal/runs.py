@@ -1,4 +1,4 @@
-"""What an index says, in a terminal of 80 columns, readable without colour."""
+"""Runs of an index for a terminal of 80 columns: lists, groups, drift of a unit."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ _CELL_CHARACTERS = 40
 
 
 def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
-    """List runs; the verdict of one that did not finish is how it ended."""
-    table = plain_table(("run", "began", "unit", "batch", "bench", "verdict", "limits"), words=7)
+    """List of runs; one that did not finish shows its end in place of the verdict."""
+    rows = []
     for run in runs[:most]:
         verdict = run["verdict"] if run["ended"] == _FINISHED else run["ended"]
         day = run["started_utc"].date().isoformat()
         cells = (run["path"], day, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
-        table.add_row(*(Text(str(cell or "")) for cell in cells))
+        rows.append([str(cell or "") for cell in cells])
+    table = plain_table(("run", "start", "unit", "batch", "bench", "verdict", "acceptance"), 7, rows)
     units = {run["unit"] for run in runs}
     lines = [f"{counted(len(runs), 'run')} of {counted(len(units), 'unit')}."]
     if len(runs) > most:
-        lines.append(f"The newest {most} are shown; --most shows more of them.")
+        lines.append(f"The newest {most} are shown; show more with --most.")
     return Group(table, Text(), Text(" ".join(lines)))
 
 
 def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType:
-    """Compare groups of runs: how many, what the searches and the limits said, biases."""
+    """Groups of runs: numbers, verdicts of searches and acceptance, biases."""
     biases = [row[f"bias_{gyro}_dph"] for row in groups for gyro in "xyz"]
     spreads = [row[f"spread_{gyro}_dph"] for row in groups for gyro in "xyz"]
     scale = BiasScale.of(_known(biases), _known(spreads))
@@ -44,7 +45,7 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
         judged = "/".join(str(row[name]) for name in ("accepted", "marginal", "rejected"))
         means = [_with_spread(scale, row, gyro) for gyro in "xyz"]
         table.add_row(
-            Text(str(row["name"] or "not known")),
+            Text(str(row["name"] or "unknown")),
             str(row["runs"]),
             str(row["units"]),
             searched,
@@ -52,16 +53,16 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
             *means,
         )
     note = (
-        f"Biases: mean over the runs ± their standard deviation, {scale.unit}. c/e/o: clean, explained, "
-        "other verdicts of the search for effects; a/m/r: accepted, marginal, rejected by the limits."
+        f"Biases: mean ± standard deviation of the runs, {scale.unit}. c/e/o: runs clean, explained, other "
+        "by the search for effects; a/m/r: accepted, marginal, rejected."
     )
     return Group(table, Text(), Text(note))
 
 
 def trend_summary(unit: str, trends: Sequence[Trend], mixed: Sequence[str]) -> RenderableType:
-    """Say whether a unit drifts, and list the drift of each gyro and bin."""
+    """Drift of a unit: a sentence, and a row for each gyro and bin."""
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
-    table = plain_table(("gyro", "bin °C", "runs", "bias", "between", "per month", "p", "p all"), words=2)
+    table = plain_table(("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr."), words=2)
     for each in trends:
         quantity = each.quantity
         table.add_row(
@@ -75,8 +76,8 @@ def trend_summary(unit: str, trends: Sequence[Trend], mixed: Sequence[str]) -> R
             p_text(each.p_adjusted),
         )
     note = (
-        f"In {scale.unit}. Between: scatter from run to run beyond the stated uncertainties; it is in that "
-        "of the slope. p all: p, allowing for all comparisons of the table."
+        f"In {scale.unit}. Scatter: standard deviation between runs beyond their uncertainties, included in "
+        "the uncertainty of the slope. p corr.: p-value corrected for all comparisons of the table."
     )
     parts: list[RenderableType] = [Text(trend_sentence(unit, trends), style="bold")]
     parts += [Text(f"Note: {text}") for text in mixed]
@@ -84,35 +85,34 @@ def trend_summary(unit: str, trends: Sequence[Trend], mixed: Sequence[str]) -> R
 
 
 def trend_sentence(unit: str, trends: Sequence[Trend]) -> str:
-    """Say which gyros drift."""
+    """Name the gyros that drift."""
     tested = [each for each in trends if each.p_value == each.p_value]
     if not tested:
         return (
-            f"Unit {unit}: no gyro was measured in the same bin and positions at three times or more, so "
-            "nothing tells a drift."
+            f"Unit {unit}: drift unknown. No gyro was measured in the same bin and positions at three times "
+            "or more."
         )
     proven = [each for each in tested if each.is_proven]
-    allowing = f"p < {FALSE_ALARM:g}, allowing for {counted(len(tested), 'comparison')}"
+    corrected = f"p < {FALSE_ALARM:g}, corrected for {counted(len(tested), 'comparison')}"
     if not proven:
-        return f"Unit {unit}: no drift that chance does not explain ({allowing})."
+        return f"Unit {unit}: no significant drift ({corrected})."
     scale = BiasScale.of(
         [each.slope_dph_per_month for each in proven], [each.slope_sigma_dph_per_month for each in proven]
     )
     texts = [f"{each.quantity.label} by {_slope_text(scale, each, ' ± ')}" for each in proven]
-    return f"Unit {unit} drifts: {listed(texts)}, in {scale.unit} per month ({allowing})."
+    return f"Unit {unit} drifts: {listed(texts)}, in {scale.unit} per month ({corrected})."
 
 
 def problems_text(problems: Mapping[str, str]) -> RenderableType:
-    """List folders that can't be read, and why."""
-    head = f"{counted(len(problems), 'run folder')} can't be read, so nothing above is of these:"
+    """Folders that can't be read, with the reason."""
+    head = f"{counted(len(problems), 'run folder')} can't be read and left out:"
     return Text("\n".join([head, *(f"  {path}: {why}" for path, why in problems.items())]))
 
 
 def answer_table(answer: QueryResult) -> RenderableType:
-    """Show the result of a query."""
-    table = plain_table(answer.columns, words=len(answer.columns))
-    for row in answer.rows:
-        table.add_row(*(Text("" if value is None else _short(value)) for value in row))
+    """Result of a query."""
+    rows = [["" if value is None else _short(value) for value in row] for row in answer.rows]
+    table = plain_table(answer.columns, len(answer.columns), rows)
     return Group(table, Text(counted(len(answer.rows), "row")))
 
 

@@ -35,16 +35,20 @@ from gyrobench.bench.report.statements import (
 from gyrobench.bench.station.check import Check, Verdict
 
 
-def plain_table(headers: Sequence[str], words: int, *, fold: bool = True) -> Table:
-    """Make an empty table: columns of words at the left, those of numbers after them."""
+def plain_table(
+    headers: Sequence[str], words: int, rows: Iterable[Sequence[str]] = (), *, fold: bool = True
+) -> Table:
+    """Table with columns of words at the left and of numbers after them."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for number, header in enumerate(headers):
         table.add_column(header, justify="left" if number < words else "right", no_wrap=not fold)
+    for row in rows:
+        table.add_row(*map(Text, row))
     return table
 
 
 def topics(pairs: Iterable[tuple[str, str]]) -> Table:
-    """Put sentences beside what they are about."""
+    """Two columns: topics and sentences."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
@@ -55,26 +59,26 @@ def topics(pairs: Iterable[tuple[str, str]]) -> Table:
 
 _COLUMNS = 80
 _P_VALUE = (
-    "p equal: probability of such differences if the bias were the same in all positions; * it differs."
+    "p equal: probability of such differences if the bias were the same in all positions; * significant."
 )
 _PAPER = "paper"
 _PAPER_METHOD = (
-    f"{_PAPER}: the same by the paper's method, which leaves out the Schuler loop, the coupling by the "
-    "Earth's rotation and the accelerometers; its uncertainty does not hold what that does to the bias."
+    f"{_PAPER}: result of the paper's method, which neglects the Schuler loop, the coupling by the Earth's "
+    "rotation and the accelerometers; its uncertainty does not include the resulting errors."
 )
 
 
 def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison]) -> RenderableType:
-    """Each gyro's bias by temperature bin and position, and whether the positions agree.
+    """Each gyro's bias by temperature bin and position, and the comparison of positions.
 
-    Where the paper's method applies, what it gives stands below; where not, why.
+    Results of the paper's method are in a second row; a note gives the reason if it does not apply.
 
     Parameters
     ----------
     bins : sequence of BiasBin
         Of one unit.
     comparisons : sequence of PositionComparison
-        What :func:`gyrobench.bench.bias.bins.compare_positions` makes of them.
+        Result of :func:`gyrobench.bench.bias.bins.compare_positions`.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))
@@ -83,20 +87,20 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
         if own:
             compared = [each for each in comparisons if each.gyro == gyro]
             by_paper = [each for each in paper_comparisons if each.gyro == gyro]
-            parts += _gyro_part(gyro, own, compared, by_paper, told=bool(comparisons))
+            parts += _gyro_part(gyro, own, compared, by_paper, is_compared=bool(comparisons))
     if not parts:
-        return Text("No dwell gave a bias, so there is nothing to put into temperature bins.")
+        return Text("No dwell gave a bias, so there are no temperature bins.")
     has_paper = any(not each.is_empty for each in paper_bins(bins))
     notes = [_P_VALUE if comparisons else NOTHING_TO_COMPARE, _PAPER_METHOD if has_paper else NO_PAPER]
     return Group(*parts, *map(Text, notes))
 
 
 def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
-    """Show what a plan does, when, and for how long."""
+    """Steps of a plan, their start and duration."""
     dwells = sum(row.dwells for row in rows)
     table = _titled_table("Plan, times in h:mm", show_footer=True)
     table.add_column("start", footer="all", justify="right", no_wrap=True)
-    table.add_column("takes", footer=hours_minutes(total_s), justify="right", no_wrap=True)
+    table.add_column("duration", footer=hours_minutes(total_s), justify="right", no_wrap=True)
     table.add_column("dwells", footer=str(dwells), justify="right", no_wrap=True)
     table.add_column("where", ratio=2)
     table.add_column("what", ratio=3)
@@ -106,19 +110,19 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
 
 
 def durations_table(took: Took) -> RenderableType:
-    """Planned against real duration, by kind of step.
+    """Planned and actual duration by kind of step.
 
     Parameters
     ----------
     took : mapping of str to sequence of tuple
-        Planned and real duration, s, of every step done, by kind.
+        Planned and actual duration, s, of every finished step, by kind.
     """
     kinds = durations_by_kind(took)
     if not kinds:
         return Text("No step was finished.")
-    table = _titled_table("Planned and real duration, h:mm:ss")
+    table = _titled_table("Planned and actual duration, h:mm:ss")
     table.add_column("kind of step")
-    for header in ("steps", "planned", "took", "difference"):
+    for header in ("steps", "planned", "actual", "difference"):
         table.add_column(header, justify="right", no_wrap=True)
     for each in kinds:
         table.add_row(
@@ -133,15 +137,15 @@ def _gyro_part(
     comparisons: Sequence[PositionComparison],
     paper_comparisons: Sequence[PositionComparison],
     *,
-    told: bool,
+    is_compared: bool,
 ) -> list[RenderableType]:
     scale = scale_of_bins([*bins, *paper_bins(bins)])
-    # Not the table's title: rich would fold that to the width of the table.
+    # Not the table's title: rich wraps titles at the width of the table.
     heading = Text(
         f"{gyro_label(gyro)}: bias ± 1 sigma in {scale.unit} by gyro temperature, °C", style="bold"
     )
     sentences = [
-        equality_sentence(comparisons) if told else "",
+        equality_sentence(comparisons) if is_compared else "",
         agreement_sentence(comparisons, paper_comparisons),
         scatter_sentence(bins),
     ]
@@ -177,7 +181,7 @@ def _bias_cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasSc
 
 
 def _filled_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Put uncertainties below their biases where the rows are too wide for the terminal."""
+    """Table with uncertainties below their biases if the rows are wider than the terminal."""
     table = _titled_table()
     for header in headers:
         table.add_column(header, justify="right", no_wrap=header in ("bin", "p equal"))
@@ -189,7 +193,7 @@ def _filled_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Tabl
 
 
 def _p_values(comparisons: Sequence[PositionComparison]) -> dict[float, str]:
-    """P-values by the lower end of their bin; a star marks a difference of positions."""
+    """P-values by the lower end of their bin; a star marks a significant difference."""
     different = differing(comparisons)
     return {
         each.bin_low_c: f"{p_text(each.p_value)}{'*' if each in different else ' '}" for each in comparisons
@@ -197,7 +201,7 @@ def _p_values(comparisons: Sequence[PositionComparison]) -> dict[float, str]:
 
 
 def _width(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
-    """Columns that a table takes with one space between its cells."""
+    """Width of a table with one space between its cells."""
     widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
     return sum(widths) + len(widths) - 1
 
@@ -216,14 +220,14 @@ def _titled_table(title: str | None = None, *, show_footer: bool = False) -> Tab
 
 
 def acceptance_summary(acceptance: Acceptance) -> RenderableType:
-    """One line for each gyro, and the verdict on the unit."""
+    """A row for each gyro, and the verdict on the unit."""
     verdict = Text(f"Unit {acceptance.verdict}. {verdict_sentence(acceptance)}", style="bold")
     judged = acceptance.judgements
     if not judged:
         return verdict
     scale = BiasScale.of([each.limit_dph for each in judged], [each.sigma_dph for each in judged])
-    heading = f"Acceptance: largest differences in {scale.unit}, limits of the true ones"
-    headers = ["gyro", "verdict", "where", "bin/°C", "measured", "true", "limit"]
+    heading = f"Acceptance: largest differences in {scale.unit}, with confidence interval"
+    headers = ["gyro", "verdict", "positions", "bin/°C", "measured", "interval", "limit"]
     table = plain_table(headers, words=4, fold=False)
     for gyro in AXES:
         deciding = acceptance.deciding(gyro)
@@ -244,7 +248,7 @@ _STYLES = {Verdict.PASS: "green", Verdict.FAIL: "bold red", Verdict.SKIPPED: "ye
 
 
 def preflight_report(checks: Sequence[Check]) -> RenderableType:
-    """Every check with its verdict, what was found and what to do, and the sum of them."""
+    """Every check with verdict, finding and advice, and a summary."""
     parts: list[RenderableType] = []
     for subject, group in itertools.groupby(checks, key=lambda check: check.subject):
         parts += [Text(subject, style="bold"), _check_table(list(group))]
@@ -271,4 +275,6 @@ def _sum(checks: Sequence[Check]) -> Text:
     )
     if counts[Verdict.FAIL]:
         return Text(f"{numbers}: not ready for a run.", style="bold red")
-    return Text(f"{numbers}: nothing speaks against a run.", style="bold")
+    return Text(
+        f"{numbers}: ready for a run{' as far as checked' if counts[Verdict.SKIPPED] else ''}.", style="bold"
+    )

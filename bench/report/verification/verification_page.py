@@ -174,22 +174,10 @@ _COLOURS = {CONFIRMED: "finished", IMPROVED: "stopped", NOT_CONFIRMED: "failed",
 
 
 def write_verification_page(folder: Path, result: VerificationResult, dwells: Path | None = None) -> Path:
-    """Write figures and page into an existing folder.
+    """Write figures and page into an existing folder, with at least one compensation measured.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write.
-    result : VerificationResult
-        With at least one compensation measured.
-    dwells : Path, optional
-        The dwell table that the model was fitted to; the report of its run includes only findings with
-        its hash.
-
-    Returns
-    -------
-    Path
-        The page.
+    ``dwells`` is the table that the model was fitted to: the report of its run includes only a page with
+    its hash.
 
     Raises
     ------

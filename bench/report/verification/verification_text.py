@@ -44,8 +44,8 @@ _SAME_SEED = (
     "constants of the power cycle, and the same noise as long as their times agree."
 )
 _OTHER_POWER_CYCLES = (
-    "Each run had its own power cycle and noise: runs also differ by the noise stated here, and in bias and "
-    "velocity by the constant of the power cycle."
+    "Each run had a separate power cycle and noise: runs also differ by the noise stated here, and in bias "
+    "and velocity by the constant of the power cycle."
 )
 
 
@@ -160,11 +160,9 @@ def new_conditions_sentence(result: VerificationResult) -> str:
 
 
 def _with(each: CompensationResult) -> str:
-    return {
-        NONE: "without compensation",
-        DECLARED: "with the declared model",
-        EFFECT: "with the effects",
-    }[each.compensation]
+    return {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}[
+        each.compensation
+    ]
 
 
 #: Sizes of a row, with the units of :data:`UNITS`.

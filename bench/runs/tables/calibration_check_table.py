@@ -91,7 +91,7 @@ _INTEGERS = ("dwell", "cycle")
 
 
 def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> None:
-    """Write a verification table.
+    """Write the table of a calibration check.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> 
 
 
 def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
-    """Read a verification table.
+    """Read the table of a calibration check.
 
     Raises
     ------

@@ -81,7 +81,7 @@ def changed(tmp_path, folder, name, *pairs):
         ("imports", "ln100", [("unit: deg/s", "unit: deg")], "import", ["deg/s"]),
     ],
 )
-def test_everything_wrong_is_told_with_its_place(folder, name, pairs, kind, said, tmp_path):
+def test_everything_wrong_is_reported_with_its_place(folder, name, pairs, kind, said, tmp_path):
     check = check_file(changed(tmp_path, folder, name, *pairs))
     assert check.kind == kind
     assert len(check.problems()) == len(said)
@@ -89,12 +89,12 @@ def test_everything_wrong_is_told_with_its_place(folder, name, pairs, kind, said
         assert any(words in problem.message and problem.line for problem in check.problems())
 
 
-def test_a_signal_that_the_dbc_file_lacks_is_told(tmp_path):
+def test_a_signal_that_the_dbc_file_lacks_is_reported(tmp_path):
     check = check_file(changed(tmp_path, "stations", "quick", ("HEADING.HEADING", "HEADING.NONE")))
     assert "NONE" in check.text
 
 
-def test_a_value_of_a_loop_that_its_step_can_not_take_is_told(tmp_path):
+def test_a_value_of_a_loop_that_its_step_can_not_take_is_reported(tmp_path):
     path = tmp_path / "p.yaml"
     path.write_text(
         "procedure: p\nsteps:\n  - repeat:\n      over: {x: [1, -1]}\n"
@@ -113,7 +113,7 @@ def test_with_a_station_the_plan_is_checked_too(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["a: 1\n", "- 1\n", "just text\n", "", "x: [1\n"])
-def test_what_is_no_file_of_the_bench_is_told_without_a_kind(text, tmp_path):
+def test_what_is_not_a_file_of_the_bench_is_reported_without_a_kind(text, tmp_path):
     path = tmp_path / "x.yaml"
     path.write_text(text)
     check = check_file(path)
@@ -127,5 +127,5 @@ def test_the_kind_that_a_file_is_meant_to_be_can_be_said(tmp_path):
     assert "'procedure' is missing" in check_file(path, PROCEDURE).text
 
 
-def test_a_file_that_is_not_there_is_told():
+def test_a_file_that_is_not_there_is_reported():
     assert "nowhere.yaml" in check_file(Path("nowhere.yaml")).text

@@ -81,7 +81,7 @@ def test_lines_are_not_longer_than_a_screen(tmp_path):
     assert max(len(line) for line in lines if "yaml-language-server" not in line) <= 110
 
 
-def test_a_dialect_that_is_not_installed_is_told_with_those_that_are(tmp_path):
+def test_a_dialect_that_is_not_installed_is_reported_with_those_that_are(tmp_path):
     with pytest.raises(DocumentError, match=r"watlow_f5.*watlow_f4"):
         new_station("mine", tmp_path / "a.yaml", chamber="watlow_f5")
 

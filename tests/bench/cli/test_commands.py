@@ -133,15 +133,15 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
     assert max(map(len, result.stdout.splitlines())) <= 80
 
 
-def test_plan_reports_which_effects_its_dwells_report_apart(tmp_path):
+def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
     result = gyrobench("plan", "six_position_fig7", "--separability", "--target-dph", "0.05", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "A search sees 30 of 60 dwells" in result.stdout
-    assert "At 50.00 all of them are found and told apart." in result.stdout
+    assert "The search uses 30 of 60 dwells" in result.stdout
+    assert "At 50.00 all effects are found and distinguished." in result.stdout
     assert (tmp_path / "separability_six_position_fig7.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_plan_of_a_verification_has_no_effects_to_report_apart(tmp_path):
+def test_plan_of_a_calibration_check_has_no_effects_to_distinguish(tmp_path):
     result = gyrobench("plan", "calibration_check", "--separability", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "calibration_check has no dwell that measures a bias" in result.stdout

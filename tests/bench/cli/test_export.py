@@ -31,7 +31,7 @@ def test_files_that_are_there_are_kept_and_that_is_reported(run_folder, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (("--what", "dwels"), "'dwels' is not one of dwells, bins"),
         (("--format", "xlsx"), "'xlsx' is not one of parquet, csv"),
@@ -39,7 +39,7 @@ def test_files_that_are_there_are_kept_and_that_is_reported(run_folder, tmp_path
         (("--dwell", "1"), "--what navigation"),
     ],
 )
-def test_a_wrong_option_is_reported(run_folder, tmp_path, options, told):
+def test_a_wrong_option_is_reported(run_folder, tmp_path, options, message):
     ended = gyrobench("export", run_folder, *options, cwd=tmp_path)
     assert ended.returncode == 2
-    assert told in " ".join(ended.stderr.replace("│", " ").split())
+    assert message in " ".join(ended.stderr.replace("│", " ").split())

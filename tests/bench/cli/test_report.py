@@ -1,4 +1,4 @@
-"""`gyrobench report`: the report anew, with a name, as PDF, elsewhere."""
+"""`gyrobench report`: the report written again, with a name, as PDF, elsewhere."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A package of somebody else adds a chamber's dialect and its emulator; nothing here knows of it."""
+"""A third-party package adds a chamber's dialect and its emulator; nothing here knows of it."""
 
 import os
 import re
@@ -40,7 +40,7 @@ class Frost:
         pass
 
     def limits_c(self):
-        raise RefusedError("chamber", "does not tell")
+        raise RefusedError("chamber", "unknown request")
 
     def set_temperature(self, temperature_c, rate_c_per_min):
         self._text.ask(f"R{rate_c_per_min or 0:g}")

@@ -113,7 +113,7 @@ def test_tables_that_were_written_hold_the_results(results, tmp_path):
         assert read.joint_dph == pytest.approx(row.joint_dph, rel=1e-8)
     plateaus = joint_plateau_rows(results.joint, results.up_rate)
     assert [row.finding for row in read_joint_plateaus(folder.joint)] == [row.finding for row in plateaus]
-    assert not folder.verification.exists()
+    assert not folder.calibration_check.exists()
 
 
 def test_a_run_without_results_leaves_tables_without_rows(tmp_path):

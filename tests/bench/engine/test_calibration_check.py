@@ -116,7 +116,7 @@ def test_the_temperatures_are_those_of_each_part(one_run):
 
 def test_the_table_holds_what_was_found(one_run):
     folder, outcome = one_run
-    rows = read_calibration_check(folder.verification)
+    rows = read_calibration_check(folder.calibration_check)
     assert [row.dwell for row in rows] == [row.dwell for row in outcome.results.calibration_check]
     for read, found in zip(rows, outcome.results.calibration_check, strict=True):
         assert read.bias_dph == pytest.approx(found.bias_dph)
@@ -128,9 +128,9 @@ def test_measured_again_from_the_log_the_table_is_the_same_to_the_last_digit(req
     folder, _ = request.getfixturevalue(name)
     shutil.copytree(folder.path, tmp_path / "run")
     copy = RunFolder(tmp_path / "run")
-    copy.verification.unlink()
+    copy.calibration_check.unlink()
     recompute_run(copy.path)
-    assert copy.verification.read_bytes() == folder.verification.read_bytes()
+    assert copy.calibration_check.read_bytes() == folder.calibration_check.read_bytes()
 
 
 def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, later_run):

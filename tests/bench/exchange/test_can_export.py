@@ -40,7 +40,7 @@ def copied(two_dwells, tmp_path):
 
 
 def rewrite(folder, change):
-    """Write the parts of a log anew with other times."""
+    """Write the parts of a log again with other times."""
     parts = list(read_can_log(folder.can))
     for number, messages in parts:
         with can.BLFWriter(folder.can / f"part-{number:05d}.blf") as writer:

@@ -128,7 +128,7 @@ def test_a_wall_clock_can_begin_later_than_zero_at_the_calendars_time(host):
 
 
 @pytest.mark.parametrize("step_s", [86400.0, -86400.0])
-def test_setting_the_calendar_changes_no_wait_and_is_told(host, step_s):
+def test_setting_the_calendar_changes_no_wait_and_is_reported(host, step_s):
     clock = WallClock()
     deadline = Deadline(clock, 10.0)
     host.calendar += timedelta(seconds=step_s)

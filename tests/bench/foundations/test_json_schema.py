@@ -85,5 +85,5 @@ def test_names_of_classes_and_sections_as_defaults_are_left_out(schema):
         ({"count": 1, "shape": {"kind": "square", "side_m": 1}, "part": {"titel": ""}}, False),
     ],
 )
-def test_a_schema_tells_right_from_wrong(schema, document, is_right):
+def test_a_schema_separates_right_from_wrong(schema, document, is_right):
     assert Draft202012Validator(schema).is_valid(document) == is_right

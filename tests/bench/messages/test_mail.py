@@ -76,7 +76,7 @@ def mailbox(receiver):
     return make
 
 
-def test_a_mail_tells_everything(serve_mail, mailbox):
+def test_a_mail_has_everything(serve_mail, mailbox):
     box, port = serve_mail()
     assert deliver(mailbox(port), NEEDS_PERSON) == "taken by 127.0.0.1"
     ((_, received),) = box.mails
@@ -116,14 +116,14 @@ def test_a_server_without_starttls_gets_nothing(serve_mail, mailbox):
 
 
 @pytest.mark.parametrize(("name", "code", "is_final"), [("nobody", 550, True), ("full", 452, False)])
-def test_what_the_server_refuses_is_told(serve_mail, mailbox, name, code, is_final):
+def test_what_the_server_refuses_is_reported(serve_mail, mailbox, name, code, is_final):
     _, port = serve_mail()
     with pytest.raises(UndeliveredError, match=str(code)) as caught:
         deliver(mailbox(port, address=f"{name}@example.org"), ENDS)
     assert caught.value.is_final == is_final
 
 
-def test_a_mail_server_that_is_down_is_told(mailbox):
+def test_a_mail_server_that_is_down_is_reported(mailbox):
     with pytest.raises(UndeliveredError, match="refused") as caught:
         deliver(mailbox(free_port()), ENDS)
     assert not caught.value.is_final
@@ -136,7 +136,7 @@ def test_a_mail_server_that_hangs_is_given_up(mailbox, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:Requiring AUTH while not requiring TLS")
-def test_a_server_that_repeats_the_password_makes_nobody_tell_it(serve_mail, mailbox, monkeypatch):
+def test_a_server_that_repeats_the_password_never_shows_it(serve_mail, mailbox, monkeypatch):
     password = "Geheim/Wort+9 x&y"  # noqa: S105 - made up
 
     def refuse(server, session, envelope, mechanism, data):

@@ -6,14 +6,14 @@ from gyrobench.bench.messages.message import Message
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
 
 
-def test_data_have_the_same_keys_whatever_happened():
+def test_data_have_the_same_keys_for_every_event():
     bare = Message("test", "A test.", "bench_2", ENDS.time)
     assert bare.to_json().keys() == NEEDS_PERSON.to_json().keys() == ENDS.to_json().keys()
     assert json.loads(json.dumps(NEEDS_PERSON.to_json())) == NEEDS_PERSON.to_json()
     assert bare.to_json()["run"] is None
 
 
-def test_data_tell_what_where_when_and_what_is_left():
+def test_data_state_what_where_when_and_what_is_left():
     data = NEEDS_PERSON.to_json()
     assert data["event"] == "needs_person"
     assert (data["run"], data["folder"]) == ("fig7-001", "/data/runs/fig7-001")
@@ -30,7 +30,7 @@ def test_text_says_what_can_be_answered():
     assert "/data/runs/fig7-001" in NEEDS_PERSON.text
 
 
-def test_title_is_one_printable_line_whatever_the_unit_is_called():
+def test_title_is_one_printable_line_for_every_name_of_a_unit():
     title = replace(ENDS, unit="10\r\n01").title
     assert title.isprintable()
     assert title.startswith("bench_2, unit 10  01: the run finished")
@@ -41,5 +41,5 @@ def test_a_failed_end_is_urgent_and_a_good_one_is_not():
     assert replace(ENDS, ended="failed").is_urgent
 
 
-def test_a_run_folder_with_a_strange_name_is_told():
+def test_a_run_folder_with_a_strange_name_is_reported():
     assert "ü\n" not in replace(ENDS, folder=Path("/x/ü\n")).title

@@ -24,7 +24,7 @@ class Record:
         return [event for event, _ in self.entries]
 
 
-def test_each_receiver_is_told_what_it_wants(serve, receiver):
+def test_each_receiver_gets_the_events_of_its_choice(serve, receiver):
     all_of_it, ends = serve(), serve()
     receivers = [
         receiver(kind="webhook", address=all_of_it.url),
@@ -96,7 +96,7 @@ def test_leaving_does_not_wait_for_a_pause_between_attempts(serve, receiver):
     assert record.events == ["message_delayed", "message_sent"]
 
 
-def test_what_could_not_be_sent_until_the_end_is_told(receiver):
+def test_what_could_not_be_sent_until_the_end_is_recorded(receiver):
     record = Record()
     address = f"http://127.0.0.1:{free_port()}"
     with Messenger([receiver(kind="webhook", address=address)], record, 0.3, (3600.0,)) as messenger:
@@ -117,7 +117,7 @@ def test_a_refusal_is_not_tried_again_and_the_next_message_is_sent(serve, receiv
     assert len(server.received) == 2
 
 
-def test_the_same_is_not_told_more_often_than_allowed(serve, receiver):
+def test_the_same_event_is_not_sent_more_often_than_allowed(serve, receiver):
     server, record = serve(), Record()
     hook = receiver(kind="webhook", address=server.url, max_per_hour=2)
     with Messenger([hook], record, 20.0) as messenger:

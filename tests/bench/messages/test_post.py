@@ -56,7 +56,7 @@ def test_a_secret_goes_into_the_header(serve, receiver, monkeypatch):
     assert server.received[0][1]["Authorization"] == "Bearer s3cret"
 
 
-def test_a_secret_goes_where_the_address_wants_it_and_is_never_told(serve, receiver, tmp_path):
+def test_a_secret_goes_where_the_address_wants_it_and_is_never_shown(serve, receiver, tmp_path):
     server = serve(403)
     (tmp_path / "token").write_text("T0/s3cret\n")
     address = f"{server.url}/services/{{secret}}"
@@ -68,7 +68,7 @@ def test_a_secret_goes_where_the_address_wants_it_and_is_never_told(serve, recei
     assert "s3cret" not in str(caught.value)
 
 
-def test_a_missing_secret_is_told_and_may_be_there_later(receiver, tmp_path):
+def test_a_missing_secret_is_reported_and_may_be_there_later(receiver, tmp_path):
     hook = receiver(kind="webhook", address="https://127.0.0.1/", secret_file=str(tmp_path / "token"))
     with pytest.raises(UndeliveredError, match="token") as caught:
         deliver(hook, ENDS)
@@ -91,7 +91,7 @@ def test_a_redirection_is_no_delivery(serve, receiver):
     assert len(server.received) == 1
 
 
-def test_nobody_there_is_told(receiver):
+def test_no_server_is_reported(receiver):
     with pytest.raises(UndeliveredError, match="refused") as caught:
         deliver(receiver(kind="webhook", address=f"http://127.0.0.1:{free_port()}"), ENDS)
     assert not caught.value.is_final
@@ -109,7 +109,7 @@ SECRET = "Geheim/Wort+9 x&y"  # noqa: S105 - made up
 
 @pytest.mark.parametrize("code", [200, 404, 503])
 @pytest.mark.parametrize("place", ["/hook/{secret}", "/hook"])
-def test_a_server_that_repeats_the_secret_makes_nobody_tell_it(serve_raw, receiver, monkeypatch, code, place):
+def test_a_server_that_repeats_the_secret_never_shows_it(serve_raw, receiver, monkeypatch, code, place):
     def answer(request):
         path = request.split(b" ")[1]
         token = request.partition(b"Authorization: ")[2].partition(b"\r\n")[0]
@@ -119,17 +119,17 @@ def test_a_server_that_repeats_the_secret_makes_nobody_tell_it(serve_raw, receiv
     monkeypatch.setenv("BENCH_TOKEN", SECRET)
     hook = receiver(kind="webhook", address=serve_raw(answer) + place, secret_env="BENCH_TOKEN")  # noqa: S106 - a name
     try:
-        told = deliver(hook, ENDS)
+        shown = deliver(hook, ENDS)
     except UndeliveredError as error:
-        told = str(error)
-        assert told.startswith(f"the server answered {code} {http.HTTPStatus(code).phrase}: xxx")
+        shown = str(error)
+        assert shown.startswith(f"the server answered {code} {http.HTTPStatus(code).phrase}: xxx")
     else:
-        assert told == "200 OK"
-    assert "Geh" not in told
-    assert "Bad" not in told
+        assert shown == "200 OK"
+    assert "Geh" not in shown
+    assert "Bad" not in shown
 
 
-def test_a_server_that_speaks_no_http_does_not_make_it_told_either(serve_raw, receiver, monkeypatch):
+def test_a_server_that_speaks_no_http_never_shows_it_either(serve_raw, receiver, monkeypatch):
     monkeypatch.setenv("BENCH_TOKEN", SECRET)
     url = serve_raw(lambda request: b"y" * 190 + request.split(b" ")[1] + b"\r\n\r\n")
     hook = receiver(kind="webhook", address=url + "/{secret}", secret_env="BENCH_TOKEN")  # noqa: S106 - a name

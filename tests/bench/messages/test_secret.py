@@ -31,19 +31,19 @@ def test_it_is_left_out_however_it_is_written(written):
 @pytest.mark.parametrize("user", ["", "a", "ab", "abc"])
 def test_it_is_left_out_of_a_login_in_base64(user):
     said = base64.b64encode(f"{user}\0{SECRET}\0".encode()).decode()
-    told = without_secret(SECRET, said)
-    assert "{secret}" in told
-    assert len(told.replace("{secret}", "")) < 12
+    shown = without_secret(SECRET, said)
+    assert "{secret}" in shown
+    assert len(shown.replace("{secret}", "")) < 12
 
 
 def test_no_part_of_it_is_left_where_an_answer_is_cut():
     for before in range(150, 220):
-        told = server_words(SECRET, "x" * before + SECRET)
-        assert "Geh" not in told
-        assert len(told) <= 200
+        shown = server_words(SECRET, "x" * before + SECRET)
+        assert "Geh" not in shown
+        assert len(shown) <= 200
 
 
-def test_without_a_secret_all_is_told():
+def test_without_a_secret_all_is_shown():
     assert without_secret("", "nothing to hide") == "nothing to hide"
 
 

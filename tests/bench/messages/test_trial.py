@@ -20,7 +20,7 @@ def station_with(tmp_path):
     return write
 
 
-def test_everybody_gets_the_text_and_every_answer_is_told(serve, station_with):
+def test_every_receiver_gets_the_text_and_every_reply_is_returned(serve, station_with):
     server = serve()
     down = f"http://127.0.0.1:{free_port()}"
     station = station_with(
@@ -35,7 +35,7 @@ def test_everybody_gets_the_text_and_every_answer_is_told(serve, station_with):
     assert "refused" in second.reply
 
 
-def test_a_station_without_receivers_is_told(station_with):
+def test_a_station_without_receivers_is_reported(station_with):
     with pytest.raises(
         DocumentError, match=r"station.yaml:\d+:1: no receivers: the section `messages` is missing"
     ):

@@ -79,7 +79,7 @@ def test_the_page_says_when_the_monitor_is_over(chromium, tmp_path):
         site = Site(run, now)
 
         def answer(target):
-            return site.answer(target) if target == "/" else refusal(HTTPStatus.BAD_GATEWAY, "gone")
+            return site.answer(target) if target == "/" else refusal(HTTPStatus.BAD_GATEWAY, "no answer")
 
         with served(answer) as server:
             page, _ = chromium(server.url, "--dump-dom", "--virtual-time-budget=12000")

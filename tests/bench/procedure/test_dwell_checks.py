@@ -81,7 +81,7 @@ def test_what_gives_no_bias_is_named_with_its_place(
     assert "\n" not in str(caught.value)
 
 
-def test_a_dwell_that_is_interrupted_is_told_on_both_sides(planned: PlanOf) -> None:
+def test_a_dwell_that_is_interrupted_is_reported_on_both_sides(planned: PlanOf) -> None:
     document, plan = planned(START + WINDOW + "- soak: {for_s: 5}\n" + TURN + WINDOW)
     with pytest.raises(DocumentError) as caught:
         check(document, plan)

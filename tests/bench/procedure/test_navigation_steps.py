@@ -70,7 +70,7 @@ def test_the_shortest_navigation_is_that_which_leaves_a_window_long_enough_for_a
         (Turn(angle_deg=-180), "turn -180 deg"),
     ],
 )
-def test_what_a_step_does_is_told_in_a_line(step: Step, text: str) -> None:
+def test_what_a_step_does_is_described_in_a_line(step: Step, text: str) -> None:
     assert step.describe() == text
 
 

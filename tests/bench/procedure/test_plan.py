@@ -90,7 +90,7 @@ def test_a_soak_ends_a_dwell(planned: PlanOf) -> None:
     assert [one.dwell for one in plan.steps[2:]] == [1, 1, None, None, None]
 
 
-def test_one_navigation_straight_from_the_alignment_is_a_dwell_that_tells_its_purpose(
+def test_one_navigation_straight_from_the_alignment_is_a_dwell_with_its_purpose(
     planned: PlanOf,
 ) -> None:
     verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: calibration_check}\n"
@@ -117,7 +117,7 @@ def test_cycle_is_that_of_the_loop_and_one_elsewhere(planned: PlanOf) -> None:
     assert [one.cycle for one in plan.steps] == [1, 2, 3, 1]
 
 
-def test_label_tells_cycle_temperature_and_position(planned: PlanOf) -> None:
+def test_label_has_cycle_temperature_and_position(planned: PlanOf) -> None:
     steps = (
         "- power_on\n- repeat:\n    over: {cycle: [2], temperature_c: [-36]}\n    steps:\n"
         "      - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 1}\n"

@@ -80,7 +80,7 @@ WRONG_FILES = {
         "3:22",
         ["no variable $sigma", "defined here: none"],
     ),
-    "variable of a key below another that nobody uses": (
+    "variable of a key below another that no step uses": (
         "- repeat: {over: {bias_sigma_below_dph: [1]}, steps: [power_off]}",
         "3:19",
         ["no step in the loop uses its variable $bias_sigma_below_dph"],

@@ -30,7 +30,7 @@ def test_an_inner_loop_sees_the_variables_of_the_outer_one(planned: PlanOf) -> N
     assert moves == [("z_up", 0), ("x_up", 0), ("z_up", 90), ("x_up", 90)]
 
 
-def test_a_loop_variable_nobody_uses_counts_repetitions(planned: PlanOf) -> None:
+def test_a_loop_variable_that_no_step_uses_counts_repetitions(planned: PlanOf) -> None:
     _, plan = planned("- repeat: {over: {again: [1, 2, 3]}, steps: [power_off]}")
     assert len(plan.steps) == 3
 

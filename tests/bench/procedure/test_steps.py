@@ -111,7 +111,7 @@ def test_soak_has_time_until_its_longest_duration() -> None:
     assert step.time_limit_s(step.expected_s(ROOM)) > 5000.0
 
 
-def test_power_on_and_align_and_go_to_tell_what_they_leave() -> None:
+def test_power_on_and_align_and_go_to_predict_what_they_leave() -> None:
     on = PowerOn().after(ROOM, 0.0)
     there = GoTo(position="y_up", azimuth_deg=90).after(on, 20.0)
     aligned = Align(duration_s=300).after(there, 300.0)

@@ -55,7 +55,7 @@ def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
     assert ends[-1] == pytest.approx(plan.duration_s)
 
 
-def test_a_row_of_nothing_but_moves_tells_them(planned: PlanOf) -> None:
+def test_a_row_of_moves_alone_names_them(planned: PlanOf) -> None:
     _, plan = planned("- go_to: {position: y_up}")
     assert [(row.what, row.where) for row in timeline_rows(plan)] == [("go to y_up, azimuth 0 deg", "y_up")]
 
@@ -63,7 +63,7 @@ def test_a_row_of_nothing_but_moves_tells_them(planned: PlanOf) -> None:
 DWELL = "- go_to: {position: z_up}\n- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n"
 
 
-def test_a_row_tells_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> None:
+def test_a_row_states_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> None:
     quarter = "- turn: {angle_deg: 90}\n- navigate: {duration_s: 600}\n"
     four = DWELL + 3 * quarter
     _, plan = planned("- power_on\n" + four + four.replace("z_up", "z_down"))
@@ -73,7 +73,7 @@ def test_a_row_tells_how_often_a_dwell_navigates_and_turns(planned: PlanOf) -> N
     )  # fmt: skip
 
 
-def test_a_row_tells_what_may_end_early(planned: PlanOf) -> None:
+def test_a_row_states_what_may_end_early(planned: PlanOf) -> None:
     until = "- turn: {angle_deg: 180}\n- navigate: {until: {bias_sigma_below_dph: 0.002}, at_most_s: 900}\n"
     _, plan = planned("- power_on\n" + DWELL + until)
     assert timeline_rows(plan)[-1].what == (

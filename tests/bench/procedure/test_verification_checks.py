@@ -62,14 +62,14 @@ ALONE = {
 
 
 @pytest.mark.parametrize(("steps", "expected"), ALONE.values(), ids=ALONE)
-def test_a_verification_without_one_half_a_turn_away_is_told_with_what_to_add(
+def test_a_verification_without_one_half_a_turn_away_is_reported_with_what_to_add(
     planned: PlanOf, steps: str, expected: list[str]
 ) -> None:
     document, plan = planned(POWER_ON + steps)
     with pytest.raises(DocumentError) as caught:
         check(document, plan)
-    told = str(caught.value).splitlines()
-    for line, place_position_azimuth in zip(told, expected, strict=True):
+    lines = str(caught.value).splitlines()
+    for line, place_position_azimuth in zip(lines, expected, strict=True):
         place, position, azimuth_deg = place_position_azimuth.split()
         assert line.startswith(f"test.yaml:{place}: a single alignment includes the table's azimuth error")
         assert f"Add the same position ({position}) at azimuth {azimuth_deg} deg" in line
@@ -84,7 +84,7 @@ PAIRED = {
     + verify("y_up", 0)
     + verify("z_up", 180)
     + verify("y_up", 180),
-    "the chamber told the same again": HOT + verify("z_up", 0) + HOT + verify("z_up", 180),
+    "the chamber set to the same again": HOT + verify("z_up", 0) + HOT + verify("z_up", 180),
     "cycles inside the azimuths": loop(
         "azimuth_deg: [0, 180], cycle: [1, 2]", verify("z_up", "$azimuth_deg")
     ),

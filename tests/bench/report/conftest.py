@@ -229,7 +229,7 @@ def equal_dwells() -> list[DwellRow]:
 
 @pytest.fixture(scope="session")
 def old_dwells(dwells: list[DwellRow]) -> list[DwellRow]:
-    """The first run as a table tells it that knows nothing of estimators."""
+    """The first run as a table states it that knows nothing of estimators."""
     return [replace(without_paper(row), fit_ratio=math.nan, fit_p_value=math.nan) for row in dwells]
 
 

@@ -22,7 +22,7 @@ def test_each_gyro_has_both_runs_on_one_scale(dwells, bins, equal_dwells, equal_
         assert "deg/h" in before.get_ylabel()
 
 
-def test_the_table_tells_the_largest_difference_of_each_run(dwells, bins, equal_dwells, equal_bins):
+def test_the_table_states_the_largest_difference_of_each_run(dwells, bins, equal_dwells, equal_bins):
     section = before_after_section(content("old", dwells, bins), content("new", equal_dwells, equal_bins))
     (table,) = section.tables
     differences = [float(row[-1].split()[0]) for row in table.rows]
@@ -39,10 +39,10 @@ def test_the_earlier_run_is_named_with_its_verdict(dwells, bins):
     assert "run old, unit rejected." in before_after_section(judged, old).paragraphs[0]
 
 
-def test_runs_of_two_units_are_told_as_such(dwells, bins):
+def test_runs_of_two_units_are_stated_as_such(dwells, bins):
     others = [replace(row, unit="1002") for row in dwells]
     section = before_after_section(content("old", dwells, bins), content("new", others, bins))
-    assert section.paragraphs[1] == "The two runs are of different units: 1001 before, 1002 after."
+    assert section.paragraphs[1] == "The runs are of different units: 1001 before, 1002 after."
 
 
 def test_a_run_without_bins_has_nothing_to_compare(dwells, bins):

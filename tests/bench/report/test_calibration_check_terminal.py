@@ -16,7 +16,7 @@ def printed(rows):
 
 def test_each_bias_has_a_line():
     lines = printed([ROW, ALIGNMENT, CHANGED, UNCALIBRATED]).splitlines()
-    assert lines[0] == "Verification: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
+    assert lines[0] == "Calibration check: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
     assert [line.split() for line in lines[3:7]] == [
         ["Y-Up", "0°", "Z", "velocity", "-9.6", "14.2", "±1.5", "12.7", "±1.7", "13.7", "±0.4", "+0.3"],
         ["Y-Up", "0/180°", "X", "alignment", "-9.6", "14.2", "±1.5", "13.7", "±0.4", "+0.3"],
@@ -54,5 +54,5 @@ def test_it_fits_a_terminal_and_nothing_is_cut_off(bias_dph):
     assert "calibrated" in text.splitlines()[1]
 
 
-def test_nothing_is_told_as_nothing():
-    assert printed([]).strip() == "Nothing was verified."
+def test_nothing_is_stated_as_nothing():
+    assert printed([]).strip() == "No biases to check."

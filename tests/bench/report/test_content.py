@@ -62,7 +62,7 @@ def test_damaged_files_are_named_and_the_rest_is_read(
         "telemetry can't",
     ):
         assert name in said
-    assert "can't be sorted into temperature bins" in said
+    assert "can't be binned by temperature" in said
 
 
 def test_reading_a_run_does_not_read_its_raw_log(run_folder: RunFolder, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ def test_step_planned_for_no_time_has_no_percentage() -> None:
     assert durations_by_kind({"power_off": [(0.0, 1.0)]})[0].difference == "+0:00:01"
 
 
-def test_journal_tells_the_kind_of_every_step() -> None:
+def test_journal_states_the_kind_of_every_step() -> None:
     journal = [
         {"event": "step_started", "step": 1, "kind": "soak", "what": "soak 1 min"},
         {"event": "step_finished", "step": 1, "kind": "soak", "planned_s": 1.0, "took_s": 2.0},

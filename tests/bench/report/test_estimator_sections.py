@@ -38,13 +38,13 @@ def test_single_dwell_has_a_table_and_no_picture(dwells: list[DwellRow]) -> None
     assert len(both.figures) == 1
 
 
-@pytest.mark.parametrize(("count", "told"), [(4, False), (5, True)])
-def test_caption_of_the_fit_tells_what_is_drawn(dwells: list[DwellRow], count: int, told: bool) -> None:
+@pytest.mark.parametrize(("count", "has_band"), [(4, False), (5, True)])
+def test_caption_of_the_fit_states_what_is_drawn(dwells: list[DwellRow], count: int, has_band: bool) -> None:
     section = fit_section(dwells[:count])
     assert section is not None
     (drawn,) = section.figures
-    assert ("in 99 of 100 runs" in drawn.caption) is told
-    assert ("Right:" in drawn.caption) is told
+    assert ("a probability of 1 %" in drawn.caption) is has_band
+    assert ("Right:" in drawn.caption) is has_band
 
 
 def test_sections_are_there_where_there_is_something_to_say(

@@ -55,9 +55,9 @@ def section_of(plateaus: list[JointPlateauRow], biases: list[JointBiasRow] | Non
     return section
 
 
-def test_gain_of_level_and_vertical_gyros_is_told_apart() -> None:
+def test_gain_of_level_and_vertical_gyros_is_distinguished() -> None:
     section = section_of([plateau_row()])
-    assert "level gyros 25.0 % smaller and that of vertical ones 20.0 % smaller" in section.paragraphs[0]
+    assert "level gyros by 25.0 % and of vertical gyros by 20.0 %" in section.paragraphs[0]
     gains, _ = section.tables
     assert gains.rows == [["1", "2.00", "1.50", "1.333", "1.20", "0.96", "1.250"]]
     assert len(gains.header) == len(gains.rows[0])
@@ -67,10 +67,10 @@ def test_gain_of_level_and_vertical_gyros_is_told_apart() -> None:
 def test_a_solution_that_gains_nothing_says_so(joint: float) -> None:
     rows = [replace(row, single_sigma_dph=0.002, joint_sigma_dph=joint) for row in bias_rows()]
     text = section_of([plateau_row()], rows).paragraphs[0]
-    assert text.endswith("the uncertainty of neither level nor vertical gyros smaller (medians).")
+    assert text.endswith("The joint solution does not reduce the uncertainties (medians).")
     half = [replace(row, joint_sigma_dph=0.001) if row.gyro == "x" else row for row in rows]
     assert (
-        "level gyros 50.0 % smaller and that of vertical ones no smaller"
+        "level gyros by 50.0 % and of vertical gyros by 0 %"
         in (
             section_of(
                 [plateau_row()], [row for row in half if row.gyro != "y" or row.position == "y_down"]
@@ -79,10 +79,10 @@ def test_a_solution_that_gains_nothing_says_so(joint: float) -> None:
     )
 
 
-def test_rate_of_all_plateaus_is_told_in_words() -> None:
+def test_rate_of_all_plateaus_is_stated_in_words() -> None:
     section = section_of([plateau_row(), plateau_row(2), plateau_row(0, up_rate_p_value=1.4e-6)])
     assert (
-        "Over all plateaus the half-differences amount to -3.28 ± 0.49 · 10⁻³ deg/h (p = 1e-06): the "
+        "Over all plateaus the half-difference is -3.28 ± 0.49 · 10⁻³ deg/h (p = 1e-6): the "
         "half-differences of up and down disagree: biases differ up and down" in section.paragraphs[1]
     )
     assert "latitude error of" not in section.paragraphs[1]
@@ -91,32 +91,32 @@ def test_rate_of_all_plateaus_is_told_in_words() -> None:
 @pytest.mark.parametrize("finding", ["latitude", "not_contradicted"])
 def test_a_rate_that_may_be_a_latitude_error_says_how_large_that_would_be(finding: str) -> None:
     text = section_of([plateau_row(finding=finding)]).paragraphs[1]
-    assert "On this plateau the half-differences amount to" in text
-    assert "It would be a latitude error of +0.61 ± 0.11 arcmin; joint_biases.csv also holds" in text
+    assert "At this plateau the half-difference is" in text
+    assert "Equivalent latitude error: +0.61 ± 0.11 arcmin; joint_biases.csv also has" in text
 
 
-def test_without_a_pair_no_rate_is_told() -> None:
+def test_without_a_pair_no_rate_is_stated() -> None:
     nothing = {"up_rate_dph": math.nan, "up_rate_sigma_dph": math.nan, "up_rate_p_value": math.nan}
     section = section_of([plateau_row(finding="no_pair", **nothing)])
-    assert section.paragraphs[1].endswith("On this plateau: no gyro was vertical both up and down.")
+    assert section.paragraphs[1].endswith("At this plateau: no gyro was vertical both up and down.")
     assert section.tables[1].rows[0][7] == ""
     assert "nan" not in str(section)
 
 
 def test_one_gyro_has_nothing_to_be_compared_with() -> None:
     text = section_of([plateau_row(finding="one_gyro", up_rate_p_value=math.nan)]).paragraphs[1]
-    assert "10⁻³ deg/h: a single gyro was vertical both up and down" in text
+    assert "10⁻³ deg/h: only one gyro was vertical both up and down" in text
 
 
 def test_plateaus_whose_dwells_do_not_agree_are_named() -> None:
     wrong = plateau_row(2, fit_p_value=1e-12, any_north_p_value=1e-12)
     section = section_of([plateau_row(), wrong, plateau_row(3, fit_p_value=2e-4)])
     assert [text[: text.index(":")] for text in section.paragraphs[2:]] == [
-        "On plateau 2 the dwells do not agree on what they share (p <1e-09)",
-        "On plateau 3 the dwells do not agree on what they share (p = 2e-04)",
+        "At plateau 2 dwells disagree on shared parameters (p <1e-9)",
+        "At plateau 3 dwells disagree on shared parameters (p = 2e-4)",
     ]
-    assert "are not to be trusted" in section.paragraphs[2]
-    assert "the latitude is wrong by more than declared" in section.paragraphs[3]
+    assert "are invalid" in section.paragraphs[2]
+    assert "the latitude error exceeds the declared uncertainty" in section.paragraphs[3]
 
 
 def test_table_of_plateaus_has_values_with_uncertainties_and_a_row_of_all() -> None:

@@ -1,26 +1,26 @@
-from gyrobench.bench.report.journal_sections import MOST_ROWS, events_section, run_events
+from gyrobench.bench.report.journal_sections import MAX_ROWS, events_section, run_events
 
 
 def entry(time_s, event, **details):
     return {"time_s": time_s, "utc": "2000-01-01T00:00:00+00:00", "event": event, **details}
 
 
-def test_a_hold_tells_what_it_waited_for_and_who_went_on():
+def test_a_hold_states_what_it_waited_for_and_who_continued():
     journal = [
         entry(60.0, "held", why="door open", after=["door"], waits_for="a person"),
         entry(180.0, "continued", by="the operator", after=["door"], held_s=120.0),
     ]
     (event,) = run_events(journal)
     assert (event.time, event.kind, event.what) == ("0:01:00", "held", "door open")
-    assert event.outcome == "went on by the operator after 0:02:00"
+    assert event.outcome == "continued by the operator after 0:02:00"
 
 
-def test_a_hold_that_nobody_ended_still_waits():
+def test_a_hold_without_end_still_waits():
     (event,) = run_events([entry(60.0, "held", why="door open", waits_for="a person")])
     assert event.outcome == "waits for a person"
 
 
-def test_a_trip_tells_whether_the_bench_was_made_safe():
+def test_a_trip_states_whether_the_bench_was_made_safe():
     for problem, outcome in (("", "made safe"), ("no reply", "safe state NOT reached: table stopped")):
         journal = [
             entry(5.0, "tripped", interlocks=["gyro"], why="too hot"),
@@ -29,17 +29,17 @@ def test_a_trip_tells_whether_the_bench_was_made_safe():
         assert run_events(journal)[0].outcome == outcome
 
 
-def test_a_dwell_given_up_tells_what_became_of_it():
+def test_a_dwell_given_up_states_what_became_of_it():
     given_up = entry(10.0, "dwell_given_up", dwell=7, why="a gap in the CAN frames", counts=True)
     assert run_events([given_up])[0].outcome == "not measured again"
     good = entry(20.0, "dwell_finished", marks={"dwell": 7}, flags="")
     (event,) = run_events([given_up, good])
     assert event.outcome == "measured again, good"
     flagged = run_events([given_up, entry(20.0, "dwell_finished", marks={"dwell": 7}, flags="gap")])
-    assert [each.outcome for each in flagged] == ["measured again, flagged", "kept out of the bins"]
+    assert [each.outcome for each in flagged] == ["measured again, flagged", "excluded from the bins"]
 
 
-def test_equal_retries_are_told_once_with_how_often():
+def test_equal_retries_are_stated_once_with_how_often():
     journal = [entry(float(n), "retry", instrument="chamber", error="chamber: no reply") for n in range(5)]
     journal.append(entry(9.0, "answers_again", instrument="chamber"))
     (event,) = run_events(journal)
@@ -54,12 +54,12 @@ def test_thousands_of_events_stay_readable_and_none_is_lost():
             journal.append(entry(10.0 * n + 1.0, "tripped", interlocks=["a"], why=f"trip {'y' * (n // 50)}"))
     journal.append(entry(1e6, "held", why="the last one", waits_for="a person"))
     events = run_events(journal)
-    assert len(events) <= MOST_ROWS
+    assert len(events) <= MAX_ROWS
     assert sum(each.count for each in events) == 5000 + 100 + 1
     assert "the last one" in [each.what for each in events]
 
 
-def test_how_the_run_was_cut_short_and_went_on_is_there():
+def test_how_the_run_was_cut_short_and_continued_is_there():
     journal = [
         entry(1.0, "journal_repaired", cut_off="{"),
         entry(2.0, "run_resumed", next_step=12),
@@ -69,12 +69,12 @@ def test_how_the_run_was_cut_short_and_went_on_is_there():
         entry(6.0, "run_ended", ended="stopped", reason="by an order"),
     ]
     kinds = [each.kind for each in run_events(journal)]
-    assert kinds == ["note", "resumed", "order", "note", "dwell left out", "ended"]
+    assert kinds == ["note", "resumed", "command", "note", "dwell skipped", "ended"]
 
 
 def test_a_quiet_run_says_so():
     section = events_section([entry(1.0, "run_ended", ended="finished", reason="")])
-    assert section.paragraphs == ["The journal tells of no fault, hold, repeat, order or note."]
+    assert section.paragraphs == ["The journal has no fault, hold, repeat, command or note."]
     assert not section.tables
 
 

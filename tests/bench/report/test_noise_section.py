@@ -72,7 +72,9 @@ def test_declared_noise_of_the_output_is_compared_in_its_own_units(noise: NoiseE
 def test_without_a_declared_noise_the_text_says_whose_was_used(noise: NoiseEstimate) -> None:
     section = section_of(noise, {"ins": {"noise": "estimated"}})
     assert section.tables == []
-    assert section.paragraphs[0].endswith("each dwell was evaluated with the noise of its own windows.")
+    assert section.paragraphs[0].endswith(
+        "each dwell was evaluated with the noise estimated from its windows."
+    )
     declared = section_of(noise, station(angle_random_walk_deg_per_sqrt_h=0.001))
     assert "declares no noise" not in declared.paragraphs[0]
 

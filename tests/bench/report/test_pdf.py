@@ -22,7 +22,7 @@ def test_nothing_is_fetched_from_outside(tmp_path):
     assert write_pdf(page, tmp_path / "page.pdf").stat().st_size < 5000
 
 
-def test_a_missing_library_of_the_system_is_told_with_what_to_install(tmp_path, monkeypatch):
+def test_a_missing_library_of_the_system_is_stated_with_what_to_install(tmp_path, monkeypatch):
     class Missing:
         def find_spec(self, name, path=None, target=None):
             if name == "weasyprint":

@@ -146,7 +146,7 @@ def test_report_can_go_elsewhere(empty_folder: RunFolder, equal_dwells: list[Dwe
     assert not empty_folder.figures.exists()
 
 
-def test_operator_host_and_local_time_are_told(copy: RunFolder) -> None:
+def test_operator_host_and_local_time_are_given(copy: RunFolder) -> None:
     own = json.loads(copy.provenance.read_text())
     own |= {"operator": "smith", "host": "bench-3", "utc_offset_s": 19_800.0}
     copy.provenance.write_text(json.dumps(own))
@@ -163,13 +163,13 @@ def test_a_verdict_stands_in_the_head_with_its_judgements_below(
     write_acceptance(copy.acceptance, judge(dwells, limits))
     text = text_of(copy)
     assert "Unit rejected. X gyro, Y gyro and Z gyro are beyond the limit of 0.006 deg/h" in text
-    assert "Limits of the procedure: 0.006 deg/h between two positions at one stop and" in text
+    assert "Limits of the procedure: 0.006 deg/h between two positions at one plateau and" in text
     assert re.search(r"X gyro -25 to -20 X-Down above Z-Up fail \S+ ± \S+ \S+ \S+ 6\.0", text)
 
 
 def test_without_limits_the_report_says_that_nothing_was_judged(copy: RunFolder) -> None:
     write_acceptance(copy.acceptance, Acceptance())
-    assert "Unit not judged. The procedure states no acceptance limits." in text_of(copy)
+    assert "Unit not judged. The procedure has no acceptance limits." in text_of(copy)
 
 
 def test_the_report_is_tied_to_its_data(page: Page, run_folder: RunFolder) -> None:
@@ -188,13 +188,13 @@ def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
     write_verification_page(folder.verify, confirmed(), folder.dwells)
     page = page_with(render(read_run(folder), []))
     assert "Search for effects Clean." in page.text
-    assert "Proof of a compensation Confirmed." in page.text
+    assert "Verification of a compensation Confirmed." in page.text
     figures = {path.read_bytes() for path in folder.path.glob("*/figures/*.png")}
     assert figures == {base64.b64decode(load.partition(",")[2]) for load in page.loads}
     write_dwells(folder.dwells, equal_dwells[:2])
     changed = text_of(folder)
     assert "Search for effects Clean." not in changed
-    assert "closure: dwells.csv has changed since, so it is left out." in changed
+    assert "closure: left out because dwells.csv has changed since." in changed
 
 
 def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
@@ -203,7 +203,7 @@ def test_a_damaged_finding_is_named(empty_folder: RunFolder) -> None:
     (empty_folder.closure / "findings.json").write_text("{}")
     (empty_folder.verify / "verification.html").write_text("")
     text = text_of(empty_folder)
-    assert "findings.json: holds no findings" in text
+    assert "findings.json: not a file of findings" in text
     assert "verify/findings.json is missing" in text
 
 
@@ -220,7 +220,7 @@ def test_instruments_versions_and_assumptions_are_there(page: Page) -> None:
         assert words in page.text
 
 
-def test_findings_are_told_in_words(page: Page) -> None:
+def test_results_are_stated_in_sentences(page: Page) -> None:
     assert page.text.count("The bias differs between positions in") == 3
     assert "X-Down above Z-Up by 0.01" in page.text
 
@@ -228,8 +228,8 @@ def test_findings_are_told_in_words(page: Page) -> None:
 def test_tables_hold_biases_counts_and_empty_bins(page: Page) -> None:
     assert "-20 to 5 empty in all positions" in page.text
     assert re.search(r"-25 to -20 -6\.8 ± 0\.6 \(2\) \S+ ± 0\.8 -5\.0 ± 0\.6 \(2\) \S+ ± 0\.8", page.text)
-    assert page.text.count("Positions compared;") == 3
-    assert "<1e-09" in page.text
+    assert page.text.count("Comparison of positions;") == 3
+    assert "<1e-9" in page.text
 
 
 def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwells: list[DwellRow]) -> None:
@@ -245,18 +245,18 @@ def test_both_estimates_of_a_dwell_and_its_fit_stand_in_one_row(page: Page, dwel
 def test_estimators_are_explained_and_compared(page: Page) -> None:
     for words in (
         "Biases are those of the state-space estimator",
-        "What the paper's method makes of the same data stands beside them in grey",
-        "The two estimators The paper's method leaves out",
+        "Results of the paper's method from the same data are in grey",
+        "Comparison of the estimators The paper's method neglects",
         "over 71 dwells",
-        "Does the model explain the data?",
+        "Goodness of fit",
         "Error model and noise explain the data.",
     ):
         assert words in page.text
-    assert page.text.count("The paper's method judges otherwise") == 3
+    assert page.text.count("The paper's method disagrees") == 3
 
 
-def test_verdict_tells_which_estimators_find_a_difference(page: Page) -> None:
-    for verdict in ("differs by both", "only by the paper's"):
+def test_comparison_names_the_estimators_that_find_a_difference(page: Page) -> None:
+    for verdict in ("both methods", "paper's method only"):
         assert verdict in page.text
 
 
@@ -265,7 +265,7 @@ def test_table_that_knows_no_estimators_gives_a_report_without_them(
 ) -> None:
     write_dwells(empty_folder.dwells, old_dwells)
     page = page_of(empty_folder)
-    assert "does not tell by which estimator" in page.text
+    assert "The estimator of these biases is unknown" in page.text
     assert "paper" not in page.text
     assert len(page.loads) == 5
 
@@ -280,26 +280,26 @@ def test_run_that_the_papers_method_does_not_apply_to_says_so(
     write_dwells(empty_folder.dwells, tested)
     page = page_of(empty_folder)
     assert "so it does not apply to these dwells" in page.text
-    assert "The two estimators" not in page.text
-    assert "Does the model explain the data?" in page.text
+    assert "Comparison of the estimators" not in page.text
+    assert "Goodness of fit" in page.text
 
 
 def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> None:
     for words in (
-        "All dwells of one temperature together",
-        "level gyros 10.0 % smaller and that of vertical ones 10.0 % smaller",
-        "Over all plateaus the half-differences amount to +2.10 ± 0.30",
+        "Joint solution of each plateau",
+        "level gyros by 10.0 % and of vertical gyros by 10.0 %",
+        "Over all plateaus the half-difference is +2.10 ± 0.30",
         "1 62 6 +24.0 ± 1.8 -15.5 ± 1.8 +8.1 ± 5.8 +0.30 ± 0.80 +2.10 ± 0.30 0.400",
         "all 71",
         "Noise of the INS Allan deviation of the rates and accelerations at rest",
     ):
         assert words in page.text
     assert (
-        page.text.index("The two estimators")
-        < page.text.index("Does the model explain the data?")
-        < page.text.index("All dwells of one temperature together")
+        page.text.index("Comparison of the estimators")
+        < page.text.index("Goodness of fit")
+        < page.text.index("Joint solution of each plateau")
         < page.text.index("Noise of the INS")
-        < page.text.index("Dwells Biases ± standard uncertainty")
+        < page.text.index("Dwells Bias ± standard uncertainty")
     )
 
 
@@ -326,7 +326,7 @@ def test_damaged_results_are_named_and_leave_their_sections_out(
     page = page_of(empty_folder)
     assert "joint.csv can't be used:" in page.text
     assert "noise.json can't be used:" in page.text
-    assert "All dwells of one temperature together" not in page.text
+    assert "Joint solution of each plateau" not in page.text
     assert "Noise of the INS" not in page.text
 
 
@@ -345,7 +345,7 @@ def test_sections_stand_before_the_dwells(
     page = page_with(render(read_run(empty_folder), [], sections))
     assert (
         "One bias for all positions What <follows> is made up. the caption its caption "
-        "temperature / °C X gyro 72 1.0 ± 0.2 Dwells Biases" in page.text
+        "temperature / °C X gyro 72 1.0 ± 0.2 Dwells Bias" in page.text
     )
     assert len(page.loads) == 1
 
@@ -369,7 +369,7 @@ def test_durations_and_safe_state_are_there(page: Page) -> None:
     assert "ask operator 1 0:01:00 0:00:05" in page.text
     assert "all 5 0:53:00 1:01:27" in page.text
     assert "rate table stopped chamber switched off" in page.text
-    assert "not reached in full" not in page.text
+    assert "not fully reached" not in page.text
 
 
 def test_equal_runs_give_equal_reports(page: Page, run_folder: RunFolder) -> None:
@@ -380,36 +380,37 @@ def test_equal_runs_give_equal_reports(page: Page, run_folder: RunFolder) -> Non
 def test_run_whose_positions_agree_says_so(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
     write_dwells(empty_folder.dwells, equal_dwells)
     write_bins(empty_folder.bias_bins, bin_biases(equal_dwells))
-    assert page_of(empty_folder).text.count("No difference between positions found") == 3
+    assert page_of(empty_folder).text.count("No significant difference between positions") == 3
 
 
-def test_failed_run_tells_reason_step_and_what_is_not_safe(
+def test_failed_run_states_reason_step_and_unsafe_outputs(
     empty_folder: RunFolder, journal_writer: Callable[..., None]
 ) -> None:
     journal_writer(empty_folder, ended="failed", reason="chamber: no <reply>", problem="table: no reply")
     text = page_of(empty_folder).text
     assert (
-        "The run failed. chamber: no <reply> It was in step 6, turn 180 deg (cycle 1, 62 degC, z_up)." in text
+        "The run failed. chamber: no <reply> Unfinished step: 6, turn 180 deg (cycle 1, 62 degC, z_up)."
+        in text
     )
-    assert "The safe state was not reached in full" in text
+    assert "The safe state was not fully reached" in text
     assert "rate table stopped: failed: table: no reply" in text
     assert "No dwell was measured." in text
     assert "No dwell gave a bias" in text
     assert "dwells.csv is missing." in text
 
 
-def test_run_of_verifications_is_no_failure(
+def test_run_of_calibration_checks_is_no_failure(
     empty_folder: RunFolder, run_folder: RunFolder, journal_writer: Callable[..., None]
 ) -> None:
     journal_writer(empty_folder)
     shutil.copytree(run_folder.telemetry, empty_folder.telemetry)
-    write_calibration_check(empty_folder.verification, [ROW, ALIGNMENT])
+    write_calibration_check(empty_folder.calibration_check, [ROW, ALIGNMENT])
     page = page_of(empty_folder)
     assert "Gyro bias of unit U7" in page.text
-    assert "dwells 2 dwells for verification" in page.text
-    assert "Findings All 2 biases agree with the calibration" in page.text
-    assert "Dwells 2 dwells for verification, without a turn" in page.text
-    assert "Temperatures over the run. Verification" in page.text
+    assert "dwells 2 dwells for the calibration check" in page.text
+    assert "Results All 2 biases agree with the calibration" in page.text
+    assert "Dwells 2 dwells for the calibration check, without a turn" in page.text
+    assert "Temperatures over the run. Calibration check" in page.text
     for words in ("No dwell", "dwells.csv is missing", "Bands and bars"):
         assert words not in page.text
     assert len(page.loads) == 1
@@ -429,20 +430,18 @@ def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(
     assert page.text.count("Nothing to compare") == 1
 
 
-def test_run_that_was_killed_is_told_as_such(
-    empty_folder: RunFolder, journal_writer: Callable[..., None]
-) -> None:
+def test_killed_run_is_reported_as_such(empty_folder: RunFolder, journal_writer: Callable[..., None]) -> None:
     journal_writer(empty_folder, ended="")
     text = page_of(empty_folder).text
-    assert "The run has not ended. It was killed or cut off" in text
-    assert "The journal tells of no safe state." in text
+    assert "The run has not ended. It was killed or is still running" in text
+    assert "The journal has no safe state." in text
 
 
 def test_empty_folder_still_gives_a_report(empty_folder: RunFolder) -> None:
     page = page_of(empty_folder)
-    assert "serial number not known" in page.text
+    assert "serial number unknown" in page.text
     assert page.loads == []
-    assert "The journal tells of no step that was finished." in page.text
+    assert "The journal has no finished step." in page.text
 
 
 def test_dwells_that_are_all_flagged_still_give_a_report(
@@ -454,8 +453,8 @@ def test_dwells_that_are_all_flagged_still_give_a_report(
     assert len(page.loads) == 1
 
 
-def test_data_that_can_not_be_hashed_are_told(copy: RunFolder) -> None:
+def test_data_that_can_not_be_hashed_are_reported(copy: RunFolder) -> None:
     (copy.can / "part-00001.blf").mkdir(parents=True)
     text = page_of(copy).text
     assert "The data can't be hashed" in text
-    assert "Data that this report stands on" not in text
+    assert "Data of this report" not in text

@@ -43,7 +43,7 @@ def test_each_bin_of_a_gyro_makes_the_test_stricter() -> None:
     assert differing([COMPARISON, *(replace(other, gyro="y") for other in others)]) == [COMPARISON]
 
 
-def test_sentence_tells_where_and_by_how_much() -> None:
+def test_sentence_states_where_and_by_how_much() -> None:
     sentence = equality_sentence([COMPARISON])
     assert "in 1 of 1 bins: from 20 to 25 °C (p < 0.01, one comparison)" in sentence
     assert "Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h" in sentence
@@ -52,15 +52,16 @@ def test_sentence_tells_where_and_by_how_much() -> None:
 def test_sentence_counts_only_the_bins_that_differ() -> None:
     hotter = replace(COMPARISON, bin_low_c=25.0, bin_high_c=30.0, p_value=0.3)
     assert equality_sentence([COMPARISON, hotter]) == (
-        "The bias differs between positions in 1 of 2 bins: from 20 to 25 °C (p < 0.01, allowing for 2 "
-        "comparisons). Most from 20 to 25 °C: Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h."
+        "The bias differs between positions in 1 of 2 bins: from 20 to 25 °C (p < 0.01, corrected for 2 "
+        "comparisons). Largest difference from 20 to 25 °C: Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h."
     )
 
 
 def test_sentence_says_that_nothing_was_found_or_compared() -> None:
     hotter = replace(COMPARISON, bin_low_c=25.0, bin_high_c=30.0, p_value=0.3)
     assert equality_sentence([replace(COMPARISON, p_value=0.3), hotter]) == (
-        "No difference between positions found from 20 to 30 °C (no p < 0.01, allowing for 2 comparisons)."
+        "No significant difference between positions from 20 to 30 °C (no p < 0.01, corrected for 2 "
+        "comparisons)."
     )
     assert equality_sentence([]).startswith("Nothing to compare")
 
@@ -71,10 +72,10 @@ def test_made_up_runs_are_judged_rightly(bins: list[BiasBin], equal_bins: list[B
         assert {each.bin_low_c for each in differing(parting)} >= {-25.0, 5.0, 15.0}
         assert all(each.bin_high_c <= 50.0 for each in differing(parting))
         agreeing = compare_positions([each for each in equal_bins if each.gyro == gyro])
-        assert equality_sentence(agreeing).startswith("No difference between positions found from")
+        assert equality_sentence(agreeing).startswith("No significant difference between positions from")
 
 
-def test_scatter_is_told_only_where_uncertainties_do_not_explain_it() -> None:
+def test_scatter_is_stated_only_where_uncertainties_do_not_explain_it() -> None:
     quiet = [a_bin(0.0), a_bin(5.0, count=1, spread_p_value=float("nan"))]
     assert scatter_sentence(quiet) == ""
     assert "Z-Up 10 to 15 °C." in scatter_sentence([*quiet, a_bin(10.0, spread_p_value=1e-6)])
@@ -85,9 +86,9 @@ def test_agreement_names_the_bins_that_the_estimators_judge_differently() -> Non
     equal = replace(COMPARISON, p_value=0.3)
     different = replace(hotter, p_value=1e-6)
     ours = [COMPARISON, hotter]
-    assert agreement_sentence(ours, ours) == "The paper's method says the same."
+    assert agreement_sentence(ours, ours) == "The paper's method agrees."
     assert agreement_sentence(ours, [COMPARISON, different]).endswith(
-        "otherwise: it also finds a difference from 25 to 30 °C."
+        "disagrees: it also finds a difference from 25 to 30 °C."
     )
     assert agreement_sentence(ours, [equal, different]).endswith(
         "a difference from 25 to 30 °C, and it finds none from 20 to 25 °C."
@@ -98,7 +99,7 @@ def test_agreement_names_the_bins_that_the_estimators_judge_differently() -> Non
 def test_leaks_of_the_papers_method_show_as_differences_of_equal_positions(equal_bins: list[BiasBin]) -> None:
     own = [each for each in equal_bins if each.gyro == "y"]
     sentence = agreement_sentence(compare_positions(own), compare_positions(paper_bins(own)))
-    assert sentence.startswith("The paper's method judges otherwise: it also finds a difference from -25")
+    assert sentence.startswith("The paper's method disagrees: it also finds a difference from -25")
 
 
 def test_fit_of_dwells_whose_noise_is_as_declared_is_no_surprise(dwells: list[DwellRow]) -> None:
@@ -108,7 +109,7 @@ def test_fit_of_dwells_whose_noise_is_as_declared_is_no_surprise(dwells: list[Dw
 
 
 @pytest.mark.parametrize(("power", "verdict"), [(4.0, "too small"), (0.2, "too large")])
-def test_p_values_that_chance_does_not_give_are_told(
+def test_p_values_that_chance_does_not_give_are_stated(
     dwells: list[DwellRow], power: float, verdict: str
 ) -> None:
     sentence = fit_sentence([replace(row, fit_p_value=row.fit_p_value**power) for row in dwells])
@@ -119,9 +120,9 @@ def test_p_values_that_chance_does_not_give_are_told(
 
 def test_dwells_that_do_not_fit_are_named(dwells: list[DwellRow]) -> None:
     bad = [replace(row, fit_p_value=1e-7) if row.dwell in (3, 5) else row for row in dwells]
-    assert fit_sentence(bad).endswith("Something disturbed dwells 3 and 5 (smallest p = 1e-07).")
+    assert fit_sentence(bad).endswith("Outlying: dwells 3 and 5 (smallest p = 1e-7).")
     bad[9] = replace(dwells[9], fit_p_value=0.0)
-    assert fit_sentence(bad).endswith("Something disturbed dwells 3, 5 and 10 (smallest p <1e-09).")
+    assert fit_sentence(bad).endswith("Outlying: dwells 3, 5 and 10 (smallest p <1e-9).")
 
 
 def test_single_dwell_and_none_have_their_sentences(
@@ -129,7 +130,7 @@ def test_single_dwell_and_none_have_their_sentences(
 ) -> None:
     only = replace(dwells[0], fit_ratio=1.04, fit_p_value=0.3)
     assert fit_sentence([only]) == (
-        "Residuals of the only dwell are 1.04 times as large as expected (p = 0.300). "
+        "Residuals of the only dwell tested are 1.04 times as large as expected (p = 0.300). "
         "Error model and noise explain the data."
     )
     assert "larger than assumed" in fit_sentence([replace(only, fit_p_value=1e-4)])

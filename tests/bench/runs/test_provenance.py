@@ -26,10 +26,10 @@ def test_who_started_it_and_where_is_reported(tmp_path):
 
 
 def test_a_user_without_a_name_is_no_fault(tmp_path, monkeypatch):
-    def nobody():
+    def unknown_user():
         raise OSError("no such user")
 
-    monkeypatch.setattr(getpass, "getuser", nobody)
+    monkeypatch.setattr(getpass, "getuser", unknown_user)
     assert written(tmp_path)["operator"] == "unknown"
 
 

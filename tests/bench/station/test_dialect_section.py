@@ -42,7 +42,7 @@ def test_a_dialect_has_keys_of_its_own(changed):
         ("    outer_deg: [-200, 200]\n", "", "limits.outer_deg is missing"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_in_one_line_with_its_place(changed, found, put, message):
+def test_a_mistake_is_reported_in_one_line_with_its_place(changed, found, put, message):
     with pytest.raises(DocumentError, match=rf"station\.yaml:\d+:\d+: .*{message}") as caught:
         Station(changed((found, put)))
     assert len(str(caught.value).splitlines()) == 1

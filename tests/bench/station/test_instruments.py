@@ -38,7 +38,7 @@ def test_one_port_that_can_not_be_opened_leaves_the_other_in_use(changed):
 
 
 @pytest.mark.parametrize("instrument", [RATE_TABLE, CHAMBER, INS])
-def test_a_closed_port_is_opened_anew_and_works(station, instrument):
+def test_a_closed_port_is_reopened_and_works(station, instrument):
     clock = VirtualClock()
     with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
         {RATE_TABLE: instruments.table, CHAMBER: instruments.chamber, INS: instruments.ins}[
@@ -108,7 +108,7 @@ def socketcand_station(changed, port):
     )
 
 
-def test_a_socketcand_server_that_is_not_there_is_told_at_once(changed):
+def test_a_socketcand_server_that_is_not_there_is_reported_at_once(changed):
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(ConnectionFailedError, match=f"INS: no socketcand server at 127.0.0.1:{port}"):

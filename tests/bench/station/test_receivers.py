@@ -49,7 +49,7 @@ def test_all_kinds_are_read_with_what_they_leave_out():
         ("kind: ntfy, address: 'https://host/t', on: []", "at least 1 item"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(entry, problem):
+def test_what_is_wrong_is_reported_with_its_line(entry, problem):
     line = TEXT.count("\n") + 3
     with pytest.raises(DocumentError, match=rf"s.yaml:{line}:") as caught:
         load(f"{{{entry}}}")

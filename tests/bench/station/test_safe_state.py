@@ -43,7 +43,7 @@ def test_a_turning_table_is_stopped_and_opened_and_the_chamber_set(opened):
     assert instruments.chamber.set_point_c() == 23.0
 
 
-def test_a_port_that_went_away_is_opened_anew(opened):
+def test_a_port_that_went_away_is_reopened(opened):
     station, instruments, bench = opened
     instruments.table.prepare()
     instruments.table.turn_at(2, 10.0)
@@ -143,11 +143,11 @@ def test_a_station_may_switch_chamber_and_unit_off(opened):
         (SafeAction("rate table stopped", "says nothing"), "FAILED: rate table stopped: says nothing"),
     ],
 )
-def test_an_action_is_told_in_one_line_with_why_it_failed(action, text):
+def test_an_action_is_reported_in_one_line_with_why_it_failed(action, text):
     assert action.text == text
 
 
-def test_a_table_that_does_not_come_to_rest_is_told_and_its_servos_are_open(opened):
+def test_a_table_that_does_not_come_to_rest_is_reported_and_its_servos_are_open(opened):
     station, instruments, bench = opened
     instruments.table.prepare()
     instruments.table.turn_at(2, 2.0)

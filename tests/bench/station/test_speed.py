@@ -49,7 +49,7 @@ def test_an_emulated_bench_may_be_fast(station, addresses):
 
 
 @pytest.mark.parametrize(
-    ("addresses", "told"),
+    ("addresses", "message"),
     [
         ({"table": "/dev/ttyUSB0"}, "/dev/ttyUSB0 is a real port"),
         ({"chamber": "/dev/serial/by-id/usb-adapter"}, "is a real port"),
@@ -63,8 +63,10 @@ def test_an_emulated_bench_may_be_fast(station, addresses):
         ),
     ],
 )
-def test_a_real_bench_may_not(station, addresses, told):
-    with pytest.raises(DocumentError, match=f"speed: 10 is for an emulated bench on this computer; .*{told}"):
+def test_a_real_bench_may_not(station, addresses, message):
+    with pytest.raises(
+        DocumentError, match=f"speed: 10 is for an emulated bench on this computer; .*{message}"
+    ):
         load_station_file(station(**addresses))
 
 

@@ -28,7 +28,7 @@ def test_every_mistake_is_listed_with_its_place(changed):
 
 
 @pytest.mark.parametrize("latitude_deg", ["85.01", "-90", "135"])
-def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_told(changed, latitude_deg):
+def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_reported(changed, latitude_deg):
     path = changed(("latitude_deg: 36.4", f"latitude_deg: {latitude_deg}"))
     with pytest.raises(DocumentError, match=r"station\.yaml:7:\d+: gyrocompassing fails .* -85 to 85 deg"):
         Station(path)
@@ -59,7 +59,7 @@ def test_noise_that_can_not_be_is_refused_in_one_line(changed, noise, message):
     assert f"noise: {noise}" in Path(path).read_text().splitlines()[int(str(caught.value).split(":")[1]) - 1]
 
 
-def test_noise_that_is_missing_is_told_with_what_to_write(changed):
+def test_noise_that_is_missing_is_reported_with_what_to_write(changed):
     with pytest.raises(
         DocumentError, match=r"the key 'noise' is missing: write `estimated` .* or give angle"
     ):

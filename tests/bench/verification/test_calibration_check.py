@@ -54,7 +54,7 @@ def verified(position="z_up", azimuth_deg=0.0, dwell=1, seed=None, flags="", fai
                 "since_power_on_s": 600.0,
                 "chamber_set_c": 10.0,
                 "chamber_c": 10.0,
-                "is_verification": True,
+                "is_calibration_check": True,
                 "align_s": ALIGN_S,
             }
             | marks

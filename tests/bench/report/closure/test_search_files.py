@@ -1,4 +1,4 @@
-"""What a search leaves, and where: beside a table, in a run, or in a folder of its own."""
+"""Files of a search: beside a table, in a run, or in a separate folder."""
 
 import shutil
 
@@ -23,21 +23,21 @@ def names(folder):
 
 
 def test_a_search_in_a_run_stands_in_its_folder_and_in_its_report(run):
-    written = write_search(clean(), run.path)
-    assert (written.page, written.report) == (run.closure / "closure.html", run.report)
+    page, report = write_search(clean(), run.path)
+    assert (page, report) == (run.closure / "closure.html", run.report)
     assert names(run.closure) == FILES
     assert "Search for effects" in run.report.read_text()
 
 
 def test_a_search_that_is_written_elsewhere_leaves_the_run_as_it_is(run, tmp_path):
     before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
-    written = write_search(clean(), run.path, tmp_path / "found")
-    assert (written.page, written.report) == (tmp_path / "found" / "closure.html", None)
+    page, report = write_search(clean(), run.path, tmp_path / "found")
+    assert (page, report) == (tmp_path / "found" / "closure.html", None)
     assert {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()} == before
 
 
 def test_a_search_in_a_table_stands_beside_it(tmp_path):
     write_dwells(tmp_path / "dwells.csv", made_up_rows())
-    written = write_search(clean(), tmp_path / "dwells.csv")
-    assert (written.page.parent, written.report) == (tmp_path / "closure", None)
+    page, report = write_search(clean(), tmp_path / "dwells.csv")
+    assert (page.parent, report) == (tmp_path / "closure", None)
     assert names(tmp_path / "closure") == FILES

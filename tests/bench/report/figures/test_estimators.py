@@ -10,7 +10,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.report.figures.estimators import differences_dph, estimators_figure, with_both
 
 
-def test_every_good_dwell_shows_the_paper_less_the_state_space_estimate(dwells: list[DwellRow]) -> None:
+def test_every_good_dwell_shows_the_paper_minus_the_state_space_estimate(dwells: list[DwellRow]) -> None:
     figure = estimators_figure(dwells)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["X gyro", "Y gyro", "Z gyro"]
     for axis, axes in enumerate(figure.axes):

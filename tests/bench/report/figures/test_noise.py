@@ -78,13 +78,13 @@ def test_random_walks_are_lines_of_their_size_at_one_second(estimate: NoiseEstim
             np.testing.assert_allclose(level * np.sqrt(tau), expected, rtol=tolerance)
 
 
-def test_legend_tells_the_values(estimate: NoiseEstimate) -> None:
+def test_legend_states_the_values(estimate: NoiseEstimate) -> None:
     gyros, accelerometers = panels(noise_figure(estimate, DECLARED))
     assert labels(gyros)[0].startswith("random walk\n0.00")
     assert "±" in labels(gyros)[0]
     assert labels(gyros)[1] == "declared\n0.0006 deg/√h"
     assert labels(accelerometers)[1] == "declared\n5 µg/√Hz"
-    assert labels(gyros)[2] == labels(accelerometers)[2] == "all that was fitted"
+    assert labels(gyros)[2] == labels(accelerometers)[2] == "complete fit"
 
 
 def test_without_a_declared_noise_there_is_no_line_of_it(estimate: NoiseEstimate) -> None:
@@ -105,13 +105,13 @@ def test_legend_stands_beside_the_data(estimate: NoiseEstimate) -> None:
 def test_noise_that_the_resolution_hides_is_faint_and_has_a_limit() -> None:
     gyros, accelerometers = panels(noise_figure(made_up(attitude_step=5e-6, velocity_step=0.01), DECLARED))
     assert [one.get_label() for one in gyros.containers] == [
-        "X gyro (hidden)",
-        "Y gyro (hidden)",
-        "Z gyro (hidden)",
+        "X gyro (below resolution)",
+        "Y gyro (below resolution)",
+        "Z gyro (below resolution)",
     ]
     assert all(one.lines[0].get_alpha() < 0.5 and not one.has_yerr for one in gyros.containers)
     for axes in (gyros, accelerometers):
-        assert "all that was fitted" not in labels(axes)
+        assert "complete fit" not in labels(axes)
         assert any(
             label.startswith("random walk\nhidden by the resolution\nbelow ") for label in labels(axes)
         )
@@ -126,9 +126,7 @@ def test_a_gyro_that_never_moves_is_left_out() -> None:
 def test_output_that_never_changes_is_said_so() -> None:
     figure = noise_figure(made_up(attitude_step=1.0, velocity_step=10.0), DECLARED)
     for axes in panels(figure):
-        assert [text.get_text() for text in axes.texts] == [
-            "the output never changes: its resolution hides the noise"
-        ]
+        assert [text.get_text() for text in axes.texts] == ["constant output: noise below resolution"]
     png_bytes(figure)
 
 

@@ -26,8 +26,7 @@ from gyrobench.bench.procedure.timeline import position_spans
 from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure
 from gyrobench.bench.report.figures.style import GYRO_STYLES, POSITION_STYLES, png_bytes, save_figure
 from gyrobench.bench.report.figures.temperatures import plan_figure, temperature_figure
-from gyrobench.bench.report.run_report import save_figures
-from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.report.run_report import run_figures
 
 Telemetry = dict[str, np.ndarray]
 
@@ -191,7 +190,7 @@ def test_difference_figure_without_comparisons_says_so() -> None:
     assert texts(position_difference_figure([])) == ["no bin holds dwells of two positions"]
 
 
-def test_equal_data_give_equal_files_whatever_the_user_has_set(
+def test_equal_data_give_equal_files_regardless_of_user_settings(
     dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
     first = png_bytes(bias_figure("x", dwells, bins))
@@ -210,15 +209,16 @@ def test_other_data_give_another_file(dwells: list[DwellRow], bins: list[BiasBin
 def test_figures_are_saved_for_what_there_are_data_for(
     tmp_path: Path, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
-    folder = RunFolder(tmp_path)
-    paths = save_figures(folder, telemetry, dwells, bins)
+    figures = dict(run_figures(telemetry, dwells, bins))
     biases = ["bias_x", "bias_y", "bias_z"]
-    assert [path.stem for path in paths] == ["temperature", *biases, "position_differences"]
-    assert all(path.parent == folder.figures and path.read_bytes().startswith(b"\x89PNG") for path in paths)
-    assert [path.stem for path in save_figures(folder, telemetry, [], [])] == ["temperature"]
-    assert save_figures(folder, {}, [], []) == []
+    assert list(figures) == ["temperature", *biases, "position_differences"]
+    for name, figure in figures.items():
+        save_figure(figure, tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert list(dict(run_figures(telemetry, [], []))) == ["temperature"]
+    assert not dict(run_figures({}, [], []))
     one_position = [each for each in bins if each.position == "z_up"]
-    assert [path.stem for path in save_figures(folder, {}, [], one_position)] == biases
+    assert list(dict(run_figures({}, [], one_position))) == biases
 
 
 def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path: Path) -> None:

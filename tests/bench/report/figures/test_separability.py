@@ -9,12 +9,12 @@ from gyrobench.bench.report.figures.campaigns import separability_figure
 from tests.bench.closure.plans import dwell, planned, shipped
 
 
-def told(plan):
+def separability_of(plan):
     return separability(searched_dwells(planned_campaign(plan, PlannedUnit(0.0006))), all_effects())
 
 
-def test_every_pair_shows_its_correlation_and_whether_it_is_told_apart():
-    found = told(shipped("six_position_fig7")[1])
+def test_every_pair_shows_its_correlation_and_whether_it_is_distinguished():
+    found = separability_of(shipped("six_position_fig7")[1])
     axes = separability_figure(found, 0.002, "six_position_fig7").axes[0]
     names = [label.get_text() for label in axes.get_yticklabels()]
     assert names == [label.get_text() for label in axes.get_xticklabels()]
@@ -31,5 +31,5 @@ def test_every_pair_shows_its_correlation_and_whether_it_is_told_apart():
 
 def test_a_plan_that_shows_nothing_says_so():
     _, plan = planned(f"  - power_on\n{dwell('z_up')}")
-    [axes] = separability_figure(told(plan), 0.002, "test").axes
+    [axes] = separability_figure(separability_of(plan), 0.002, "test").axes
     assert "fewer than two effects" in axes.texts[0].get_text()

@@ -29,7 +29,7 @@ def test_each_gyro_has_one_line_and_the_unit_a_verdict(dwells, limit_dph, verdic
 
 
 def test_a_run_without_limits_says_so():
-    assert printed(Acceptance()) == ["Unit not judged. The procedure states no acceptance limits."]
+    assert printed(Acceptance()) == ["Unit not judged. The procedure has no acceptance limits."]
 
 
 def test_what_was_not_measured_is_counted(dwells):
@@ -41,5 +41,5 @@ def test_what_was_not_measured_is_counted(dwells):
 
 def test_a_run_without_comparisons_says_so(dwells):
     assert printed(judge(dwells[:1], AcceptanceLimits(position_difference_dph=0.1))) == [
-        "Unit not judged. No stop of the chamber has good dwells in two positions."
+        "Unit not judged. No plateau has good dwells in two positions."
     ]

@@ -9,7 +9,7 @@ LONG = "can't open /dev/serial/by-id/usb-adapter-of-the-chamber: [Errno 2] No su
 CHECKS = [
     Check.of("rate table", "answers", True, "Acutrol", "never said"),
     Check.of("chamber", "answers", False, LONG, "Check the cable."),
-    Check.skipped("disk", "space for the run", "nobody knows", "Give --procedure."),
+    Check.skipped("disk", "space for the run", "unknown", "Give --procedure."),
 ]
 
 
@@ -19,7 +19,7 @@ def printed(checks):
     return text.getvalue()
 
 
-def test_every_check_is_told_in_80_columns_with_what_to_do_where_it_did_not_pass():
+def test_every_check_is_stated_in_80_columns_with_what_to_do_where_it_did_not_pass():
     text = printed(CHECKS)
     assert max(map(len, text.splitlines())) <= 80
     lines = [line.split() for line in text.splitlines()]
@@ -33,4 +33,6 @@ def test_every_check_is_told_in_80_columns_with_what_to_do_where_it_did_not_pass
 
 def test_the_sum_says_whether_the_bench_is_ready():
     assert "1 passed, 1 failed, 1 skipped: not ready for a run." in printed(CHECKS)
-    assert "1 passed, 0 failed, 1 skipped: nothing speaks against a run." in printed([CHECKS[0], CHECKS[2]])
+    assert "1 passed, 0 failed, 1 skipped: ready for a run as far as checked." in printed(
+        [CHECKS[0], CHECKS[2]]
+    )

@@ -58,5 +58,5 @@ def test_notes_are_listed():
 
 def test_separate_power_cycles_are_stated_on_a_real_bench():
     real = VerificationResult(**{**vars(confirmed()), "is_same_seed": False})
-    assert "its own power cycle and noise" in reading_sentences(real)[-1]
-    assert "same seed" in reading_sentences(confirmed())[-1]
+    assert "separate power cycle and noise" in reading_sentences(real)[-1]
+    assert "same emulated world and seed" in reading_sentences(confirmed())[-1]
