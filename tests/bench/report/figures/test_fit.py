@@ -75,5 +75,5 @@ def test_ratios_far_from_one_are_all_in_the_picture(dwells: list[DwellRow]) -> N
 
 def test_run_without_tests_says_so(old_dwells: list[DwellRow]) -> None:
     figure = fit_figure(old_dwells)
-    assert [text.get_text() for text in figure.axes[0].texts] == ["no dwell was tested"]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["no dwell tested"]
     assert figure.legends == []

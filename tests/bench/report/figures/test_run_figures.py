@@ -187,7 +187,7 @@ def test_difference_figure_fills_the_markers_of_what_differs(bins: list[BiasBin]
 
 
 def test_difference_figure_without_comparisons_says_so() -> None:
-    assert texts(position_difference_figure([])) == ["no bin holds dwells of two positions"]
+    assert texts(position_difference_figure([])) == ["no bin has dwells in two positions"]
 
 
 def test_equal_data_give_equal_files_regardless_of_user_settings(

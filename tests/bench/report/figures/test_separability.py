@@ -32,4 +32,4 @@ def test_every_pair_shows_its_correlation_and_whether_it_is_distinguished():
 def test_a_plan_that_shows_nothing_says_so():
     _, plan = planned(f"  - power_on\n{dwell('z_up')}")
     [axes] = separability_figure(separability_of(plan), 0.002, "test").axes
-    assert "fewer than two effects" in axes.texts[0].get_text()
+    assert "fewer than two observable effects" in axes.texts[0].get_text()
