@@ -1,30 +1,29 @@
 """Are a unit's gyros fit for a rotational INS? Limits, and verdicts that allow for the uncertainty.
 
 A rotational INS averages out a bias that is the same in all positions. So the largest difference of a
-gyro's bias between positions decides. Positions are compared within a plateau only, where power-on, cycle and
-temperature are the same, and after the remaining effect of temperature is removed; see
+gyro's bias between positions decides. Positions are compared within a plateau only, where power cycle,
+cycle and temperature are the same, after the remaining effect of temperature is removed; see
 :mod:`gyrobench.bench.bias.position_differences`. Results are listed by temperature bin.
 
-Passes of one plateau are judged by their mean difference, whose uncertainty is smaller, as long as they agree
-(chi-square, Holm over all plateaus of all gyros). Where they don't, as with an attitude effect that follows
-the way the temperature moves, each pass is judged by itself. Where they do, it is the mean that keeps the
-limit: of passes that differ by less than the test can see, one may be beyond it. At a single plateau of a
-single gyro that is easily missed; where a difference comes with one cycle at every plateau, it is not.
+Passes of one plateau are judged by their mean difference, whose uncertainty is smaller, as long as they
+agree (chi-square, Holm over all plateaus of all gyros). Where they disagree, as with an attitude effect
+that follows the direction of the temperature change, each pass is judged separately. Where passes differ
+by less than the test detects, the mean may be within the limit and one pass beyond it.
 
 The largest of several noisy differences is larger than the largest true one: six equal positions show
-some 2.5 times the uncertainty of one. It is therefore not judged as if it were a single difference:
+some 2.5 times the uncertainty of one. It is therefore not judged like a single difference:
 
 * A gyro passes in a bin only where *every* pair of positions does: difference plus z times its standard
-  uncertainty below the limit, z one-sided. If a true difference is at the limit or above, its own pair
-  has to err for that, so no allowance for the number of pairs is needed (an intersection-union test),
-  and a unit with such a difference is accepted with a probability of at most ``1 - confidence``.
-* It fails where *some* pair does: difference less c times its standard uncertainty above the limit. Each
-  of all pairs at all plateaus of all gyros could err so by chance, so c allows for their number
-  (Bonferroni), and a unit without a difference above the limit is rejected with a probability of at
-  most ``1 - confidence``.
+  uncertainty below the limit, z one-sided. For a true difference at the limit or above, its own pair
+  would have to err, so no correction for the number of pairs is needed (an intersection-union test); such
+  a unit is accepted with a probability of at most ``1 - confidence``.
+* It fails where *some* pair does: difference minus c times its standard uncertainty above the limit. Any
+  pair of any plateau and gyro could exceed it by chance, so c is corrected for their number (Bonferroni);
+  a unit without a difference above the limit is rejected with a probability of at most ``1 -
+  confidence``.
 * Between the two it is marginal: more cycles are needed.
 
-Both stand on the stated uncertainties of the dwells, taken as independent.
+Both rely on the stated uncertainties of the dwells, taken as independent.
 
 References
 ----------

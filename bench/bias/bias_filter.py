@@ -128,8 +128,8 @@ class BiasFilter:
                 raise MeasurementError("a window after the first one needs the turn that led to it")
             if not time_s > self._windows[-1].last_s:
                 raise MeasurementError(
-                    f"a window begins at {time_s:.3f} s, where the one before has epochs until "
-                    f"{self._windows[-1].last_s:.3f} s. Are they in order, and is none empty?"
+                    f"a window begins at {time_s:.3f} s, but the previous one has epochs until "
+                    f"{self._windows[-1].last_s:.3f} s. Add windows in order, none of them empty"
                 )
             state[:, : -parameters.PER_WINDOW], known, covariance = self._through_turn(time_s, turn)
         state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)

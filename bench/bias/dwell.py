@@ -155,11 +155,11 @@ class Dwell:
                 f"{len(self.turns)} turns between them"
             )
         if len({window.gyro_c is None for window in self.windows}) > 1:
-            raise MeasurementError("some windows have gyro temperatures and others not. " + _CHECK_INS)
+            raise MeasurementError("only some windows have gyro temperatures. " + _CHECK_INS)
         for earlier, later in itertools.pairwise(self.windows):
             if later.time_s[0] <= earlier.time_s[-1]:
                 raise MeasurementError(
-                    f"a window begins at {later.time_s[0]:.3f} s, before the one before it ends at "
+                    f"a window begins at {later.time_s[0]:.3f} s, before the previous one ends at "
                     f"{earlier.time_s[-1]:.3f} s on the clock of the INS. {_CHECK_INS}"
                 )
         nominal = self.position.C_nb(self.azimuth_rad)

@@ -23,7 +23,7 @@ RunVerdict = Literal["accepted", "marginal", "rejected", "not judged"]
 
 
 class AcceptanceLimits(StrictModel):
-    """What a gyro has to keep on every plateau."""
+    """Limits of a gyro on every plateau."""
 
     position_difference_dph: float = Field(
         gt=0.0, description="largest difference of a gyro's bias between two positions on one plateau, deg/h"

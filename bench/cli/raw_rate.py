@@ -39,7 +39,10 @@ def raw_rate(
     pair = up_down_pair(read_recording(up, log_map), read_recording(down, log_map), axis)
     sigma_dph = pair.bias_sigma_radps * RADPS_TO_DPH
     earth = f"Earth rate, vertical   {pair.earth_radps * RADPS_TO_DPH:.4f} ± {sigma_dph:.4f} deg/h"
-    if log_map.earth_rate is not None:
+    if log_map.earth_rate is None:
+        latitude_deg, latitude_sigma_deg = map(math.degrees, pair.latitude_rad())
+        earth += f", that of latitude {latitude_deg:.3f} ± {latitude_sigma_deg:.3f} deg"
+    else:
         latitude_rad = math.radians(log_map.earth_rate.latitude_deg)
         earth += (
             f"; {EARTH_RATE * math.sin(latitude_rad) * RADPS_TO_DPH:.4f} deg/h at latitude "

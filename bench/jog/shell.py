@@ -40,12 +40,12 @@ class Shell:
         self._display = display
         self._commands: Mapping[str, Command] = {
             "show": Command({"show": "all readings"}, self._show),
-            "watch": Command({"watch [S]": "follow the readings for S (60) s"}, self._watch),
+            "watch": Command({"watch [S]": "readings for S seconds, default 60"}, self._watch),
             "table": Command(
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
                     "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
-                    "table rate outer|inner RATE": "turn at a constant rate",
+                    "table rate outer|inner RATE": "turn at a constant rate, deg/s",
                 },
                 self._table,
             ),

@@ -105,10 +105,8 @@ class AclAxis:
     ----------
     state : AxisState
         Encoder reading of this frame.
-    limits : dict of Mode to AxisLimits
-        Limits of each mode.
-    trip_rates_dps : dict of Mode to float
-        Rate at which the axis trips in each mode.
+    limits, trip_rates_dps : dict by Mode
+        Limits, and the rate at which the axis trips, of each mode.
     """
 
     def __init__(self, physics: TableAxis) -> None:

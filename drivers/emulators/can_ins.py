@@ -24,13 +24,7 @@ DEFAULT_FORMAT = "gyrobench_ins"
 
 
 class CanNode(Protocol):
-    """A side of the bus with the INS behind it.
-
-    Attributes
-    ----------
-    listeners : list of callable
-        Each is called with the messages of every interval by which the world advances.
-    """
+    """A side of the bus with the INS behind it; each listener gets the messages as the world advances."""
 
     listeners: list[Callable[[list[can.Message]], None]]
 

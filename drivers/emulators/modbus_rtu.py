@@ -39,14 +39,7 @@ _REQUESTS: dict[int, type[ModbusPDU]] = {
 class HoldingRegister:
     """One signed 16-bit register.
 
-    Attributes
-    ----------
-    read : callable
-        Returns its value.
-    write : callable or None
-        Sets it; None for a read-only register.
-    allowed : callable
-        Whether a value may be written.
+    ``write`` is None for a read-only register; ``allowed`` returns whether a value may be written.
     """
 
     read: Callable[[], int]

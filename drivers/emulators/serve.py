@@ -42,7 +42,7 @@ class Server:
 
     Parameters
     ----------
-    bench : EmulatedBench
+    bench
         On a wall clock, of any speed.
     make_port : callable
         Makes a port from the name of its instrument and a function that returns a client's greeting.

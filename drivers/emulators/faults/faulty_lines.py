@@ -82,12 +82,10 @@ class FaultySerial:
 
 
 class FaultyCan:
-    """The emulated INS behind filters of its frames.
+    """The emulated INS behind filters of its frames; a CanNode.
 
     Attributes
     ----------
-    listeners : list of callable
-        As those of :class:`gyrobench.drivers.emulators.can_ins.CanInsEmulator`.
     connection : Connection
         Broken while the controller is bus-off.
     filters : list of callable

@@ -137,7 +137,7 @@ class Injector:
     bench : BenchParts
         What they act on.
     seed : int
-        Seed of the faults' random numbers. Each entry has a stream of its own, so its times do not
+        Seed of the faults' random numbers. Each entry has a separate stream, so its times do not
         depend on the other entries; another start has other times.
     start_s : float
         Time at which the bench starts.

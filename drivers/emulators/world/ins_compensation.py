@@ -75,11 +75,9 @@ class TemperatureHistory:
     Attributes
     ----------
     optics_c, electronics_c : ndarray, shape (3,)
-        The last readings.
+        The last readings, one a second.
     record_c : list of ndarray, each of shape (3,)
         Optics every ten seconds.
-    seconds : int
-        Readings since power-on, one a second.
     """
 
     def __init__(self) -> None:

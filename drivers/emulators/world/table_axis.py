@@ -58,13 +58,8 @@ class AxisParameters:
     @property
     def limits(self) -> AxisLimits:
         """Limits that the axis can't exceed."""
-        return AxisLimits(
-            self.rate_limit_dps,
-            self.acceleration_limit_dps2,
-            self.jerk_limit_dps3,
-            self.position_low_deg,
-            self.position_high_deg,
-        )
+        dynamic = (self.rate_limit_dps, self.acceleration_limit_dps2, self.jerk_limit_dps3)
+        return AxisLimits(*dynamic, self.position_low_deg, self.position_high_deg)
 
 
 class TableAxis:

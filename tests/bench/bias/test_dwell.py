@@ -104,7 +104,7 @@ def test_refuses_an_unknown_position():
 
 
 def test_refuses_windows_that_overlap():
-    with pytest.raises(MeasurementError, match=r"begins at 60\.000 s, before the one before it ends"):
+    with pytest.raises(MeasurementError, match=r"begins at 60\.000 s, before the previous one ends"):
         dwell(after_s=60.0)
     times = (TIME, TIME + 100.0, TIME + 150.0)
     with pytest.raises(MeasurementError, match=r"begins at 150\.000 s"):

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.test_raw_rate import BIAS_DPH, recorded
 from tests.bench.command_line import gyrobench
@@ -38,3 +39,12 @@ def test_logs_in_the_wrong_order_are_refused(logs, tmp_path):
     result = gyrobench("raw-rate", *reversed(logs), "--map", "ln100", cwd=tmp_path)
     assert result.returncode != 0
     assert "Check the order of the recordings" in " ".join(result.stderr.split())
+
+
+def test_without_a_latitude_in_the_map_the_earth_rate_gives_one(logs, tmp_path):
+    shipped = find_document("imports", "ln100").read_text()
+    own = tmp_path / "own.yaml"
+    own.write_text("".join(line for line in shipped.splitlines(True) if not line.startswith("earth_rate")))
+    text = gyrobench("raw-rate", *logs, "--map", "own.yaml", cwd=tmp_path).stdout
+    latitude_deg, sigma_deg = map(float, re.findall(r"that of latitude ([\d.]+) ± ([\d.]+) deg", text)[0])
+    assert abs(latitude_deg - 51.0784) < 4.0 * sigma_deg

@@ -24,7 +24,7 @@ def run(tmp_path):
 def test_the_report_is_written_again_with_the_name_and_the_verdict(run, tmp_path):
     done = gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "Unit not judged. The procedure states no acceptance limits." in done.stdout
+    assert "Unit not judged. The procedure has no acceptance limits." in done.stdout
     assert f"Report   {run.report}" in done.stdout
     assert "A. Smith" in run.report.read_text()
 

@@ -104,7 +104,7 @@ def test_windows_that_overlap_flag_the_dwell(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(replace(marks, windows=(*marks.windows, marks.windows[1])), frames, setup).row
     assert has_no_numbers(row)
-    assert "before the one before it ends" in row.flags
+    assert "before the previous one ends" in row.flags
 
 
 def test_a_table_that_stood_elsewhere_flags_the_dwell(recorded):

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.resume import resume_state_of
+from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM, resume_state_of
 from gyrobench.bench.foundations.errors import RunFolderError
 
 
@@ -81,3 +81,8 @@ def test_an_entry_that_no_run_writes_is_refused(plan, entries, entry, message):
     with pytest.raises(RunFolderError, match="does not belong to this procedure") as error:
         resume_state_of([*entries, entry], plan)
     assert message in str(error.value)
+
+
+def test_an_answer_on_a_compensation_without_checksum_is_known_from_older_journals(plan, entries):
+    older = {"time_s": 5.0, "event": "compensation_decided", "which": "a compensation", "answer": "keep"}
+    assert resume_state_of([*entries, older], plan).stored_compensation_answers == {UNKNOWN_CHECKSUM: "keep"}

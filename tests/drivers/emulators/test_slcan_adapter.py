@@ -1,4 +1,5 @@
 import os
+import select
 from pathlib import Path
 
 import can
@@ -46,7 +47,6 @@ class PythonCan:
     def __init__(self, bench):
         self.bench = bench
         self.master, self.slave = os.openpty()
-        os.set_blocking(self.master, False)
         self.bus = can.Bus(
             interface="slcan",
             channel=os.ttyname(self.slave),
@@ -54,15 +54,21 @@ class PythonCan:
             sleep_after_open=0.0,
             ignore_config=True,
         )
-        self.exchange()
+        self.exchange(b"O")
 
-    def exchange(self):
-        """Carry bytes between the terminal and the adapter."""
-        try:
-            asked = os.read(self.master, 4096)
-        except BlockingIOError:
-            asked = b""
-        os.write(self.master, self.bench.adapter.feed(asked, 0.0) + self.bench.adapter.from_bus())
+    def exchange(self, command):
+        """Pass the client's lines to the adapter, up to one with this command, and the answers back."""
+        line = b""
+        while not line.startswith(command):
+            line = b""
+            while not line.endswith(OK):
+                assert select.select([self.master], [], [], LIMIT_S)[0]
+                line += os.read(self.master, 1)
+            os.write(self.master, self.bench.adapter.feed(line, 0.0))
+
+    def deliver(self):
+        """Pass frames from the bus to the client."""
+        os.write(self.master, self.bench.adapter.from_bus())
 
     def receive(self, count):
         return [self.bus.recv(LIMIT_S) for _ in range(count)]
@@ -87,7 +93,7 @@ def content(frames):
 def test_python_can_receives_what_the_ins_sends(bench, client):
     bench.sent.clear()
     bench.world.advance(4.0)
-    client.exchange()
+    client.deliver()
     assert len(bench.sent) >= 45
     assert content(client.receive(len(bench.sent))) == content(bench.sent)
     assert client.bus.recv(0.0) is None
@@ -102,7 +108,7 @@ def test_python_can_commands_the_ins(bench, client):
             is_extended_id=False,
         )
     )
-    client.exchange()
+    client.exchange(b"t")
     assert bench.unit.mode is Mode.ALIGN
     coefficient = DBC.get_message_by_name("COMPENSATION_COEFFICIENT")
     client.bus.send(
@@ -112,20 +118,20 @@ def test_python_can_commands_the_ins(bench, client):
             is_extended_id=False,
         )
     )
-    client.exchange()
+    client.exchange(b"t")
     assert bench.unit.loaded_table[1, 3] == -0.75
 
 
 def test_extended_frames_of_python_can_arrive_and_mean_nothing_to_the_ins(bench, client):
     client.bus.send(can.Message(arbitration_id=0x200, data=b"\2\0", is_extended_id=True))
-    client.exchange()
+    client.exchange(b"T")
     assert bench.unit.mode is Mode.STANDBY
 
 
 def test_nothing_is_received_once_python_can_has_left(bench):
     client = PythonCan(bench)
     client.bus.shutdown()
-    client.exchange()
+    client.exchange(b"C")
     bench.world.advance(4.0)
     assert bench.adapter.from_bus() == b""
     os.close(client.master)

@@ -58,9 +58,9 @@ def test_remarks_and_empty_lines_are_left_out(tmp_path):
     ("text", "message"),
     [
         ("instrument: table\n", r":1:1: not a recording: the line '---'"),
-        ("recording: 2\ninstrument: table\n---\n", r":1:1: 'recording' should be 1"),
+        ("recording: 2\ninstrument: table\n---\n", r":1:1: 'recording' must be 1"),
         ("instrument: table\ncolour: red\n---\n", r":2:1: unknown key 'colour'"),
-        ("instrument: toaster\n---\n", r":1:1: 'instrument' should be"),
+        ("instrument: toaster\n---\n", r":1:1: 'instrument' must be"),
         ("instrument: table\n---\n0.1 > 4\n", r":3:1: not a transfer"),
         ("instrument: table\n---\n0.1 = 41\n", r":3:1: not a transfer"),
         ("instrument: table\n---\n0.2 > 41\n0.1 < 42\n", r":4:1: its time is before that of the line above"),

@@ -1,0 +1,53 @@
+"""What the bench is expected to do changes only by what happened."""
+
+import pytest
+
+from gyrobench.bench.engine.bench_state import BenchState, ExpectedState
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.station import Station
+
+
+@pytest.fixture
+def state():
+    return BenchState(Station(find_document("stations", "emulated")))
+
+
+@pytest.mark.parametrize("name", ["expected", "at", "has_ins_restarted", "commanded_c"])
+def test_nothing_else_can_write_it(state, name):
+    with pytest.raises(AttributeError):
+        setattr(state, name, None)
+
+
+def test_a_set_point_is_expected_once_it_is_reached_and_until_another_is_commanded(state):
+    state.chamber_commanded(40.0)
+    assert (state.commanded_c, state.expected.chamber_reached) == (40.0, False)
+    state.chamber_set_point_reached()
+    assert state.expected == ExpectedState(chamber_set_c=40.0, chamber_on=True, chamber_reached=True)
+    state.chamber_commanded(20.0)
+    assert not state.expected.chamber_reached
+
+
+def test_a_chamber_that_is_off_has_no_commanded_temperature(state):
+    state.chamber_commanded(40.0)
+    state.chamber_switched(False)
+    assert state.commanded_c is None
+
+
+def test_each_power_on_is_counted_and_ends_a_restart(state):
+    state.run_resumed("1003", 2)
+    state.ins_restarted()
+    assert not state.has_ins_restarted, "an INS that is off can't restart"
+    state.ins_powered(12.0)
+    state.ins_restarted()
+    assert state.has_ins_restarted
+    state.ins_powered(20.0)
+    assert not state.has_ins_restarted
+    assert (state.at.unit, state.at.power_ons, state.at.powered_s) == ("1003", 4, 20.0)
+
+
+def test_the_safe_state_has_the_stations_set_point_open_servos_and_the_ins_as_it_was(state):
+    state.chamber_commanded(60.0)
+    state.table_prepared()
+    state.ins_powered(0.0)
+    state.made_safe()
+    assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=True, ins_on=True)
