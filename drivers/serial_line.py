@@ -31,19 +31,11 @@ for _handlers in ("gyrobench.drivers.emulators", "gyrobench.drivers.recording"):
 
 @dataclass(frozen=True)
 class LineDefaults:
-    """Settings of a controller's line that the station file does not give.
-
-    Attributes
-    ----------
-    parity : {"N", "E", "O"}
-        Parity bit; eight data bits and one stop bit always.
-    tcp_port : int or None
-        TCP port for an address without one; None if there is no usual port.
-    """
+    """Settings of a controller's line that the station file does not give."""
 
     baudrate: int = 9600
-    parity: str = "N"
-    tcp_port: int | None = None
+    parity: str = "N"  #: Parity bit; eight data bits and one stop bit always.
+    tcp_port: int | None = None  #: TCP port for an address without one; None if there is no usual port.
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:

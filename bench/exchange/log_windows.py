@@ -235,55 +235,34 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Means of one window.
+    """Means of one window."""
 
-    Attributes
-    ----------
-    start_s, end_s : float
-        Since the first sample of the log.
-    samples, dropped : int
-        Samples with all three rates, and those without.
-    max_step_s : float
-        Longest time between two samples, also to the last one before the window.
-    covered_s : float
-        From the first to the last sample.
-    rate_dph : ndarray, shape (3,)
-        Mean rates.
-    scatter_dph : ndarray, shape (3,)
-        Standard deviation of the samples.
-    blocks_dph : ndarray, shape (blocks, 3)
-        Mean rates of as many equal parts as :data:`BLOCKS` allows, in the order of time.
-    rate_step_dph : ndarray, shape (3,)
-        Smallest change from one sample to the next; infinite where there is none.
-    extreme_dph, max_samples_at_extreme : ndarray, shape (3,)
-        Largest absolute rate, and longest series of samples with it.
-    max_samples_unchanged : ndarray, shape (3,)
-        Longest series of samples with a constant rate.
-    means, slopes_per_h, steps, spans : dict of str to float
-        Of temperatures, and of position and cycle: mean, slope, smallest change, and largest less
-        smallest value. NaN where not measured.
-    force : ndarray, shape (3,)
-        Mean of the accelerometers; NaN if the import map names none.
-    """
-
+    #: start_s, end_s: Since the first sample of the log.
     start_s: float
     end_s: float
+    #: samples, dropped: Samples with all three rates, and those without.
     samples: int
     dropped: int
-    max_step_s: float
-    covered_s: float
-    rate_dph: FloatArray
-    scatter_dph: FloatArray
+    max_step_s: float  #: Longest time between two samples, also to the last one before the window.
+    covered_s: float  #: From the first to the last sample.
+    rate_dph: FloatArray  #: Shape (3,). Mean rates.
+    scatter_dph: FloatArray  #: Shape (3,). Standard deviation of the samples.
+    #: Shape (blocks, 3). Mean rates of as many equal parts as :data:`BLOCKS` allows, in the order of time.
     blocks_dph: FloatArray
+    #: Shape (3,). Smallest change from one sample to the next; infinite where there is none.
     rate_step_dph: FloatArray
+    #: extreme_dph, max_samples_at_extreme: Shape (3,). Largest absolute rate, and longest series of samples
+    #: with it.
     extreme_dph: FloatArray
     max_samples_at_extreme: NDArray[np.intp]
-    max_samples_unchanged: NDArray[np.intp]
+    max_samples_unchanged: NDArray[np.intp]  #: Shape (3,). Longest series of samples with a constant rate.
+    #: means, slopes_per_h, steps, spans: Of temperatures, and of position and cycle: mean, slope, smallest
+    #: change, and largest less smallest value. NaN where not measured.
     means: dict[str, float]
     slopes_per_h: dict[str, float]
     steps: dict[str, float]
     spans: dict[str, float]
-    force: FloatArray
+    force: FloatArray  #: Shape (3,). Mean of the accelerometers; NaN if the import map names none.
 
 
 def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> Iterator[Window]:

@@ -73,24 +73,15 @@ _DEFAULT_FORMATS = (Format.PARQUET, Format.BLF)
 class ExportSelection:
     """Selected data of a run.
 
-    Attributes
-    ----------
-    what : sequence of DataKind
-        Empty for all but navigation.
-    formats : sequence of Format
-        Empty for Parquet and BLF. Kinds without any of them are left out.
-    dwell : int or None
-        Navigation of this dwell alone.
-
     Raises
     ------
     DocumentError
         A named kind has none of the formats, or a dwell is given without navigation.
     """
 
-    what: Sequence[DataKind] = ()
-    formats: Sequence[Format] = ()
-    dwell: int | None = None
+    what: Sequence[DataKind] = ()  #: Empty for all but navigation.
+    formats: Sequence[Format] = ()  #: Empty for Parquet and BLF. Kinds without any of them are left out.
+    dwell: int | None = None  #: Navigation of this dwell alone.
 
     def __post_init__(self) -> None:
         unfit = [str(what) for what in self.what if not self.suffixes(what)]
@@ -191,18 +182,10 @@ _TABLE_MISSING = "{} is missing, as in an interrupted run; create it with `gyrob
 
 @dataclass(frozen=True)
 class Exported:
-    """Files written, and data missing in the run.
+    """Files written, and data missing in the run."""
 
-    Attributes
-    ----------
-    files : list of Path
-        In order.
-    missing : dict of DataKind to str
-        Selected data that the run lacks, and why.
-    """
-
-    files: list[Path]
-    missing: dict[DataKind, str]
+    files: list[Path]  #: In order.
+    missing: dict[DataKind, str]  #: Selected data that the run lacks, and why.
 
 
 def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: bool = False) -> Exported:

@@ -27,25 +27,14 @@ class AxisRange:
 
 @dataclass(frozen=True)
 class ManualLimits:
-    """The narrower of station and controller.
+    """The narrower of station and controller."""
 
-    Attributes
-    ----------
-    axes : dict
-        Range of each axis by its name.
-    acceleration_dps2 : float
-        Deceleration of a stop.
-    low_c, high_c : float
-        Range of the chamber's set point.
-    ramp_c_per_min : float
-        Highest ramp.
-    """
-
-    axes: dict[str, AxisRange]
-    acceleration_dps2: float
+    axes: dict[str, AxisRange]  #: Range of each axis by its name.
+    acceleration_dps2: float  #: Deceleration of a stop.
+    #: low_c, high_c: Range of the chamber's set point.
     low_c: float
     high_c: float
-    ramp_c_per_min: float
+    ramp_c_per_min: float  #: Highest ramp.
 
     def check_angle(self, axis: str, angle_deg: float) -> None:
         """Raise CommandError for an angle that is out of range."""

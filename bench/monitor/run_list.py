@@ -198,35 +198,23 @@ RECORDS = {
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A run in the list of runs; unknown texts are empty.
+    """A run in the list of runs; unknown texts are empty."""
 
-    Attributes
-    ----------
-    name, procedure, unit : str
-        Run folder, procedure and serial number of the INS.
-    state, reason
-        State, and why it holds, stopped or failed.
-    started_utc, updated_utc : str
-        ISO 8601.
-    dwells, dwell_count : int
-        Completed and planned dwells; 0 for an unknown plan.
-    left_s : float
-        Planned time remaining.
-    alarms : int
-        Active alarms; 0 after the end.
-    """
-
+    #: name, procedure, unit: Run folder, procedure and serial number of the INS.
     name: str
     procedure: str
     unit: str
+    #: state, reason: State, and why it holds, stopped or failed.
     state: RunState
     reason: str
+    #: started_utc, updated_utc: ISO 8601.
     started_utc: str
     updated_utc: str = ""
+    #: dwells, dwell_count: Completed and planned dwells; 0 for an unknown plan.
     dwells: int = 0
     dwell_count: int = 0
-    left_s: float = 0.0
-    alarms: int = 0
+    left_s: float = 0.0  #: Planned time remaining.
+    alarms: int = 0  #: Active alarms; 0 after the end.
 
 
 def is_run(folder: Path) -> bool:

@@ -57,20 +57,13 @@ class PositionSpan(StrictRecord):
 
 @dataclass(frozen=True)
 class PlannedProfile(StrictRecord):
-    """Planned temperatures and positions, on the plan's time, which begins with 0.
+    """Planned temperatures and positions, on the plan's time, which begins with 0."""
 
-    Attributes
-    ----------
-    time_s, chamber_c, gyro_c : tuple of float, same length
-        The chamber's ramped set point and the gyros' predicted temperature.
-    positions : tuple of PositionSpan
-        In order.
-    """
-
+    #: time_s, chamber_c, gyro_c: The chamber's ramped set point and the gyros' predicted temperature.
     time_s: Series = ()
     chamber_c: Series = ()
     gyro_c: Series = ()
-    positions: tuple[PositionSpan, ...] = ()
+    positions: tuple[PositionSpan, ...] = ()  #: In order.
 
 
 @dataclass(frozen=True)
@@ -87,32 +80,24 @@ class MeasuredProfile(StrictRecord):
 
 @dataclass(frozen=True)
 class BenchReadings(StrictRecord):
-    """Last readings of the instruments.
+    """Last readings of the instruments."""
 
-    Attributes
-    ----------
-    chamber_set_c, chamber_c : float
-        Commanded set point, NaN while the chamber is not controlled, and chamber air.
-    gyro_c, electronics_c, case_c
-        Temperatures reported by the INS.
-    outer_deg, inner_deg, outer_rate_dps, inner_rate_dps : float
-        Table axes.
-    ins_mode : str
-        "unknown", "boot", "standby", "align", "navigate" or "fault".
-    table_age_s, chamber_age_s, ins_age_s : float
-        Age of each instrument's last reply; NaN for an INS that has sent nothing.
-    """
-
+    #: chamber_set_c, chamber_c: Commanded set point, NaN while the chamber is not controlled, and chamber
+    #: air.
     chamber_set_c: Number
     chamber_c: Number
+    #: gyro_c, electronics_c, case_c: Temperatures reported by the INS.
     gyro_c: Triple
     electronics_c: Triple
     case_c: Number
+    #: outer_deg, inner_deg, outer_rate_dps, inner_rate_dps: Table axes.
     outer_deg: Number
     inner_deg: Number
     outer_rate_dps: Number
     inner_rate_dps: Number
-    ins_mode: str
+    ins_mode: str  #: "unknown", "boot", "standby", "align", "navigate" or "fault".
+    #: table_age_s, chamber_age_s, ins_age_s: Age of each instrument's last reply; NaN for an INS that has
+    #: sent nothing.
     table_age_s: Number
     chamber_age_s: Number
     ins_age_s: Number
@@ -125,20 +110,11 @@ _ALONG = math.cos(math.radians(10.0))
 
 @dataclass(frozen=True)
 class Attitude(StrictRecord):
-    """Attitude of the unit.
+    """Attitude of the unit."""
 
-    Attributes
-    ----------
-    position : str
-        Commanded position, as in the procedure; empty before the first.
-    azimuth_deg : float
-        Commanded turn about Up from the position's azimuth 0.
-    body_in_enu : tuple of 3 tuples
-        Direction cosines from the table's angles: row East, North, Up; column body x, y, z.
-    """
-
-    position: str
-    azimuth_deg: Number
+    position: str  #: Commanded position, as in the procedure; empty before the first.
+    azimuth_deg: Number  #: Commanded turn about Up from the position's azimuth 0.
+    #: Direction cosines from the table's angles: row East, North, Up; column body x, y, z.
     body_in_enu: tuple[Triple, Triple, Triple]
 
     def directions(self) -> str:
@@ -158,47 +134,29 @@ def _direction(cosines: Sequence[float]) -> str:
 
 @dataclass(frozen=True)
 class CurrentStep(StrictRecord):
-    """The step in progress.
+    """The step in progress."""
 
-    Attributes
-    ----------
-    number, count : int
-        Its number in the plan, from 1, and the number of steps.
-    label, description : str
-        Place in the plan ("cycle 1, 60 degC, z_up") and action ("navigate 10 min").
-    started_s, planned_s : float
-        Start, and planned duration.
-    """
-
+    #: number, count: Its number in the plan, from 1, and the number of steps.
     number: int
     count: int
+    #: label, description: Place in the plan ("cycle 1, 60 degC, z_up") and action ("navigate 10 min").
     label: str
     description: str
+    #: started_s, planned_s: Start, and planned duration.
     started_s: float
     planned_s: float
 
 
 @dataclass(frozen=True)
 class WindowTrace(StrictRecord):
-    """One window of navigation at rest; the series have the same length.
+    """One window of navigation at rest; the series have the same length."""
 
-    Attributes
-    ----------
-    planned_s : float
-        Planned duration.
-    time_s : tuple of float
-        Since the window began.
-    velocity_east_mps, velocity_north_mps : tuple of float
-        Velocity computed by the INS: an error, since it is at rest.
-    heading_change_deg : tuple of float
-        Since the window began, positive from North to West (about Up).
-    """
-
-    planned_s: float
-    time_s: Series = ()
+    planned_s: float  #: Planned duration.
+    time_s: Series = ()  #: Since the window began.
+    #: velocity_east_mps, velocity_north_mps: Velocity computed by the INS: an error, since it is at rest.
     velocity_east_mps: Series = ()
     velocity_north_mps: Series = ()
-    heading_change_deg: Series = ()
+    heading_change_deg: Series = ()  #: Since the window began, positive from North to West (about Up).
 
 
 @dataclass(frozen=True)
@@ -212,25 +170,17 @@ class LiveBias(StrictRecord):
 
 @dataclass(frozen=True)
 class CurrentDwell(StrictRecord):
-    """The dwell in progress.
+    """The dwell in progress."""
 
-    Attributes
-    ----------
-    number, count : int
-        Its number, from 1, and the number of dwells in the plan.
-    cycle, position
-        As in the dwell table.
-    windows : tuple of WindowTrace
-        The last is in progress, or complete while the table turns; empty while the INS aligns.
-    estimates : tuple of LiveBias
-        Successive live estimates, the newest last; empty until the bias is observable.
-    """
-
+    #: number, count: Its number, from 1, and the number of dwells in the plan.
     number: int
     count: int
+    #: cycle, position: As in the dwell table.
     cycle: int
     position: str
+    #: The last is in progress, or complete while the table turns; empty while the INS aligns.
     windows: tuple[WindowTrace, ...] = ()
+    #: Successive live estimates, the newest last; empty until the bias is observable.
     estimates: tuple[LiveBias, ...] = ()
 
 

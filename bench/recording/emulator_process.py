@@ -28,30 +28,14 @@ _LOOPBACK = ("127.0.0.1", "localhost")
 
 @dataclass(frozen=True)
 class EmulationSettings:
-    """Settings of the emulated bench; None leaves a setting to the emulators.
+    """Settings of the emulated bench; None leaves a setting to the emulators."""
 
-    Attributes
-    ----------
-    world : str or None
-        World file, or the name of a shipped one.
-    seed : int or None
-        Seed of all random numbers.
-    speed : float or None
-        Factor on real time.
-    faults : str or None
-        Faults of the instruments: file, or the name of a shipped one.
-    faults_log : Path or None
-        File to which each injected fault is appended.
-    for_s : float or None
-        Real time after which the emulators end, s.
-    """
-
-    world: str | None = None
-    seed: int | None = None
-    speed: float | None = None
-    faults: str | None = None
-    faults_log: Path | None = None
-    for_s: float | None = None
+    world: str | None = None  #: World file, or the name of a shipped one.
+    seed: int | None = None  #: Seed of all random numbers.
+    speed: float | None = None  #: Factor on real time.
+    faults: str | None = None  #: Faults of the instruments: file, or the name of a shipped one.
+    faults_log: Path | None = None  #: File to which each injected fault is appended.
+    for_s: float | None = None  #: Real time after which the emulators end, s.
 
     def options(self) -> list[str]:
         """Options of :mod:`gyrobench.drivers.emulators.serve` by the same names."""

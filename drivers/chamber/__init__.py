@@ -14,21 +14,11 @@ OptionsT = TypeVar("OptionsT", bound=StrictModel)
 
 @dataclass(frozen=True)
 class ChamberReading:
-    """One poll of a chamber.
+    """One poll of a chamber."""
 
-    Attributes
-    ----------
-    temperature_c : float
-        Air temperature.
-    set_point_c : float or None
-        The controller's set point; None if it can't be read.
-    is_on : bool or None
-        Whether the temperature is controlled; None if it can't be read.
-    """
-
-    temperature_c: float
-    set_point_c: float | None = None
-    is_on: bool | None = None
+    temperature_c: float  #: Air temperature.
+    set_point_c: float | None = None  #: The controller's set point; None if it can't be read.
+    is_on: bool | None = None  #: Whether the temperature is controlled; None if it can't be read.
 
 
 class Chamber(Protocol):
@@ -102,18 +92,9 @@ class Chamber(Protocol):
 
 @dataclass(frozen=True)
 class ChamberDialect(Generic[OptionsT]):
-    """One dialect; offered as an entry point of the group ``gyrobench.chambers``.
+    """One dialect; offered as an entry point of the group ``gyrobench.chambers``."""
 
-    Attributes
-    ----------
-    open : callable
-        Makes the driver from the line to the controller and the options; the driver closes the line.
-    options : type of StrictModel
-        Additional keys in the station file's section ``chamber``.
-    line : LineDefaults
-        Usual settings of such a controller's line.
-    """
-
+    #: Makes the driver from the line to the controller and the options; the driver closes the line.
     open: Callable[[SerialLine, OptionsT], Chamber]
-    options: type[OptionsT]
-    line: LineDefaults = field(default_factory=LineDefaults)
+    options: type[OptionsT]  #: Additional keys in the station file's section ``chamber``.
+    line: LineDefaults = field(default_factory=LineDefaults)  #: Usual settings of such a controller's line.

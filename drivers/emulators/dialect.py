@@ -18,15 +18,9 @@ OnEvent = Callable[[int, bool], None]
 
 
 class SerialInstrument(Protocol):
-    """An instrument that takes bytes and answers with bytes.
+    """An instrument that takes bytes and answers with bytes."""
 
-    Attributes
-    ----------
-    latency_s : float
-        Time from the last byte of a request to the first byte of its reply.
-    """
-
-    latency_s: float
+    latency_s: float  #: Time from the last byte of a request to the first byte of its reply.
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the line at time ``now_s`` and return the reply, if one is complete.
@@ -63,29 +57,18 @@ class Connection:
 
 @dataclass(frozen=True)
 class TableEmulation:
-    """A dialect of emulated tables; offered as an entry point of the group ``gyrobench.emulators``.
+    """A dialect of emulated tables; offered as an entry point of the group ``gyrobench.emulators``."""
 
-    Attributes
-    ----------
-    make : callable
-        Makes the controller from the physics of each axis by its number: 1 outer, 2 inner. A table
-        with a single axis is the inner one.
-    """
-
+    #: Makes the controller from the physics of each axis by its number: 1 outer, 2 inner. A table with a
+    #: single axis is the inner one.
     make: Callable[[Mapping[int, TableAxis]], SerialInstrument]
 
 
 @dataclass(frozen=True)
 class ChamberEmulation:
-    """A dialect of emulated chambers; offered as an entry point of the group ``gyrobench.emulators``.
+    """A dialect of emulated chambers; offered as an entry point of the group ``gyrobench.emulators``."""
 
-    Attributes
-    ----------
-    make : callable
-        Makes the controller from the air that it controls and a function to call when an event
-        output changes.
-    """
-
+    #: Makes the controller from the air that it controls and a function to call when an event output changes.
     make: Callable[[ChamberAir, OnEvent], SerialInstrument]
 
 

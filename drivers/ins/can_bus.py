@@ -94,24 +94,13 @@ MAX_LENGTH = 8
 
 @dataclass(frozen=True, eq=False)
 class FrameBlock:
-    """Data frames in order of arrival.
+    """Data frames in order of arrival."""
 
-    Attributes
-    ----------
-    timestamp_s : ndarray of float64, shape (n,)
-        Time stamp of the CAN interface.
-    arbitration_id : ndarray of uint32, shape (n,)
-        Identifier, with :data:`EXTENDED_ID` set if it has 29 bits.
-    length : ndarray of uint8, shape (n,)
-        Number of data bytes, 0 to 8.
-    data : ndarray of uint8, shape (n, 8)
-        Data bytes, zero beyond the length.
-    """
-
-    timestamp_s: FloatArray
+    timestamp_s: FloatArray  #: Shape (n,). Time stamp of the CAN interface.
+    #: Shape (n,). Identifier, with :data:`EXTENDED_ID` set if it has 29 bits.
     arbitration_id: NDArray[np.uint32]
-    length: NDArray[np.uint8]
-    data: NDArray[np.uint8]
+    length: NDArray[np.uint8]  #: Shape (n,). Number of data bytes, 0 to 8.
+    data: NDArray[np.uint8]  #: Shape (n, 8). Data bytes, zero beyond the length.
 
     @classmethod
     def from_messages(cls, messages: Sequence[can.Message]) -> FrameBlock:

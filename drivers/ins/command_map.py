@@ -76,29 +76,6 @@ def _zero_vectors() -> FloatArray:
 class Compensation:
     """Numbers of a compensation, by gyro (first dimension: x, y, z), in the formula of this module.
 
-    Attributes
-    ----------
-    polynomial_dph : ndarray, shape (3, k)
-        Coefficients from degree 0 up, T in degrees Celsius.
-    low_c, high_c : ndarray, shape (3,)
-        Range of T.
-    rate_dph_per_c_per_h, rate_limit_c_per_h : ndarray, shape (3,)
-        Coefficient of dT/dt, and the largest absolute dT/dt.
-    gradient_dph_per_k : ndarray, shape (3,)
-        Coefficient of B - T.
-    difference_low_k, difference_high_k : ndarray, shape (3,)
-        Range of B - T.
-    saturating_dph_per_k, growing_dph_per_k : ndarray, shape (3, 3)
-        Vectors in body axes of each gyro: constant below the onset, and growing with falling T.
-    onset_c, onset_width_c : ndarray, shape (3,)
-        Temperature below which Up acts with B - T, and the width of the onset.
-    gravity_dph_per_g : ndarray, shape (3, 3)
-        Vector in body axes of each gyro.
-    warm_up_dph, warm_up_s : ndarray, shape (3,)
-        Value at power-on, and time constant.
-    hysteresis_dph_per_k, half_width_k : ndarray, shape (3,)
-        Coefficient of the play's distance from T, and its half width.
-
     Raises
     ------
     MeasurementError
@@ -106,21 +83,33 @@ class Compensation:
         term that is used has no width, time constant or limits.
     """
 
-    polynomial_dph: FloatArray
+    polynomial_dph: FloatArray  #: Shape (3, k). Coefficients from degree 0 up, T in degrees Celsius.
+    #: low_c, high_c: Shape (3,). Range of T.
     low_c: FloatArray
     high_c: FloatArray
+    #: rate_dph_per_c_per_h, rate_limit_c_per_h: Shape (3,). Coefficient of dT/dt, and the largest absolute
+    #: dT/dt.
     rate_dph_per_c_per_h: FloatArray = field(default_factory=_zeros)
     rate_limit_c_per_h: FloatArray = field(default_factory=_zeros)
-    gradient_dph_per_k: FloatArray = field(default_factory=_zeros)
+    gradient_dph_per_k: FloatArray = field(default_factory=_zeros)  #: Shape (3,). Coefficient of B - T.
+    #: difference_low_k, difference_high_k: Shape (3,). Range of B - T.
     difference_low_k: FloatArray = field(default_factory=_zeros)
     difference_high_k: FloatArray = field(default_factory=_zeros)
+    #: saturating_dph_per_k, growing_dph_per_k: Shape (3, 3). Vectors in body axes of each gyro: constant
+    #: below the onset, and growing with falling T.
     saturating_dph_per_k: FloatArray = field(default_factory=_zero_vectors)
     growing_dph_per_k: FloatArray = field(default_factory=_zero_vectors)
+    #: onset_c, onset_width_c: Shape (3,). Temperature below which Up acts with B - T, and the width of the
+    #: onset.
     onset_c: FloatArray = field(default_factory=_zeros)
     onset_width_c: FloatArray = field(default_factory=_zeros)
+    #: Shape (3, 3). Vector in body axes of each gyro.
     gravity_dph_per_g: FloatArray = field(default_factory=_zero_vectors)
+    #: warm_up_dph, warm_up_s: Shape (3,). Value at power-on, and time constant.
     warm_up_dph: FloatArray = field(default_factory=_zeros)
     warm_up_s: FloatArray = field(default_factory=_zeros)
+    #: hysteresis_dph_per_k, half_width_k: Shape (3,). Coefficient of the play's distance from T, and its half
+    #: width.
     hysteresis_dph_per_k: FloatArray = field(default_factory=_zeros)
     half_width_k: FloatArray = field(default_factory=_zeros)
 

@@ -28,68 +28,37 @@ _SENSORS = (*(f"{name}.{axis}" for name in _TEMPERATURES[:2] for axis in "xyz"),
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Temperatures inside the INS, degrees Celsius; NaN where the INS does not send them.
+    """Temperatures inside the INS, degrees Celsius; NaN where the INS does not send them."""
 
-    Attributes
-    ----------
-    ins_time_s : ndarray, shape (m,)
-        Time of the epoch with which they were sent.
-    optics_c, electronics_c : ndarray, shape (m, 3)
-        Of each gyro, by body axis.
-    case_c : ndarray, shape (m,)
-        Of the case.
-    spread_k : ndarray, shape (m, 7)
-        Largest difference between successive readings of a sensor since the row before: optics,
-        electronics, case; 0 for a single reading.
-    """
-
-    ins_time_s: FloatArray
+    ins_time_s: FloatArray  #: Shape (m,). Time of the epoch with which they were sent.
+    #: optics_c, electronics_c: Shape (m, 3). Of each gyro, by body axis.
     optics_c: FloatArray
     electronics_c: FloatArray
-    case_c: FloatArray
+    case_c: FloatArray  #: Shape (m,). Of the case.
+    #: Shape (m, 7). Largest difference between successive readings of a sensor since the row before: optics,
+    #: electronics, case; 0 for a single reading.
     spread_k: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class NavigationData:
-    """Output of the INS, epoch by epoch.
+    """Output of the INS, epoch by epoch."""
 
-    Attributes
-    ----------
-    ins_time_s : ndarray, shape (n,)
-        Time on the clock of the INS; increases within a segment.
-    timestamp_s : ndarray, shape (n,)
-        Time of arrival, stamped by the CAN interface.
-    row : ndarray of int64, shape (n,)
-        Row of the epoch's last frame in the block.
-    segment : ndarray of int64, shape (n,)
-        Number of restarts of the INS before.
-    velocity_enu_mps : ndarray, shape (n, 3)
-        Velocity; Up is the last value received, else NaN.
-    attitude : ndarray, shape (n, 3, 3)
-        ``C_nb``; NaN where the INS marks it invalid, and until the Euler sequence is received.
-    mode, alignment : ndarray of int8, shape (n,)
-        Last received :class:`~gyrobench.drivers.ins.readout.InsMode` and
-        :class:`~gyrobench.drivers.ins.readout.Alignment`.
-    temperatures : Temperatures
-        At separate, slower times.
-    counts : EpochCounts
-        Lost and irregular epochs.
-    short_frames : int
-        Frames with fewer bytes than in the DBC; dropped.
-    """
-
-    ins_time_s: FloatArray
-    timestamp_s: FloatArray
-    row: IntArray
-    segment: IntArray
-    velocity_enu_mps: FloatArray
+    ins_time_s: FloatArray  #: Shape (n,). Time on the clock of the INS; increases within a segment.
+    timestamp_s: FloatArray  #: Shape (n,). Time of arrival, stamped by the CAN interface.
+    row: IntArray  #: Shape (n,). Row of the epoch's last frame in the block.
+    segment: IntArray  #: Shape (n,). Number of restarts of the INS before.
+    velocity_enu_mps: FloatArray  #: Shape (n, 3). Velocity; Up is the last value received, else NaN.
+    #: Shape (n, 3, 3). ``C_nb``; NaN where the INS marks it invalid, and until the Euler sequence is
+    #: received.
     attitude: FloatArray
+    #: mode, alignment: Shape (n,). Last received :class:`~gyrobench.drivers.ins.readout.InsMode` and
+    #: :class:`~gyrobench.drivers.ins.readout.Alignment`.
     mode: NDArray[np.int8]
     alignment: NDArray[np.int8]
-    temperatures: Temperatures
-    counts: EpochCounts
-    short_frames: int
+    temperatures: Temperatures  #: At separate, slower times.
+    counts: EpochCounts  #: Lost and irregular epochs.
+    short_frames: int  #: Frames with fewer bytes than in the DBC; dropped.
 
 
 def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
@@ -156,52 +125,27 @@ _STAMP_DECIMALS = 6
 
 @dataclass(frozen=True)
 class EpochCounts:
-    """Counts of irregular epochs.
+    """Counts of irregular epochs."""
 
-    Attributes
-    ----------
-    lost : int
-        Epochs that are missing or lack a frame, without those cut off by the block's edges.
-    repeated : int
-        Epochs with the number of the epoch before; dropped.
-    late : int
-        Epochs that arrived more than two periods later than the fastest before them. Over many
-        hours the drift between the two clocks has the same effect.
-    restarts : int
-        Resets of the clock or the counter of the INS.
-    untimed : int
-        Epochs whose INS time is unknown; dropped.
-    contradicted : int
-        Additional frames of a message in an epoch with other content than the frame before.
-    """
-
-    lost: int = 0
-    repeated: int = 0
+    lost: int = 0  #: Epochs that are missing or lack a frame, without those cut off by the block's edges.
+    repeated: int = 0  #: Epochs with the number of the epoch before; dropped.
+    #: Epochs that arrived more than two periods later than the fastest before them. Over many hours the drift
+    #: between the two clocks has the same effect.
     late: int = 0
-    restarts: int = 0
-    untimed: int = 0
+    restarts: int = 0  #: Resets of the clock or the counter of the INS.
+    untimed: int = 0  #: Epochs whose INS time is unknown; dropped.
+    #: Additional frames of a message in an epoch with other content than the frame before.
     contradicted: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Epochs:
-    """Complete epochs in order of arrival.
+    """Complete epochs in order of arrival."""
 
-    Attributes
-    ----------
-    rows : ndarray, shape (n,)
-        Row of each epoch's last frame in the block.
-    arrival_s : ndarray, shape (n,)
-        Time stamp of its first navigation frame.
-    ins_time_s : ndarray, shape (n,)
-        Time on the clock of the INS.
-    segment : ndarray of int64, shape (n,)
-        Number of restarts of the INS before; times of different segments are unrelated.
-    """
-
-    rows: IntArray
-    arrival_s: FloatArray
-    ins_time_s: FloatArray
+    rows: IntArray  #: Shape (n,). Row of each epoch's last frame in the block.
+    arrival_s: FloatArray  #: Shape (n,). Time stamp of its first navigation frame.
+    ins_time_s: FloatArray  #: Shape (n,). Time on the clock of the INS.
+    #: Shape (n,). Number of restarts of the INS before; times of different segments are unrelated.
     segment: IntArray
     counts: EpochCounts
 

@@ -36,29 +36,15 @@ _FLOATS: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.
 
 @dataclass(frozen=True)
 class ResolutionLimit:
-    """How one output quantity limits the bias computed from it.
+    """How one output quantity limits the bias computed from it."""
 
-    Attributes
-    ----------
-    quantity : str
-        Path in the signal map.
-    lsb : float
-        Resolution of the quantity, in ``unit``.
-    estimate : str
-        The gyro whose bias is computed from it.
-    sigma_dph : float
-        Standard deviation of the bias if the rounding errors are independent.
-    worst_dph : float
-        Largest error of the bias by rounding.
-    """
-
-    quantity: str
+    quantity: str  #: Path in the signal map.
     signal: str
-    lsb: float
+    lsb: float  #: Resolution of the quantity, in ``unit``.
     unit: str
-    estimate: str
-    sigma_dph: float
-    worst_dph: float
+    estimate: str  #: The gyro whose bias is computed from it.
+    sigma_dph: float  #: Standard deviation of the bias if the rounding errors are independent.
+    worst_dph: float  #: Largest error of the bias by rounding.
     limit_dph: float
 
     @property

@@ -24,35 +24,23 @@ MAX_STOP_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class TableReading:
-    """All axes at one moment, in ascending order of their numbers.
-
-    Attributes
-    ----------
-    is_servoed : bool
-        Whether all axes are under servo control.
-    """
+    """All axes at one moment, in ascending order of their numbers."""
 
     position_deg: tuple[float, ...]
     rate_dps: tuple[float, ...]
-    is_servoed: bool = True
+    is_servoed: bool = True  #: Whether all axes are under servo control.
 
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """The controller's limits of one axis, which no command exceeds.
-
-    Attributes
-    ----------
-    trip_dps : float
-        Rate at which it switches the power off.
-    """
+    """The controller's limits of one axis, which no command exceeds."""
 
     rate_dps: float
     acceleration_dps2: float
     jerk_dps3: float
     low_deg: float
     high_deg: float
-    trip_dps: float
+    trip_dps: float  #: Rate at which it switches the power off.
 
 
 class RateTable(Protocol):
@@ -139,25 +127,14 @@ class NoOptions(StrictModel):
 
 @dataclass(frozen=True)
 class TableDialect(Generic[OptionsT]):
-    """One dialect; offered as an entry point of the group ``gyrobench.rate_tables``.
+    """One dialect; offered as an entry point of the group ``gyrobench.rate_tables``."""
 
-    Attributes
-    ----------
-    open : callable
-        Makes the driver from the line to the controller, the numbers of the axes in use in
-        ascending order, and the options; the driver closes the line.
-    options : type of StrictModel
-        Additional keys in the station file's section ``rate_table``.
-    line : LineDefaults
-        Usual settings of such a controller's line.
-    max_axes : int
-        Largest number of axes of such a controller.
-    """
-
+    #: Makes the driver from the line to the controller, the numbers of the axes in use in ascending order,
+    #: and the options; the driver closes the line.
     open: Callable[[SerialLine, Sequence[int], OptionsT], RateTable]
-    options: type[OptionsT]
-    line: LineDefaults = field(default_factory=LineDefaults)
-    max_axes: int = 9
+    options: type[OptionsT]  #: Additional keys in the station file's section ``rate_table``.
+    line: LineDefaults = field(default_factory=LineDefaults)  #: Usual settings of such a controller's line.
+    max_axes: int = 9  #: Largest number of axes of such a controller.
 
 
 def await_standstill(

@@ -62,22 +62,12 @@ class RecordingHeader(StrictModel):
 
 @dataclass(frozen=True)
 class Transfer:
-    """Bytes in one direction.
+    """Bytes in one direction."""
 
-    Attributes
-    ----------
-    time_s : float
-        Since the line was opened, on the recording clock.
-    is_sent : bool
-        Whether they were sent to the instrument.
-    line : int
-        Line of the file, from 1; 0 for none.
-    """
-
-    time_s: float
-    is_sent: bool
+    time_s: float  #: Since the line was opened, on the recording clock.
+    is_sent: bool  #: Whether they were sent to the instrument.
     data: bytes
-    line: int = 0
+    line: int = 0  #: Line of the file, from 1; 0 for none.
 
     def text(self) -> str:
         """The line of the file."""

@@ -90,23 +90,15 @@ class UnsupportedFaultError(Exception):
 
 @dataclass(frozen=True)
 class BenchParts:
-    """The emulated bench as faults see it.
-
-    Attributes
-    ----------
-    lines : mapping of str to FaultySerial
-        ``table`` and ``chamber`` at their ports.
-    dialects : mapping of str to str
-        Their dialects.
-    """
+    """The emulated bench as faults see it."""
 
     world: World
     table: SerialInstrument
     chamber: SerialInstrument
     ins: CanInsEmulator
-    lines: Mapping[str, FaultySerial]
+    lines: Mapping[str, FaultySerial]  #: ``table`` and ``chamber`` at their ports.
     bus: FaultyCan
-    dialects: Mapping[str, str] = field(default_factory=dict)
+    dialects: Mapping[str, str] = field(default_factory=dict)  #: Their dialects.
 
     def capable(self, name: str, capability: type[CapabilityT]) -> CapabilityT:
         """Table or chamber as an instrument with the capability that a fault needs.
@@ -126,35 +118,20 @@ class BenchParts:
 
 @dataclass(frozen=True)
 class Occurrence:
-    """One occurrence of a fault.
+    """One occurrence of a fault."""
 
-    Attributes
-    ----------
-    now_s : callable
-        The time on the bench's clock.
-    random : Generator
-        Random numbers of the entry.
-    record : callable
-        Called when the fault takes effect; only the first call of an occurrence counts.
-    """
-
-    now_s: Callable[[], float]
-    random: np.random.Generator
+    now_s: Callable[[], float]  #: The time on the bench's clock.
+    random: np.random.Generator  #: Random numbers of the entry.
+    #: Called when the fault takes effect; only the first call of an occurrence counts.
     record: Callable[[], None]
 
 
 class Fault(Timing):
-    """One entry of the list; a subclass is one kind, named by its key ``fault``.
+    """One entry of the list; a subclass is one kind, named by its key ``fault``."""
 
-    Attributes
-    ----------
-    requires : tuple of (str, type) or None
-        ``table`` or ``chamber``, and the capability that its emulator needs for this fault.
-    immediate : bool
-        Whether it takes effect when it starts; otherwise the kind itself calls ``occurrence.record``.
-    """
-
+    #: ``table`` or ``chamber``, and the capability that its emulator needs for this fault.
     requires: ClassVar[tuple[str, type] | None] = None
+    #: Whether it takes effect when it starts; otherwise the kind itself calls ``occurrence.record``.
     immediate: ClassVar[bool] = True
 
     @property

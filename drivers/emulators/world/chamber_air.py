@@ -13,47 +13,31 @@ _DOOR_TIME_CONSTANT_S = 300.0
 
 @dataclass(frozen=True)
 class ChamberParameters:
-    """Limits of the chamber, and the room around it.
+    """Limits of the chamber, and the room around it."""
 
-    Attributes
-    ----------
-    heating_limit_c_per_min, cooling_limit_c_per_min : float
-        Rate of change of the air at full power, above zero.
-    control_time_constant_s : float
-        Lag of the air behind the working set point.
-    ambient_c, ambient_time_constant_s : float
-        Room temperature, and time constant of the uncontrolled air's drift to it.
-    low_c, high_c : float
-        Temperatures that the chamber can reach.
-    """
-
+    #: heating_limit_c_per_min, cooling_limit_c_per_min: Rate of change of the air at full power, above zero.
     heating_limit_c_per_min: float = 5.0
     cooling_limit_c_per_min: float = 3.0
-    control_time_constant_s: float = 90.0
+    control_time_constant_s: float = 90.0  #: Lag of the air behind the working set point.
+    #: ambient_c, ambient_time_constant_s: Room temperature, and time constant of the uncontrolled air's drift
+    #: to it.
     ambient_c: float = 23.0
     ambient_time_constant_s: float = 5400.0
+    #: low_c, high_c: Temperatures that the chamber can reach.
     low_c: float = -60.0
     high_c: float = 100.0
 
 
 @dataclass
 class AirFaults:
-    """Active faults of the chamber.
+    """Active faults of the chamber."""
 
-    Attributes
-    ----------
-    stopped, blind : bool
-        Heater and compressor are off although the controller runs; it has no temperature reading.
-    error_c : float
-        Offset of the controlled air from its set point.
-    door_open : bool
-        The room's air comes in.
-    """
-
+    #: stopped, blind: Heater and compressor are off although the controller runs; it has no temperature
+    #: reading.
     stopped: bool = False
     blind: bool = False
-    error_c: float = 0.0
-    door_open: bool = False
+    error_c: float = 0.0  #: Offset of the controlled air from its set point.
+    door_open: bool = False  #: The room's air comes in.
 
 
 class ChamberAir:

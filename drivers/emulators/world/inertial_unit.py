@@ -49,18 +49,10 @@ class Alignment(IntEnum):
 
 @dataclass(frozen=True)
 class Epochs:
-    """Navigation output at the INS's epochs.
+    """Navigation output at the INS's epochs."""
 
-    Attributes
-    ----------
-    sample : ndarray of int64, shape (n,)
-        Sample index since the world began (time = sample / 100 s).
-    states : ndarray, shape (n, 8)
-        Quaternion body to ENU, velocity east and north, latitude, longitude.
-    """
-
-    sample: IntArray
-    states: FloatArray
+    sample: IntArray  #: Shape (n,). Sample index since the world began (time = sample / 100 s).
+    states: FloatArray  #: Shape (n, 8). Quaternion body to ENU, velocity east and north, latitude, longitude.
     mode: Mode
     alignment: Alignment
 

@@ -25,21 +25,12 @@ _DEGREES = 6
 
 @dataclass(frozen=True)
 class TriadErrors:
-    """Static errors of three sensors as polynomials in temperature, and their noise, in SI.
+    """Static errors of three sensors as polynomials in temperature, and their noise, in SI."""
 
-    Attributes
-    ----------
-    polynomials : ndarray, shape (6, 12)
-        Row d: coefficient of degree d; columns: three biases, then the error matrix by rows.
-    random_walk : float
-        Standard deviation of the integrated noise after one second.
-    pulse : float
-        Size of one output pulse; 0 for none.
-    """
-
+    #: Shape (6, 12). Row d: coefficient of degree d; columns: three biases, then the error matrix by rows.
     polynomials: FloatArray
-    random_walk: float
-    pulse: float
+    random_walk: float  #: Standard deviation of the integrated noise after one second.
+    pulse: float  #: Size of one output pulse; 0 for none.
 
     def at(self, temperature_c: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and error matrix (3, 3), each sensor at its own temperature minus reference."""

@@ -33,26 +33,18 @@ _MEMORY_S = 1.0
 
 @dataclass(frozen=True)
 class AxisParameters:
-    """Limits and errors of one axis.
-
-    Attributes
-    ----------
-    position_error_arcsec : float
-        Bound of the encoder's error: a first harmonic of the angle and a second of half its size.
-    position_error_phases_deg : tuple of float
-        Phases of the two harmonics.
-    settling_amplitude_arcsec : float
-        Overshoot after braking at the acceleration limit; proportional to deceleration.
-    """
+    """Limits and errors of one axis."""
 
     rate_limit_dps: float = 30.0
     acceleration_limit_dps2: float = 30.0
     jerk_limit_dps3: float = 60.0
     position_low_deg: float = -400.0
     position_high_deg: float = 400.0
+    #: Bound of the encoder's error: a first harmonic of the angle and a second of half its size.
     position_error_arcsec: float = 1.0
-    position_error_phases_deg: tuple[float, float] = (0.0, 0.0)
+    position_error_phases_deg: tuple[float, float] = (0.0, 0.0)  #: Phases of the two harmonics.
     settling_time_constant_s: float = 0.3
+    #: Overshoot after braking at the acceleration limit; proportional to deceleration.
     settling_amplitude_arcsec: float = 20.0
 
     @property

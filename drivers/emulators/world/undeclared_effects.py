@@ -32,32 +32,20 @@ _HOUR_S, _DAY_S = 3600.0, 86_400.0
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What the gyros are exposed to at one moment.
+    """What the gyros are exposed to at one moment."""
 
-    Attributes
-    ----------
-    time_s, since_power_on_s : float
-        Time since the start of the world, and since power-on (None while the unit is off).
-    optics_c, electronics_c : ndarray, shape (3,)
-        Temperatures of each gyro.
-    optics_rate_c_per_h : ndarray, shape (3,)
-        Change of each gyro's optics in the last second.
-    convected_w : ndarray, shape (3,)
-        The part of the heat flow from electronics to optics that depends on attitude.
-    up_body : ndarray, shape (3,)
-        Up in body axes.
-    compressor_duty : float
-        Share of the time that the chamber's compressor runs.
-    """
-
+    #: time_s, since_power_on_s: Time since the start of the world, and since power-on (None while the unit is
+    #: off).
     time_s: float
     since_power_on_s: float | None
+    #: optics_c, electronics_c: Shape (3,). Temperatures of each gyro.
     optics_c: FloatArray
     electronics_c: FloatArray
-    optics_rate_c_per_h: FloatArray
+    optics_rate_c_per_h: FloatArray  #: Shape (3,). Change of each gyro's optics in the last second.
+    #: Shape (3,). The part of the heat flow from electronics to optics that depends on attitude.
     convected_w: FloatArray
-    up_body: FloatArray
-    compressor_duty: float
+    up_body: FloatArray  #: Shape (3,). Up in body axes.
+    compressor_duty: float  #: Share of the time that the chamber's compressor runs.
 
 
 #: Called once a second in order of time: returns what an effect adds to the biases, deg/h, shape (3,).
