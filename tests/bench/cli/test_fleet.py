@@ -67,7 +67,7 @@ def test_the_outlier_of_an_emulated_batch_is_named(tmp_path):
     result = gyrobench("fleet", "batch", "--batch", "B7", "--out", "batch", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert max(map(len, result.stdout.splitlines())) <= 80
-    assert f"1 unit stands out: unit {2000 + OUTLIER} in Y gyro" in result.stdout.replace("\n", " ")
+    assert f"1 outlying unit: unit {2000 + OUTLIER} in Y gyro" in result.stdout.replace("\n", " ")
     content = json.loads((tmp_path / "batch" / "batch.json").read_text())
     assert {each["unit"] for each in content["standing_out"]} == {str(2000 + OUTLIER)}
     assert "Batch B7" in (tmp_path / "batch" / "batch.html").read_text()
