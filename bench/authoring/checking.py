@@ -35,22 +35,12 @@ class PlacedProblem:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """Kind and problems of a file.
-
-    Attributes
-    ----------
-    kind : str
-        Empty where not known.
-    text : str
-        All problems, one a line; empty for a correct file.
-    found : str
-        Summary of a correct file.
-    """
+    """Kind and problems of a file."""
 
     path: Path
-    kind: str
-    text: str = ""
-    found: str = ""
+    kind: str  #: Empty where not known.
+    text: str = ""  #: All problems, one a line; empty for a correct file.
+    found: str = ""  #: Summary of a correct file.
 
     @property
     def is_good(self) -> bool:

@@ -28,27 +28,13 @@ from gyrobench.bench.station.station_file import StationFile
 
 @dataclass(frozen=True)
 class FileKind:
-    """One kind of file.
+    """One kind of file."""
 
-    Attributes
-    ----------
-    name : str
-        Name in commands.
-    title : str
-        Title of its schema.
-    folder : str
-        Of shipped files; empty without any.
-    keys : frozenset of str
-        Top-level keys, by which it is recognised.
-    model : type or None
-        None for files that the emulators alone read.
-    """
-
-    name: str
-    title: str
-    folder: str
-    keys: frozenset[str]
-    model: type[StrictModel] | None = None
+    name: str  #: Name in commands.
+    title: str  #: Title of its schema.
+    folder: str  #: Of shipped files; empty without any.
+    keys: frozenset[str]  #: Top-level keys, by which it is recognised.
+    model: type[StrictModel] | None = None  #: None for files that the emulators alone read.
 
     @property
     def schema_name(self) -> str:

@@ -22,57 +22,40 @@ _MAX_MISSING = 0.1
 
 @dataclass(frozen=True)
 class Campaign:
-    """n dwells in the order of time, gyros in the order x, y, z.
-
-    Attributes
-    ----------
-    dwell, cycle, run : ndarray of int, shape (n,)
-        Number of the dwell, cycle of the profile, and index into ``run_names`` (power cycles).
-    position : tuple of str
-        Names of the positions.
-    up_body : ndarray, shape (n, 3)
-        Unit vector Up in body axes.
-    start_s, end_s, since_power_on_s : ndarray, shape (n,)
-        Times, and time since the last power-on at the start.
-    set_c, air_c, case_c : ndarray, shape (n,)
-        Chamber set point, chamber air, and case of the unit; NaN if not measured.
-    gyro_c, rate_c_per_h, board_c : ndarray, shape (n, 3)
-        Optics, their slope, and electronics (NaN without a sensor).
-    bias_dph, sigma_dph : ndarray, shape (n, 3)
-        Measured biases and their standard uncertainties.
-    record : TemperatureRecord
-        Temperatures of the gyros at all times, also between dwells.
-    unit : str
-        Serial number of the INS.
-    held_out : ndarray of bool, shape (n,)
-        Dwells of which not even the temperatures may influence a fit to the others.
-    without_temperatures : tuple of int
-        Dwells of the table that are left out because a gyro's temperature is missing.
-    part_of : tuple of Campaign and ndarray of bool, or None
-        The campaign including the dwells without a result, and which of its dwells these are.
-    """
+    """n dwells in the order of time, gyros in the order x, y, z."""
 
     run_names: tuple[str, ...]
-    position: tuple[str, ...]
+    position: tuple[str, ...]  #: Names of the positions.
+    #: dwell, cycle, run: Shape (n,). Number of the dwell, cycle of the profile, and index into ``run_names``
+    #: (power cycles).
     dwell: IntArray
     cycle: IntArray
     run: IntArray
-    up_body: FloatArray
+    up_body: FloatArray  #: Shape (n, 3). Unit vector Up in body axes.
+    #: start_s, end_s, since_power_on_s: Shape (n,). Times, and time since the last power-on at the start.
     start_s: FloatArray
     end_s: FloatArray
     since_power_on_s: FloatArray
+    #: set_c, air_c, case_c: Shape (n,). Chamber set point, chamber air, and case of the unit; NaN if not
+    #: measured.
     set_c: FloatArray
     air_c: FloatArray
     case_c: FloatArray
+    #: gyro_c, rate_c_per_h, board_c: Shape (n, 3). Optics, their slope, and electronics (NaN without a
+    #: sensor).
     gyro_c: FloatArray
     rate_c_per_h: FloatArray
     board_c: FloatArray
+    #: bias_dph, sigma_dph: Shape (n, 3). Measured biases and their standard uncertainties.
     bias_dph: FloatArray
     sigma_dph: FloatArray
-    record: TemperatureRecord
-    unit: str
+    record: TemperatureRecord  #: Temperatures of the gyros at all times, also between dwells.
+    unit: str  #: Serial number of the INS.
+    #: Shape (n,). Dwells of which not even the temperatures may influence a fit to the others.
     held_out: BoolArray
+    #: Dwells of the table that are left out because a gyro's temperature is missing.
     without_temperatures: tuple[int, ...] = ()
+    #: The campaign including the dwells without a result, and which of its dwells these are.
     part_of: tuple[Campaign, BoolArray] | None = None
 
     def __len__(self) -> int:

@@ -28,22 +28,13 @@ _CHI2_PRECISION = 0.05
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect as fitted.
+    """An effect as fitted."""
 
-    Attributes
-    ----------
-    effect, form : Effect, Form
-        The effect and its form.
-    values : tuple of float
-        Parameters of the form.
-    kept : ndarray of bool, shape (3, k)
-        Terms used for each gyro.
-    """
-
+    #: effect, form: The effect and its form.
     effect: Effect
     form: Form
-    values: tuple[float, ...]
-    kept: BoolArray
+    values: tuple[float, ...]  #: Parameters of the form.
+    kept: BoolArray  #: Shape (3, k). Terms used for each gyro.
 
     def columns(self, campaign: Campaign) -> FloatArray:
         """Terms (n, 3, k) in all dwells."""
@@ -65,21 +56,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """The declared model with a set of effects fitted together.
+    """The declared model with a set of effects fitted together."""
 
-    Attributes
-    ----------
-    candidates : tuple of Candidate
-        The effects; empty for the declared model alone.
-    chi2 : float
-        Sum of squared residuals in units of sigma.
-    bic : float
-        ``chi2`` plus :func:`bic_penalty` for each parameter (Schwarz); smaller is better. The difference
-        of two is twice the logarithm of the odds.
-    """
-
-    candidates: tuple[Candidate, ...]
-    chi2: float
+    candidates: tuple[Candidate, ...]  #: The effects; empty for the declared model alone.
+    chi2: float  #: Sum of squared residuals in units of sigma.
+    #: ``chi2`` plus :func:`bic_penalty` for each parameter (Schwarz); smaller is better. The difference of
+    #: two is twice the logarithm of the odds.
     bic: float
 
     @property

@@ -20,21 +20,11 @@ _COEFFICIENTS = {each.name for each in fields(Compensation)}
 
 @dataclass(frozen=True, eq=False)
 class LoadableModel:
-    """A bias model as an INS can subtract it.
+    """A bias model as an INS can subtract it."""
 
-    Attributes
-    ----------
-    compensation : Compensation
-        Limited to the temperatures, rates and differences that were fitted.
-    effects : tuple of str
-        Names of the effects in it.
-    notes : tuple of str
-        What of the model is not in it, or only in part; sentences without a period.
-    """
-
-    compensation: Compensation
-    effects: tuple[str, ...]
-    notes: tuple[str, ...]
+    compensation: Compensation  #: Limited to the temperatures, rates and differences that were fitted.
+    effects: tuple[str, ...]  #: Names of the effects in it.
+    notes: tuple[str, ...]  #: What of the model is not in it, or only in part; sentences without a period.
 
 
 def declared_model(closure: Closure) -> LoadableModel:

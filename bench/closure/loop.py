@@ -43,37 +43,18 @@ _UNITS = {"c": "degC"}
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect found in the data.
+    """An effect found in the data."""
 
-    Attributes
-    ----------
-    candidate : Candidate
-        The effect, its form and parameters.
-    sizes_dph : ndarray, shape (3, k)
-        Size of each term for each gyro; zero for terms not used.
-    axes : tuple of str
-        Gyros that show it.
-    p_value : float
-        Corrected for all candidate fits.
-    candidate_fits : int
-        Their number.
-    rms_dph : float
-        Its size in the dwells searched, without its mean.
-    gains : dict of int to float
-        Share of the chi2 of each cycle that it explains, its size fitted to the other cycles; see
-        :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
-    tied_with : tuple of str
-        Names of effects that fit equally well.
-    """
-
-    candidate: Candidate
-    sizes_dph: FloatArray
-    axes: tuple[str, ...]
-    p_value: float
-    candidate_fits: int
-    rms_dph: float
+    candidate: Candidate  #: The effect, its form and parameters.
+    sizes_dph: FloatArray  #: Shape (3, k). Size of each term for each gyro; zero for terms not used.
+    axes: tuple[str, ...]  #: Gyros that show it.
+    p_value: float  #: Corrected for all candidate fits.
+    candidate_fits: int  #: Their number.
+    rms_dph: float  #: Its size in the dwells searched, without its mean.
+    #: Share of the chi2 of each cycle that it explains, its size fitted to the other cycles; see
+    #: :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
     gains: dict[int, float]
-    tied_with: tuple[str, ...]
+    tied_with: tuple[str, ...]  #: Names of effects that fit equally well.
 
     @property
     def effect(self) -> Effect:
@@ -95,72 +76,38 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Evidence:
-    """How well one effect, alone, explains the residuals of the declared model.
+    """How well one effect, alone, explains the residuals of the declared model."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The effect.
-    missing_input : str or None
-        The input without which it was not fitted; then nothing else is known.
-    candidate : Candidate or None
-        As fitted alone; None if not significant.
-    share : float
-        Share of excess variance explained: 1 is all of the sum of squares beyond the noise. NaN if there
-        is no excess.
-    p_value : float
-        Corrected for all candidate fits.
-    log_odds_against : float
-        Twice the logarithm of the odds by which the data prefer the effects found to this one alone.
-    """
-
-    effect: Effect
+    effect: Effect  #: The effect.
+    #: The input without which it was not fitted; then nothing else is known.
     missing_input: str | None = None
-    candidate: Candidate | None = None
+    candidate: Candidate | None = None  #: As fitted alone; None if not significant.
+    #: Share of excess variance explained: 1 is all of the sum of squares beyond the noise. NaN if there is no
+    #: excess.
     share: float = 0.0
-    p_value: float = 1.0
+    p_value: float = 1.0  #: Corrected for all candidate fits.
+    #: Twice the logarithm of the odds by which the data prefer the effects found to this one alone.
     log_odds_against: float = np.nan
 
 
 @dataclass(frozen=True)
 class Closure:
-    """Outcome of a search.
+    """Outcome of a search."""
 
-    Attributes
-    ----------
-    campaign : Campaign
-        All dwells.
-    searched : ndarray of bool, shape (n,)
-        Dwells used by the search; the others are held out.
-    verdict : str
-        "clean", "explained", "ambiguous" or "unexplained".
-    effects : tuple of FoundEffect
-        Strongest first.
-    evidence : tuple of Evidence
-        Of each effect alone.
-    before, after : LackOfFit
-        Tests of the declared model, and with the effects.
-    declared, model : Solution
-        The declared model, and with the effects.
-    noise_dph : float
-        Noise of a measured bias, rms.
-    noise_scale : float
-        Ratio of the noise to the stated uncertainties.
-    error_before_dph, error_after_dph : float
-        Rms of measured minus predicted bias in the held-out dwells.
-    """
-
-    campaign: Campaign
-    searched: BoolArray
-    verdict: str
-    effects: tuple[FoundEffect, ...]
-    evidence: tuple[Evidence, ...]
+    campaign: Campaign  #: All dwells.
+    searched: BoolArray  #: Shape (n,). Dwells used by the search; the others are held out.
+    verdict: str  #: "clean", "explained", "ambiguous" or "unexplained".
+    effects: tuple[FoundEffect, ...]  #: Strongest first.
+    evidence: tuple[Evidence, ...]  #: Of each effect alone.
+    #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
+    #: declared, model: The declared model, and with the effects.
     declared: Solution
     model: Solution
-    noise_dph: float
-    noise_scale: float
+    noise_dph: float  #: Noise of a measured bias, rms.
+    noise_scale: float  #: Ratio of the noise to the stated uncertainties.
+    #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells.
     error_before_dph: float
     error_after_dph: float
 

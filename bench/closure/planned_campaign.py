@@ -25,20 +25,11 @@ _S_PER_H = 3600.0
 
 @dataclass(frozen=True)
 class PlannedUnit:
-    """Properties of a unit that determine the uncertainty of its dwells.
+    """Properties of a unit that determine the uncertainty of its dwells."""
 
-    Attributes
-    ----------
-    angle_random_walk_deg_per_sqrt_h : float
-        Angle random walk of each gyro.
-    is_noise_declared : bool
-        Whether the station declares it; otherwise it is typical.
-    has_boards, has_case : bool
-        Whether the temperatures of the electronics and of the case are measured.
-    """
-
-    angle_random_walk_deg_per_sqrt_h: float = TYPICAL_RANDOM_WALK
-    is_noise_declared: bool = False
+    angle_random_walk_deg_per_sqrt_h: float = TYPICAL_RANDOM_WALK  #: Angle random walk of each gyro.
+    is_noise_declared: bool = False  #: Whether the station declares it; otherwise it is typical.
+    #: has_boards, has_case: Whether the temperatures of the electronics and of the case are measured.
     has_boards: bool = True
     has_case: bool = True
 
@@ -163,23 +154,14 @@ _INSTANTS = 21
 
 @dataclass(frozen=True)
 class TemperatureForecast:
-    """Temperatures at equal steps of time, degC.
+    """Temperatures at equal steps of time, degC."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (m,)
-        Over the whole plan.
-    air_c, case_c, optics_c : ndarray, shape (m,)
-        Chamber air, case, and optics (equal for the three gyros).
-    electronics_c : ndarray, shape (m, 3)
-        The electronics of each gyro.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  #: Shape (m,). Over the whole plan.
+    #: air_c, case_c, optics_c: Shape (m,). Chamber air, case, and optics (equal for the three gyros).
     air_c: FloatArray
     case_c: FloatArray
     optics_c: FloatArray
-    electronics_c: FloatArray
+    electronics_c: FloatArray  #: Shape (m, 3). The electronics of each gyro.
 
     @property
     def step_s(self) -> float:

@@ -19,27 +19,14 @@ _MIN_SHARE = 1e-5
 
 @dataclass(frozen=True)
 class Problem:
-    """The dwells searched, and their residuals after a fit of the columns so far.
+    """The dwells searched, and their residuals after a fit of the columns so far."""
 
-    Attributes
-    ----------
-    campaign : Campaign
-        All n dwells.
-    searched : ndarray of bool, shape (n,)
-        The m dwells that may influence the fit.
-    noise_scale : float
-        Ratio of the noise to the stated uncertainties.
-    bases : tuple of ndarray, each of shape (m, r)
-        For each gyro, orthonormal directions of the columns so far, weighted by the noise.
-    residuals : ndarray, shape (m, 3)
-        Residuals of the measured biases, in standard deviations.
-    """
-
-    campaign: Campaign
-    searched: BoolArray
-    noise_scale: float
+    campaign: Campaign  #: All n dwells.
+    searched: BoolArray  #: Shape (n,). The m dwells that may influence the fit.
+    noise_scale: float  #: Ratio of the noise to the stated uncertainties.
+    #: Shape (m, r). For each gyro, orthonormal directions of the columns so far, weighted by the noise.
     bases: tuple[FloatArray, ...]
-    residuals: FloatArray
+    residuals: FloatArray  #: Shape (m, 3). Residuals of the measured biases, in standard deviations.
 
     @property
     def sigma_dph(self) -> FloatArray:
@@ -133,21 +120,14 @@ def declared_columns(campaign: Campaign, gyro: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Solution:
-    """A fitted bias model.
+    """A fitted bias model."""
 
-    Attributes
-    ----------
-    declared : ndarray, shape (3, DEGREE + runs)
-        Coefficients of :func:`declared_columns`, deg/h; NaN for runs that were not searched.
-    sizes : list of ndarray, each of shape (3, k)
-        Sizes of the terms of each set of columns, deg/h; zero where not kept.
-    bias_dph : ndarray, shape (n, 3)
-        The model in all dwells of the campaign.
-    """
-
+    #: Shape (3, DEGREE + runs). Coefficients of :func:`declared_columns`, deg/h; NaN for runs that were not
+    #: searched.
     declared: FloatArray
+    #: Shape (3, k). Sizes of the terms of each set of columns, deg/h; zero where not kept.
     sizes: list[FloatArray]
-    bias_dph: FloatArray
+    bias_dph: FloatArray  #: Shape (n, 3). The model in all dwells of the campaign.
 
 
 def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> Solution:

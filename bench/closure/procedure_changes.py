@@ -43,18 +43,10 @@ _OF_A_DWELL = {kind.name for kind in (GoTo, Align, Navigate, Turn, Wait)}
 
 @dataclass(frozen=True)
 class ProcedureChange:
-    """A change of a procedure.
+    """A change of a procedure."""
 
-    Attributes
-    ----------
-    what : tuple of str
-        Instructions, each a clause in the imperative: "switch the unit off ...".
-    apply : callable
-        Returns the changed steps, or None.
-    """
-
-    what: tuple[str, ...]
-    apply: Callable[[Steps], Steps | None]
+    what: tuple[str, ...]  #: Instructions, each a clause in the imperative: "switch the unit off ...".
+    apply: Callable[[Steps], Steps | None]  #: Returns the changed steps, or None.
 
 
 def _together(*changes: ProcedureChange) -> ProcedureChange:
@@ -293,27 +285,15 @@ _SENSORS = ("measure the temperature of each gyro's electronics",)
 
 @dataclass(frozen=True)
 class Advice:
-    """A change of a procedure and its benefit.
+    """A change of a procedure and its benefit."""
 
-    Attributes
-    ----------
-    what : tuple of str
-        Instructions, each a clause in the imperative; empty if no known change is sufficient.
-    added_h : float
-        Additional duration.
-    found : tuple of str
-        Effects that are found at the target size and distinguished from all others only with it.
-    pairs : tuple of (str, str)
-        Pairs that are distinguished at the target size only with it.
-    lost : tuple of (str, str)
-        Pairs that are distinguished only without it.
-    """
-
+    #: Instructions, each a clause in the imperative; empty if no known change is sufficient.
     what: tuple[str, ...]
-    added_h: float
+    added_h: float  #: Additional duration.
+    #: Effects that are found at the target size and distinguished from all others only with it.
     found: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...]
-    lost: tuple[tuple[str, str], ...] = ()
+    pairs: tuple[tuple[str, str], ...]  #: Pairs that are distinguished at the target size only with it.
+    lost: tuple[tuple[str, str], ...] = ()  #: Pairs that are distinguished only without it.
 
 
 def advise(

@@ -40,17 +40,11 @@ _WIDE = 20.0
 
 @dataclass(frozen=True)
 class Fit:
-    """A form of an effect with fixed parameters, as it can be fitted.
+    """A form of an effect with fixed parameters, as it can be fitted."""
 
-    Attributes
-    ----------
-    parameters : int
-        Number of nonlinear parameters.
-    terms : ndarray, shape (3, n, k)
-        The part of its terms for each gyro that is independent of the declared model, each of any length.
-    """
-
-    parameters: int
+    parameters: int  #: Number of nonlinear parameters.
+    #: Shape (3, n, k). The part of its terms for each gyro that is independent of the declared model, each of
+    #: any length.
     terms: FloatArray
 
     @property
@@ -66,15 +60,10 @@ class Fit:
 
 @dataclass(frozen=True)
 class AssumedEffect(Fit):
-    """An effect assumed to be present.
+    """An effect assumed to be present."""
 
-    Attributes
-    ----------
-    parts : ndarray, shape (3, n, r)
-        Parts of an effect of 1 deg/h that are independent of the declared model, in standard
-        deviations; see :func:`unit_parts`.
-    """
-
+    #: Shape (3, n, r). Parts of an effect of 1 deg/h that are independent of the declared model, in standard
+    #: deviations; see :func:`unit_parts`.
     parts: FloatArray
 
     @property
@@ -181,48 +170,29 @@ _SIZES_DPH = np.geomspace(1e-6, 10.0, 1401)
 
 @dataclass(frozen=True)
 class Detection:
-    """Size at which an effect is found.
+    """Size at which an effect is found."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The effect.
-    missing_input : str or None
-        The input without which the campaign can't show it; then the rest is infinite.
-    typical_dph, largest_dph : float
-        Smallest size found with probability :data:`POWER`, for the middle starting values of its
-        parameters and for the worst ones.
-    inflation : float
-        Variance inflation factor of its size if all other effects are fitted beside it.
-    """
-
-    effect: Effect
+    effect: Effect  #: The effect.
+    #: The input without which the campaign can't show it; then the rest is infinite.
     missing_input: str | None = None
+    #: typical_dph, largest_dph: Smallest size found with probability :data:`POWER`, for the middle starting
+    #: values of its parameters and for the worst ones.
     typical_dph: float = np.inf
     largest_dph: float = np.inf
+    #: Variance inflation factor of its size if all other effects are fitted beside it.
     inflation: float = np.inf
 
 
 @dataclass(frozen=True)
 class Separability:
-    """Which effects a campaign could find and distinguish.
+    """Which effects a campaign could find and distinguish."""
 
-    Attributes
-    ----------
-    campaign : Campaign
-        The dwells searched.
-    detections : tuple of Detection
-        One for each effect, by name.
-    distinguished_dph : dict of (str, str) to float
-        Smallest size at which the first effect, if present, is found and not mistaken for the
-        second; for all pairs of effects that the campaign can show.
-    correlation : dict of (str, str) to float
-        Largest canonical correlation of the terms of two effects for any gyro, typical values.
-    """
-
-    campaign: Campaign
-    detections: tuple[Detection, ...]
+    campaign: Campaign  #: The dwells searched.
+    detections: tuple[Detection, ...]  #: One for each effect, by name.
+    #: Smallest size at which the first effect, if present, is found and not mistaken for the second; for all
+    #: pairs of effects that the campaign can show.
     distinguished_dph: Mapping[tuple[str, str], float]
+    #: Largest canonical correlation of the terms of two effects for any gyro, typical values.
     correlation: Mapping[tuple[str, str], float]
 
     def nearest_alternative(self, name: str) -> tuple[str, float] | None:

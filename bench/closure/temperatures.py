@@ -19,21 +19,11 @@ _ITERATIONS = 3
 
 @dataclass(frozen=True)
 class TemperatureRecord:
-    """Temperatures at equal steps of time.
+    """Temperatures at equal steps of time."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (m,)
-        Equally spaced, m at least 2, on the clock of the dwells.
-    gyro_c : ndarray, shape (m, 3)
-        Temperature of each gyro's optics.
-    is_of_dwells : bool
-        Whether it was interpolated from the dwells' means and slopes.
-    """
-
-    time_s: FloatArray
-    gyro_c: FloatArray
-    is_of_dwells: bool = False
+    time_s: FloatArray  #: Shape (m,). Equally spaced, m at least 2, on the clock of the dwells.
+    gyro_c: FloatArray  #: Shape (m, 3). Temperature of each gyro's optics.
+    is_of_dwells: bool = False  #: Whether it was interpolated from the dwells' means and slopes.
 
     @property
     def step_s(self) -> float:

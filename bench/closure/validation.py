@@ -29,21 +29,11 @@ _MAX_TEMPERATURE_KNOTS = 24
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Outcome of the tests.
+    """Outcome of the tests."""
 
-    Attributes
-    ----------
-    p_noise : float
-        p-value of chi2, given the stated uncertainties.
-    p_structure : dict of str to float
-        p-value of each test for structure, by what the residuals may follow.
-    noise_ratio : float
-        Square root of chi2 over the degrees of freedom.
-    """
-
-    p_noise: float
-    p_structure: dict[str, float]
-    noise_ratio: float
+    p_noise: float  #: p-value of chi2, given the stated uncertainties.
+    p_structure: dict[str, float]  #: p-value of each test for structure, by what the residuals may follow.
+    noise_ratio: float  #: Square root of chi2 over the degrees of freedom.
 
     @property
     def p_value(self) -> float:

@@ -44,32 +44,18 @@ class Remaining:
 
 @dataclass(frozen=True)
 class Message:
-    """One message.
-
-    Attributes
-    ----------
-    why : str
-        The event in words.
-    time : datetime
-        UTC.
-    folder : Path or None
-        Run folder; None without a run.
-    procedure, unit : str
-        Name of the procedure, serial number of the INS; empty where not known.
-    ended : str
-        How the run ended: "finished", "stopped" or "failed"; empty while it has not.
-    question, answers : str, tuple of str
-        Question to the operator and the answers to choose from; empty without one.
-    """
+    """One message."""
 
     event: Event
-    why: str
+    why: str  #: The event in words.
     station: str
-    time: datetime
-    folder: Path | None = None
+    time: datetime  #: UTC.
+    folder: Path | None = None  #: Run folder; None without a run.
+    #: procedure, unit: Name of the procedure, serial number of the INS; empty where not known.
     procedure: str = ""
     unit: str = ""
-    ended: str = ""
+    ended: str = ""  #: How the run ended: "finished", "stopped" or "failed"; empty while it has not.
+    #: question, answers: Question to the operator and the answers to choose from; empty without one.
     question: str = ""
     answers: tuple[str, ...] = ()
     remaining: Remaining | None = None

@@ -37,17 +37,13 @@ _TERMS = 16
 class Site:
     """Where the bench is.
 
-    Attributes
-    ----------
-    latitude, height : float
-        Geodetic latitude in rad, height above the ellipsoid in m.
-
     Raises
     ------
     MeasurementError
         Near a pole the Earth's rotation is all but vertical: gyrocompassing fails there.
     """
 
+    #: latitude, height: Geodetic latitude in rad, height above the ellipsoid in m.
     latitude: float
     height: float = 0.0
 
@@ -66,22 +62,13 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """The error model integrated over n times.
+    """The error model integrated over n times."""
 
-    Attributes
-    ----------
-    transition : ndarray, shape (n, 6, 6)
-        State after for a state before.
-    response : ndarray, shape (n, 6, 5)
-        State after for a constant input: gyro error East, North, Up in rad/s, acceleration error
-        East, North in m/s^2.
-    covariance : ndarray, shape (n, 6, 6)
-        State after for white noise of the rates and accelerations.
-    """
-
-    transition: FloatArray
+    transition: FloatArray  #: Shape (n, 6, 6). State after for a state before.
+    #: Shape (n, 6, 5). State after for a constant input: gyro error East, North, Up in rad/s, acceleration
+    #: error East, North in m/s^2.
     response: FloatArray
-    covariance: FloatArray
+    covariance: FloatArray  #: Shape (n, 6, 6). State after for white noise of the rates and accelerations.
 
 
 def dynamics(site: Site) -> FloatArray:

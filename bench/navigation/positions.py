@@ -34,18 +34,10 @@ _DIRECTIONS = {
 
 @dataclass(frozen=True)
 class Position:
-    """One of the six positions.
+    """One of the six positions."""
 
-    Attributes
-    ----------
-    name : str
-        Key of the position in files: "z_up", "x_down", ...
-    directions : str
-        Where body x, y and z point at azimuth 0, as three letters out of E, W, N, S, U, D.
-    """
-
-    name: str
-    directions: str
+    name: str  #: Key of the position in files: "z_up", "x_down", ...
+    directions: str  #: Where body x, y and z point at azimuth 0, as three letters out of E, W, N, S, U, D.
 
     @property
     def up_axis(self) -> int:

@@ -54,26 +54,19 @@ _GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 class RotationScheme:
     """Turns of the gimbals, one after the other and then from the beginning.
 
-    Attributes
-    ----------
-    turns_deg : tuple of tuple
-        Axis and angle of each turn. The outer axis points East, the inner one Up while the outer
-        angle is zero.
-    dwell_s : float
-        Rest before each turn. With 300 s sixteen dwells last a Schuler period, and what should
-        average out resonates.
-    rate_dps : float
-        Rate of the turns.
-
     Raises
     ------
     MeasurementError
         The turns do not lead back to the angles that they began with, or a time is not above zero.
     """
 
+    #: Axis and angle of each turn. The outer axis points East, the inner one Up while the outer angle is
+    #: zero.
     turns_deg: tuple[tuple[Literal["outer", "inner"], float], ...]
+    #: Rest before each turn. With 300 s sixteen dwells last a Schuler period, and what should average out
+    #: resonates.
     dwell_s: float = 180.0
-    rate_dps: float = 10.0
+    rate_dps: float = 10.0  #: Rate of the turns.
 
     def __post_init__(self) -> None:
         if not (self.dwell_s > 0.0 and self.rate_dps > 0.0):
@@ -117,14 +110,10 @@ SIX_POSITIONS = _both_senses(
 
 @dataclass(frozen=True, eq=False)
 class PositionError:
-    """Errors of the navigation over time, from a start without error.
+    """Errors of the navigation over time, from a start without error."""
 
-    Attributes
-    ----------
-    time_s, east_m, north_m, velocity_east_mps, velocity_north_mps : ndarray, shape (n,)
-        Each at the end of a step of a minute or less.
-    """
-
+    #: time_s, east_m, north_m, velocity_east_mps, velocity_north_mps: Shape (n,). Each at the end of a step
+    #: of a minute or less.
     time_s: FloatArray
     east_m: FloatArray
     north_m: FloatArray

@@ -35,24 +35,18 @@ _PATH_STEP_DEG = 10.0
 class TwoAxisTable:
     """A two-axis table with a unit mounted on it.
 
-    Attributes
-    ----------
-    outer_axis_enu, inner_axis_enu : ndarray, shape (3,)
-        Unit vectors of the two axes with both angles at zero; positive angles turn about them.
-    C_mount : ndarray, shape (3, 3)
-        Attitude ``C_nb`` of the unit with both angles at zero.
-    outer_limits_deg, inner_limits_deg : tuple of float
-        Lowest and highest angle of each axis.
-
     Raises
     ------
     DocumentError
         The axes are no perpendicular unit vectors or ``C_mount`` is no rotation.
     """
 
+    #: outer_axis_enu, inner_axis_enu: Shape (3,). Unit vectors of the two axes with both angles at zero;
+    #: positive angles turn about them.
     outer_axis_enu: FloatArray
     inner_axis_enu: FloatArray
-    C_mount: FloatArray
+    C_mount: FloatArray  #: Shape (3, 3). Attitude ``C_nb`` of the unit with both angles at zero.
+    #: outer_limits_deg, inner_limits_deg: Lowest and highest angle of each axis.
     outer_limits_deg: tuple[float, float] = UNLIMITED
     inner_limits_deg: tuple[float, float] = UNLIMITED
 

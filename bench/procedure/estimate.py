@@ -30,29 +30,19 @@ class ThermalEstimate:
 
 @dataclass(frozen=True)
 class BenchEstimate:
-    """The expected state of the bench at one time.
-
-    Attributes
-    ----------
-    powered, aligned : bool
-        Whether the INS is on; whether it has aligned since it last moved other than by a turn.
-    position, azimuth_deg : str or None, float
-        Where the table is; None before the first go_to.
-    set_point_c, ramp_c_per_s : float or None, float
-        Set point and ramp of the chamber; None while it is off.
-    chamber_c : float
-        The ramped set point.
-    gyro_c : float
-        Temperature of the gyros.
-    """
+    """The expected state of the bench at one time."""
 
     thermal: ThermalEstimate
-    chamber_c: float
-    gyro_c: float
+    chamber_c: float  #: The ramped set point.
+    gyro_c: float  #: Temperature of the gyros.
+    #: powered, aligned: Whether the INS is on; whether it has aligned since it last moved other than by a
+    #: turn.
     powered: bool = False
     aligned: bool = False
+    #: position, azimuth_deg: Where the table is; None before the first go_to.
     position: str | None = None
     azimuth_deg: float = 0.0
+    #: set_point_c, ramp_c_per_s: Set point and ramp of the chamber; None while it is off.
     set_point_c: float | None = None
     ramp_c_per_s: float = 0.0
 

@@ -31,46 +31,27 @@ _PHASES: Mapping[type[Step], Phase] = MappingProxyType(
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """A step with its place in time.
+    """A step with its place in time."""
 
-    Attributes
-    ----------
-    number : int
-        From 1, in the order of the plan.
-    location : Location
-        Place of the step's keys in the procedure file.
-    cycle : int
-        Pass of the temperature profile: the loop variable ``cycle``, or 1.
-    plateau : str
-        "cycle 1, 60 degC".
-    start_s, duration_s : float
-        Expected, from the start of the plan.
-    before : BenchEstimate
-        Expected state of the bench at the start.
-    dwell, phase : int or None, Phase or None
-        Number of the dwell that the step belongs to, from 1, and role in it. A dwell is an alignment with
-        the navigations before, between and after the turns that follow it.
-    window : int or None
-        Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
-    is_calibration_check : bool
-        Whether its dwell verifies a calibration: one navigation straight from the alignment.
-    value_places : mapping
-        Places of the values that came from loop variables, by their keys.
-    """
-
-    number: int
-    location: Location
+    number: int  #: From 1, in the order of the plan.
+    location: Location  #: Place of the step's keys in the procedure file.
     step: Step
-    cycle: int
-    plateau: str
+    cycle: int  #: Pass of the temperature profile: the loop variable ``cycle``, or 1.
+    plateau: str  #: "cycle 1, 60 degC".
+    #: start_s, duration_s: Expected, from the start of the plan.
     start_s: float
     duration_s: float
     timeout_s: float
-    before: BenchEstimate
+    before: BenchEstimate  #: Expected state of the bench at the start.
+    #: dwell, phase: Number of the dwell that the step belongs to, from 1, and role in it. A dwell is an
+    #: alignment with the navigations before, between and after the turns that follow it.
     dwell: int | None = None
     phase: Phase | None = None
+    #: Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
     window: int | None = None
+    #: Whether its dwell verifies a calibration: one navigation straight from the alignment.
     is_calibration_check: bool = False
+    #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
 
     @property

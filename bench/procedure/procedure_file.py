@@ -259,21 +259,12 @@ class _Bound:
 
 @dataclass(frozen=True)
 class ResolvedStep:
-    """A step with values in place of variables.
+    """A step with values in place of variables."""
 
-    Attributes
-    ----------
-    location : Location
-        Place of the step's keys in the procedure file.
-    cycle : int or None
-        Loop variable ``cycle``, if there is one.
-    value_places : mapping
-        Places of the values that came from loop variables, by their keys.
-    """
-
-    location: Location
+    location: Location  #: Place of the step's keys in the procedure file.
     step: Step
-    cycle: int | None
+    cycle: int | None  #: Loop variable ``cycle``, if there is one.
+    #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[Location, Location]
 
 

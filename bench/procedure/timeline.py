@@ -19,20 +19,12 @@ _MAX_SAMPLES = 200
 
 @dataclass(frozen=True)
 class TimelineRow:
-    """Steps at one temperature of one cycle: on the way to it, or in its positions.
-
-    Attributes
-    ----------
-    what : str
-        Each different step once, with its count per dwell.
-    where : str
-        Cycle, temperature and positions in order, with azimuths other than 0.
-    """
+    """Steps at one temperature of one cycle: on the way to it, or in its positions."""
 
     start_s: float
     duration_s: float
-    what: str
-    where: str
+    what: str  #: Each different step once, with its count per dwell.
+    where: str  #: Cycle, temperature and positions in order, with azimuths other than 0.
     dwells: int
 
     @property

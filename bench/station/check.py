@@ -16,19 +16,13 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One check.
+    """One check."""
 
-    Attributes
-    ----------
-    subject, what : str
-        Instrument or part of the bench, and what was checked, in a few words.
-    found, advice : str
-        What was found, or why the check was not possible; what to do, empty if nothing.
-    """
-
+    #: subject, what: Instrument or part of the bench, and what was checked, in a few words.
     subject: str
     what: str
     verdict: Verdict
+    #: found, advice: What was found, or why the check was not possible; what to do, empty if nothing.
     found: str
     advice: str = ""
 

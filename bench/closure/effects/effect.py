@@ -15,96 +15,52 @@ from gyrobench.bench.foundations.text import plain_name
 
 @dataclass(frozen=True)
 class Parameter:
-    """A nonlinear parameter of a form, common to the three gyros.
+    """A nonlinear parameter of a form, common to the three gyros."""
 
-    Attributes
-    ----------
-    name : str
-        With its unit: "tau_s", "onset_c".
-    low, high : float
-        Bounds of the fit.
-    starts : callable
-        Starting values of the fit for a campaign; all of them are fitted.
-    is_open_end : bool
-        Whether a value at the upper bound means that the effect is another one: a time constant as long
-        as the campaign is a drift.
-    """
-
-    name: str
+    name: str  #: With its unit: "tau_s", "onset_c".
+    #: low, high: Bounds of the fit.
     low: float
     high: float
+    #: Starting values of the fit for a campaign; all of them are fitted.
     starts: Callable[[Campaign], FloatArray]
+    #: Whether a value at the upper bound means that the effect is another one: a time constant as long as the
+    #: campaign is a drift.
     is_open_end: bool = False
 
 
 @dataclass(frozen=True)
 class Form:
-    """One mathematical form of an effect.
+    """One mathematical form of an effect."""
 
-    Attributes
-    ----------
-    terms : tuple of str
-        What each term follows, with its unit.
-    columns : callable
-        Terms of a campaign at values of the parameters: shape (n, 3, k), NaN nowhere. The bias of a
-        gyro is the sum of its k terms, each times a fitted size in deg/h.
-    parameters : tuple of Parameter
-        The nonlinear ones.
-    missing_input : callable
-        The input that the form needs and a campaign does not have; None if it has all.
-    name : str
-        Distinguishes the forms of an effect; empty for a single one.
-    """
-
-    terms: tuple[str, ...]
+    terms: tuple[str, ...]  #: What each term follows, with its unit.
+    #: Terms of a campaign at values of the parameters: shape (n, 3, k), NaN nowhere. The bias of a gyro is
+    #: the sum of its k terms, each times a fitted size in deg/h.
     columns: Callable[[Campaign, tuple[float, ...]], FloatArray]
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[Parameter, ...] = ()  #: The nonlinear ones.
+    #: The input that the form needs and a campaign does not have; None if it has all.
     missing_input: Callable[[Campaign], str | None] = lambda campaign: None  # noqa: ARG005
-    name: str = ""
+    name: str = ""  #: Distinguishes the forms of an effect; empty for a single one.
 
 
 @dataclass(frozen=True)
 class FittedForm:
-    """A form as fitted to a campaign: what an effect makes the terms of the INS from.
+    """A form as fitted to a campaign: what an effect makes the terms of the INS from."""
 
-    Attributes
-    ----------
-    campaign : Campaign
-        All n dwells.
-    searched : ndarray of bool, shape (n,)
-        The dwells that were fitted.
-    form : Form
-        The form chosen.
-    values : tuple of float
-        Its parameters.
-    sizes_dph : ndarray, shape (3, k)
-        Size of each term for each gyro.
-    """
-
-    campaign: Campaign
-    searched: BoolArray
-    form: Form
-    values: tuple[float, ...]
-    sizes_dph: FloatArray
+    campaign: Campaign  #: All n dwells.
+    searched: BoolArray  #: Shape (n,). The dwells that were fitted.
+    form: Form  #: The form chosen.
+    values: tuple[float, ...]  #: Its parameters.
+    sizes_dph: FloatArray  #: Shape (3, k). Size of each term for each gyro.
 
 
 @dataclass(frozen=True)
 class InsTerms:
-    """What an INS subtracts of an effect.
+    """What an INS subtracts of an effect."""
 
-    Attributes
-    ----------
-    coefficients : mapping of str to ndarray
-        By field of :class:`gyrobench.drivers.ins.command_map.Compensation`; empty if left out.
-    left_out : str
-        Why the INS can't subtract the effect; empty if it can.
-    note : str
-        What is subtracted only in part; empty if nothing.
-    """
-
+    #: By field of :class:`gyrobench.drivers.ins.command_map.Compensation`; empty if left out.
     coefficients: Mapping[str, FloatArray] = field(default_factory=dict)
-    left_out: str = ""
-    note: str = ""
+    left_out: str = ""  #: Why the INS can't subtract the effect; empty if it can.
+    note: str = ""  #: What is subtracted only in part; empty if nothing.
 
 
 def no_ins_term(reason: str) -> Callable[[FittedForm], InsTerms]:
@@ -117,34 +73,18 @@ NO_INS_TERM = no_ins_term("the INS has no term for it")
 
 @dataclass(frozen=True)
 class Effect:
-    """A physical effect on gyro bias that the declared model lacks.
+    """A physical effect on gyro bias that the declared model lacks."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``closure.json`` and as the name of the entry point.
-    statement : str
-        What the bias does; a sentence without its period: "the bias follows ...".
-    experiment : str
-        The measurement that separates it from other effects, in the imperative without a period.
-    forms : tuple of Form
-        The candidate forms; the one that fits best counts.
-    imitated_by : tuple of str
-        Names of effects so correlated with it that they may be present in its place if a missing
-        input excludes them from the search.
-    compensation : callable
-        How the INS compensates it.
-    label : str
-        Displayed in place of the name; by default the name with spaces.
-    """
-
-    name: str
-    statement: str
+    name: str  #: As in ``closure.json`` and as the name of the entry point.
+    statement: str  #: What the bias does; a sentence without its period: "the bias follows ...".
+    #: The measurement that separates it from other effects, in the imperative without a period.
     experiment: str
-    forms: tuple[Form, ...]
+    forms: tuple[Form, ...]  #: The candidate forms; the one that fits best counts.
+    #: Names of effects so correlated with it that they may be present in its place if a missing input
+    #: excludes them from the search.
     imitated_by: tuple[str, ...] = ()
-    compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM
-    label: str = ""
+    compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
+    label: str = ""  #: Displayed in place of the name; by default the name with spaces.
 
     @property
     def display_name(self) -> str:
