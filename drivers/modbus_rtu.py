@@ -70,12 +70,8 @@ class ModbusRtu:
     def read(self, register: int, count: int = 1) -> tuple[int, ...]:
         """Read successive registers as signed 16-bit numbers.
 
-        Raises
-        ------
-        RefusedError
-            The device replied with an exception.
-        ReplyError, NoReplyError, ConnectionFailedError
-            There was no valid reply.
+        Raises RefusedError if the device replied with an exception. Raises ReplyError, NoReplyError,
+        ConnectionFailedError if there was no valid reply.
         """
         request = struct.pack(">BBHH", self._address, _READ, register, count)
         start = bytes((self._address, _READ, 2 * count))

@@ -139,13 +139,7 @@ def format_dwells(rows: Iterable[DwellRow]) -> str:
 
 
 def write_dwells(path: Path, rows: Iterable[DwellRow]) -> None:
-    """Write a dwell table.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write a dwell table. Raises RunFolderError if the file can't be written."""
     write_text(path, format_dwells(rows))
 
 
@@ -183,10 +177,7 @@ def parse_dwells(text: str, name: str) -> list[DwellRow]:
 def read_dwells(path: Path) -> list[DwellRow]:
     """Read a dwell table; see :func:`parse_dwells`.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read or is no dwell table.
+    Raises DocumentError if the file can't be read or is no dwell table.
     """
     return parse_dwells(read_text(path), str(path))
 

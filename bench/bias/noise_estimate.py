@@ -221,11 +221,7 @@ class NoiseEstimate:
 
         The velocity random walk is a cautious one: a dwell determines it coarsely, and good dwells would fail
         the test of fit where it came out small. White noise that is hidden is zero: add the resolution.
-
-        Raises
-        ------
-        MeasurementError
-            The angle random walk was not found.
+        Raises MeasurementError if the angle random walk was not found.
         """
         arw = self.angle_random_walk
         if not arw.is_found or arw.value is None:

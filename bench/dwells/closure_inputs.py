@@ -91,9 +91,6 @@ def planned_unit(station: Station) -> PlannedUnit:
 def plan_on(station: Station, document: Document) -> Plan:
     """Plan a procedure that was changed.
 
-    Raises
-    ------
-    DocumentError
-        It is not a valid procedure, or the station can't run it.
+    Raises DocumentError if it is not a valid procedure, or the station can't run it.
     """
     return station.plan(document, checked_procedure(document))

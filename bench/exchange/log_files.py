@@ -277,10 +277,7 @@ _BATCH_RECORDS = 100_000
 class RecordLog:
     """A log of binary records; an incomplete record at the end is left out, and ``truncated`` is set.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read or has no record.
+    Raises DocumentError if the file can't be read or has no record.
     """
 
     def __init__(self, path: Path, layout: RecordFormat) -> None:
@@ -300,10 +297,7 @@ class RecordLog:
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
         """Read columns batch by batch: ``numbers`` as float64, ``texts`` as text.
 
-        Raises
-        ------
-        DocumentError
-            There is no such column, or the file can't be read.
+        Raises DocumentError if there is no such column, or the file can't be read.
         """
         indices = {column: self._index(column) for column in (*numbers, *texts)}
         try:

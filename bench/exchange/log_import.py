@@ -101,10 +101,7 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
 def write_import(out: Path, imported: LogImport) -> Path:
     """Write the dwell table, and beside it a record ``NAME.import.json``; returns the record's path.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     write_dwells(out, imported.rows)
     record = out.with_name(f"{out.stem}.import.json")

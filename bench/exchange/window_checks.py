@@ -108,10 +108,7 @@ def temperature_resolution_c(windows: Sequence[Window], name: str) -> float:
 def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], log_map: LogMap) -> list[str]:
     """Warnings about the temperatures of a table.
 
-    Raises
-    ------
-    MeasurementError
-        They swing too little, or in too few steps, for a curve over temperature.
+    Raises MeasurementError if they swing too little, or in too few steps, for a curve over temperature.
     """
     if log_map.temperatures.constant_c is not None:
         return ["all rows have the constant temperature of the import map: no curve over temperature"]

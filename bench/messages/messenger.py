@@ -220,10 +220,7 @@ class Attempt:
 def send_test(station: str, text: str) -> list[Attempt]:
     """Send a test message once to each receiver of a station, by file or shipped name.
 
-    Raises
-    ------
-    DocumentError
-        The station file is wrong, or has no receivers.
+    Raises DocumentError if the station file is wrong, or has no receivers.
     """
     document, file = load_station_file(find_document("stations", station))
     if not file.messages:

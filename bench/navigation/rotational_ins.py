@@ -54,10 +54,8 @@ _GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 class RotationScheme:
     """Turns of the gimbals, one after the other and then from the beginning.
 
-    Raises
-    ------
-    MeasurementError
-        The turns do not lead back to the angles that they began with, or a time is not above zero.
+    Raises MeasurementError if the turns do not lead back to the angles that they began with, or a time is not
+    above zero.
     """
 
     #: Axis and angle of each turn. The outer axis points East, the inner one Up while the outer angle is

@@ -130,13 +130,9 @@ def read_can_log(
 ) -> Iterator[tuple[int, list[can.Message]]]:
     """Frames of a run's log in the order received, part by part: its number and its frames.
 
-    A part that was never ended, or is damaged, gives the frames before its first container that is
-    not whole; it may give none. ``numbers`` selects parts; by default all are read.
-
-    Raises
-    ------
-    RunFolderError
-        There is no log, or a part can't be read from the disk.
+    A part that was never ended, or is damaged, gives the frames before its first container that is not whole;
+    it may give none. ``numbers`` selects parts; by default all are read. Raises RunFolderError if there is no
+    log, or a part can't be read from the disk.
     """
     parts = find_parts(folder, _SUFFIX)
     if not parts:

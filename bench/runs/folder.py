@@ -19,10 +19,7 @@ def part_path(folder: Path, number: int, suffix: str) -> Path:
 def find_parts(folder: Path, suffix: str) -> dict[int, Path]:
     """Find the parts in a folder, number to path, in the order of their numbers.
 
-    Raises
-    ------
-    RunFolderError
-        The folder can't be read.
+    Raises RunFolderError if the folder can't be read.
     """
     name = re.compile(rf"part-(\d{{5,9}}){re.escape(suffix)}")
     try:
@@ -140,10 +137,7 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
 def open_run_folder(path: Path) -> RunFolder:
     """Find an existing run folder.
 
-    Raises
-    ------
-    RunFolderError
-        There is none at that path, or one of its folders is a link to elsewhere.
+    Raises RunFolderError if there is none at that path, or one of its folders is a link to elsewhere.
     """
     folder = RunFolder(path)
     for name in (

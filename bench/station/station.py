@@ -103,10 +103,7 @@ class Station:
     def dbc_path(self) -> Path:
         """The DBC file: beside the station file, or shipped with the INS driver.
 
-        Raises
-        ------
-        DocumentError
-            There is no such file.
+        Raises DocumentError if there is no such file.
         """
         name = self.file.ins.dbc
         for folder in (self.path.parent, Path(ins.__file__).parent):

@@ -169,12 +169,8 @@ def bias_from_velocity_slope(
 ) -> AxisBias:
     """Bias of the gyro that points North by the second slope of the velocity East over g.
 
-    The paper's neglect of the Schuler loop and the Earth's rotation, for comparison.
-
-    Raises
-    ------
-    MeasurementError
-        There is not one window.
+    The paper's neglect of the Schuler loop and the Earth's rotation, for comparison. Raises MeasurementError
+    if there is not one window.
     """
     window = _only_window(dwell)
     time = window.time_s - window.time_s[0]

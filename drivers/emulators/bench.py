@@ -139,11 +139,8 @@ _wall_clocks: dict[str, WallClock] = {}
 def emulated_bench(address: BenchAddress) -> EmulatedBench:
     """Find the bench of that address, or create it.
 
-    Raises
-    ------
-    DocumentError
-        The world file or the list of faults is wrong or missing, the seed is negative, no clock has
-        that name, or the bench has other dialects.
+    Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, no
+    clock has that name, or the bench has other dialects.
     """
     clock: Clock
     try:
@@ -174,10 +171,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
 def parse_address(url: str) -> tuple[str, BenchAddress]:
     """Instrument name and bench of ``emulator://instrument?clock=..&world=..`` and so on.
 
-    Raises
-    ------
-    DocumentError
-        The address has an unknown key, a seed that is not an integer, or is not a URL.
+    Raises DocumentError if the address has an unknown key, a seed that is not an integer, or is not a URL.
     """
     try:
         parts = urlsplit(url)

@@ -53,10 +53,7 @@ class CanInsEmulator:
     def use_format(self, name: str) -> None:
         """Send and receive the frames of the DBC file of that name.
 
-        Raises
-        ------
-        DocumentError
-            There is no such set of frames.
+        Raises DocumentError if there is no such set of frames.
         """
         if name not in CAN_FORMATS:
             raise DocumentError(

@@ -104,10 +104,7 @@ class ReplayScript:
     def send(self, data: bytes, now_s: float) -> None:
         """Compare what the driver sends with the recording.
 
-        Raises
-        ------
-        ReplayError
-            They differ; the message has the place in the recording and both byte strings.
+        Raises ReplayError if they differ; the message has the place in the recording and both byte strings.
         """
         # Drop a reply that the driver did not wait for, within the accuracy of recorded times.
         while (due_s := self.next_due_s) is not None and due_s <= now_s + _TOLERANCE_S:

@@ -115,10 +115,7 @@ def recording_text(header: RecordingHeader, transfers: Iterable[Transfer]) -> st
 def read_recording(path: Path) -> Recording:
     """Read a recording.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, or a line of it is wrong; the message has its place.
+    Raises DocumentError if the file can't be read, or a line of it is wrong; the message has its place.
     """
     try:
         text = read_limited(path, MAX_RECORDING_BYTES, DocumentError).decode("utf-8")

@@ -134,10 +134,7 @@ class RunIndex:
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
         """Query the index, read-only and without access to other files.
 
-        Raises
-        ------
-        DocumentError
-            The query is invalid.
+        Raises DocumentError if the query is invalid.
         """
         with self._connect(read_only=True) as connection:
             try:
@@ -356,10 +353,7 @@ def group_runs(index: RunIndex, by: Grouping, selection: Selection) -> list[dict
 def runs_in_index(root: str, index: RunIndex, selection: Selection) -> list[Path]:
     """Absolute paths of the selected runs of an index.
 
-    Raises
-    ------
-    RunFolderError
-        No run is selected, or the store is an object store, which can't be written.
+    Raises RunFolderError if no run is selected, or the store is an object store, which can't be written.
     """
     store = open_store(root)
     if not store.is_local:

@@ -86,10 +86,7 @@ class RunStore:
     def runs(self) -> Iterator[RunFiles]:
         """Find run folders in order of their paths; folders inside a run are not searched.
 
-        Raises
-        ------
-        RunFolderError
-            The root does not exist or can't be read.
+        Raises RunFolderError if the root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
             if JOURNAL in files:
@@ -105,13 +102,7 @@ class RunStore:
                 inner.update(ordered)
 
     def read(self, path: str) -> bytes:
-        """Content of a file.
-
-        Raises
-        ------
-        RunFolderError
-            It can't be read, or is too large.
-        """
+        """Content of a file. Raises RunFolderError if it can't be read, or is too large."""
         whole = f"{self.root.rstrip('/')}/{path}"
         try:
             size = self.file_system.size(whole)
@@ -151,13 +142,7 @@ class RunStore:
 
 
 def open_store(url: str) -> RunStore:
-    """Open a folder or an object store by path or URL.
-
-    Raises
-    ------
-    RunFolderError
-        The URL is not supported.
-    """
+    """Open a folder or an object store by path or URL. Raises RunFolderError if the URL is not supported."""
     url_to_fs = require("fsspec.core").url_to_fs
     try:
         file_system, root = url_to_fs(url)
