@@ -295,12 +295,7 @@ def listed_faults(folder: Path, kind: str, count: int, seed: int) -> KindTally:
         if not share:
             continue
         faults = [
-            {
-                "fault": kind,
-                "every_s": _EVERY_S * len(ways),
-                "times": max(1, round(share / len(ways))),
-                **way,
-            }
+            {"fault": kind, "every_s": _EVERY_S * len(ways), "times": max(1, round(share / len(ways))), **way}
             for way in ways
         ]
         whole.merge(

@@ -55,9 +55,7 @@ def test_the_bias_is_exact_after_a_slow_turn(position):
 @pytest.mark.parametrize("position", POSITIONS)
 def test_the_bias_is_exact_with_another_mechanisation(dwell_of, position):
     dwell = dwell_of(
-        position=position,
-        gyro_bias_dph=tuple(BIAS_DPH),
-        accelerometer_bias_mps2=tuple(ACCELEROMETER_UG * UG),
+        position=position, gyro_bias_dph=tuple(BIAS_DPH), accelerometer_bias_mps2=tuple(ACCELEROMETER_UG * UG)
     )
     assert np.abs(error_dph(dwell)).max() < EXACT_DPH
 

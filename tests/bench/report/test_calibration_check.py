@@ -126,9 +126,7 @@ def test_dwells_are_counted_regardless_of_the_number_of_their_biases():
 def test_flags_are_stated_with_their_place():
     biases, flags = verification_section([ROW, FLAGGED]).tables
     assert biases.rows[1][-1] == "flagged"
-    assert list(flags.rows) == [
-        ("dwell 5, Z-Up at 180 deg, Y gyro by velocity", "the INS left navigation"),
-    ]
+    assert list(flags.rows) == [("dwell 5, Z-Up at 180 deg, Y gyro by velocity", "the INS left navigation")]
 
 
 def test_the_text_says_what_is_in_no_uncertainty_and_what_was_assumed():

@@ -232,8 +232,7 @@ def test_what_was_not_measured_is_passed_over(missing):
 
 
 @given(
-    st.lists(st.tuples(temperatures, st.floats(-1.0, 1.0), st.floats(1e-6, 1.0)), max_size=8),
-    temperatures,
+    st.lists(st.tuples(temperatures, st.floats(-1.0, 1.0), st.floats(1e-6, 1.0)), max_size=8), temperatures
 )
 def test_any_points_give_a_certain_value_or_none(points, temperature_c):
     found = curve(points).at(temperature_c)

@@ -453,11 +453,7 @@ def test_a_command_that_cannot_be_sent_is_a_failed_connection(signal_map, codec,
 
 @pytest.mark.parametrize(
     ("interface", "channel", "options"),
-    [
-        ("no_such_interface", "x", {}),
-        ("slcan", "/dev/no-such-port", {}),
-        ("slcan", None, {}),
-    ],
+    [("no_such_interface", "x", {}), ("slcan", "/dev/no-such-port", {}), ("slcan", None, {})],
 )
 def test_a_bus_that_cannot_be_opened_is_a_failed_connection(interface, channel, options, clock):
     with pytest.raises(ConnectionFailedError, match=f"INS: can't open the CAN interface '{interface}'"):
