@@ -55,27 +55,15 @@ _ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class AllanVariance:
-    """Allan variance of one channel, pooled over segments that can't be joined.
+    """Allan variance of one channel, pooled over segments that can't be joined."""
 
-    Attributes
-    ----------
-    interval_s : float
-        Time between two samples.
-    factors : ndarray of int, shape (k,)
-        Averaging times in samples.
-    variance : ndarray, shape (k,)
-        Of the rate, (unit of the integral / s)^2; mean of each segment's second differences taken off.
-    counts : ndarray of int, shape (k,)
-        Second differences in each, of which only few are independent.
-    lengths : tuple of int
-        Samples of each segment.
-    """
-
-    interval_s: float
-    factors: IntArray
+    interval_s: float  #: Time between two samples.
+    factors: IntArray  #: Shape (k,). Averaging times in samples.
+    #: Shape (k,). Of the rate, (unit of the integral / s)^2; mean of each segment's second differences taken
+    #: off.
     variance: FloatArray
-    counts: IntArray
-    lengths: tuple[int, ...]
+    counts: IntArray  #: Shape (k,). Second differences in each, of which only few are independent.
+    lengths: tuple[int, ...]  #: Samples of each segment.
 
     @property
     def tau_s(self) -> FloatArray:
@@ -90,33 +78,17 @@ class AllanVariance:
 
 @dataclass(frozen=True, eq=False)
 class RateNoise:
-    """Noise terms fitted to an Allan variance.
+    """Noise terms fitted to an Allan variance."""
 
-    Attributes
-    ----------
-    terms : ndarray, shape (3,)
-        S^2, N^2 and K^2 of the module's formula, none below zero.
-    unbounded : ndarray, shape (3,)
-        The same where the fit may go below zero.
-    covariance : ndarray, shape (3, 3)
-        Covariance of ``unbounded``.
-    expected : ndarray, shape (k,)
-        Allan variance that ``terms`` lead to expect, less what the means of the segments take off.
-    used : ndarray of bool, shape (k,)
-        Averaging times that took part.
-    edf : ndarray, shape (k,)
-        Equivalent degrees of freedom of each averaging time.
-    excess : float
-        Relative standard deviation by which the variances miss the model beyond their
-        uncertainty; 0 where the model fits. It is in the covariance.
-    """
-
-    terms: FloatArray
-    unbounded: FloatArray
-    covariance: FloatArray
+    terms: FloatArray  #: Shape (3,). S^2, N^2 and K^2 of the module's formula, none below zero.
+    unbounded: FloatArray  #: Shape (3,). The same where the fit may go below zero.
+    covariance: FloatArray  #: Shape (3, 3). Covariance of ``unbounded``.
+    #: Shape (k,). Allan variance that ``terms`` lead to expect, less what the means of the segments take off.
     expected: FloatArray
-    used: BoolArray
-    edf: FloatArray
+    used: BoolArray  #: Shape (k,). Averaging times that took part.
+    edf: FloatArray  #: Shape (k,). Equivalent degrees of freedom of each averaging time.
+    #: Relative standard deviation by which the variances miss the model beyond their uncertainty; 0 where the
+    #: model fits. It is in the covariance.
     excess: float
 
     @property
@@ -236,10 +208,7 @@ def _squares(angle: FloatArray, factor: int) -> tuple[float, int]:
 
 
 def _solve(
-    design: FloatArray,
-    variance: FloatArray,
-    errors: FloatArray,
-    used: BoolArray,
+    design: FloatArray, variance: FloatArray, errors: FloatArray, used: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Terms not below zero, and the matrix that gives the unbounded ones from the variances."""
     weight = 1.0 / np.sqrt(errors[used])
@@ -249,12 +218,7 @@ def _solve(
     return terms / scale, np.linalg.pinv(weighted / scale) * weight / scale[:, np.newaxis]
 
 
-def _excess(
-    variance: FloatArray,
-    model: FloatArray,
-    errors: FloatArray,
-    used: BoolArray,
-) -> float:
+def _excess(variance: FloatArray, model: FloatArray, errors: FloatArray, used: BoolArray) -> float:
     """Common relative error that brings the squares of the residuals down to their number."""
     residual = ((variance - model) / model)[used] ** 2
     relative, dof = (errors / model**2)[used], np.count_nonzero(used) - _TERMS
@@ -279,18 +243,10 @@ def _check_enough(used: BoolArray, allan: AllanVariance) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Information:
-    """Expectation and covariance of Allan variances, for any noise terms.
+    """Expectation and covariance of Allan variances, for any noise terms."""
 
-    Attributes
-    ----------
-    design : ndarray, shape (k, 3)
-        Expected variance for each term of size one.
-    products : ndarray, shape (k, k, 3, 3)
-        Quadratic form of the covariance in the terms.
-    """
-
-    design: FloatArray
-    products: FloatArray
+    design: FloatArray  #: Shape (k, 3). Expected variance for each term of size one.
+    products: FloatArray  #: Shape (k, k, 3, 3). Quadratic form of the covariance in the terms.
 
     @classmethod
     def of(cls, allan: AllanVariance) -> _Information:

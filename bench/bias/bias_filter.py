@@ -35,24 +35,15 @@ from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 @dataclass(frozen=True, eq=False)
 class DwellInformation:
-    """Information of a dwell's data on its parameters, without prior knowledge.
+    """Information of a dwell's data on its parameters, without prior knowledge."""
 
-    Attributes
-    ----------
-    rows : ndarray, shape (n, p)
-        White rows with unit variance, for the unknowns of :mod:`gyrobench.bench.bias.parameters`.
-    data : ndarray, shape (n,)
-        What they are to give.
-    bias_at_mean : ndarray, shape (3, p)
-        What the gyros' biases at their mean temperatures are of the unknowns.
-    earth_rate : ndarray, shape (3,)
-        ENU, rad/s.
-    """
-
+    #: Shape (n, p). White rows with unit variance, for the unknowns of
+    #: :mod:`gyrobench.bench.bias.parameters`.
     rows: FloatArray
-    data: FloatArray
+    data: FloatArray  #: Shape (n,). What they are to give.
+    #: Shape (3, p). What the gyros' biases at their mean temperatures are of the unknowns.
     bias_at_mean: FloatArray
-    earth_rate: FloatArray
+    earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
 
     @property
     def windows(self) -> int:
@@ -62,25 +53,16 @@ class DwellInformation:
 
 @dataclass(frozen=True, eq=False)
 class StateSpaceEstimate(BiasEstimate):
-    """Gyro bias of one dwell at the mean temperature of each gyro, and what was found with it.
+    """Gyro bias of one dwell at the mean temperature of each gyro, and what was found with it."""
 
-    Attributes
-    ----------
-    accelerometer_bias, accelerometer_sigma : ndarray, shape (3,)
-        m/s^2, body axes; an axis that stays vertical is not measured and keeps its prior uncertainty.
-    fit : GoodnessOfFit
-        Whether the model explains the data.
-    steady_p_value : float
-        Probability that the biases of the windows differ at least as much, if each gyro has one bias.
-    information : DwellInformation
-        For the joint solution of several dwells.
-    """
-
+    #: accelerometer_bias, accelerometer_sigma: Shape (3,). M/s^2, body axes; an axis that stays vertical is
+    #: not measured and keeps its prior uncertainty.
     accelerometer_bias: FloatArray
     accelerometer_sigma: FloatArray
-    fit: GoodnessOfFit
+    fit: GoodnessOfFit  #: Whether the model explains the data.
+    #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
-    information: DwellInformation
+    information: DwellInformation  #: For the joint solution of several dwells.
 
 
 class BiasFilter:
@@ -321,26 +303,16 @@ def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray
 
 @dataclass(frozen=True, eq=False)
 class GoodnessOfFit:
-    """Chi-square test of the innovations.
+    """Chi-square test of the innovations."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (m,)
-        Middle of each minute on the clock of the INS.
-    residuals : ndarray, shape (m, 3)
-        Innovations of velocity East and North and of the heading summed over the minute, in
-        standard deviations of the sum; what the estimate explains is taken away.
-    chi2, dof : float, int
-        Their sum of squares weighted by their covariance, and its expectation.
-    p_value : float
-        Probability of at least this chi2 if model and noise are true.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  #: Shape (m,). Middle of each minute on the clock of the INS.
+    #: Shape (m, 3). Innovations of velocity East and North and of the heading summed over the minute, in
+    #: standard deviations of the sum; what the estimate explains is taken away.
     residuals: FloatArray
+    #: chi2, dof: Their sum of squares weighted by their covariance, and its expectation.
     chi2: float
     dof: int
-    p_value: float
+    p_value: float  #: Probability of at least this chi2 if model and noise are true.
 
     @property
     def ratio(self) -> float:
@@ -349,11 +321,7 @@ class GoodnessOfFit:
 
 
 def goodness_of_fit(
-    time_s: FloatArray,
-    sums: FloatArray,
-    responses: FloatArray,
-    unknowns: FloatArray,
-    covariance: FloatArray,
+    time_s: FloatArray, sums: FloatArray, responses: FloatArray, unknowns: FloatArray, covariance: FloatArray
 ) -> GoodnessOfFit:
     """Test the sums of innovations against an estimate made from the same data.
 

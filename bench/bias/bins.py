@@ -26,41 +26,25 @@ _MIN_WIDTH_C = 0.01
 
 @dataclass(frozen=True)
 class BiasBin:
-    """Bias of one gyro in one position and range of its own temperature.
+    """Bias of one gyro in one position and range of its own temperature."""
 
-    Attributes
-    ----------
-    gyro : str
-        "x", "y" or "z".
-    position : str
-        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    bin_low_c, bin_high_c : float
-        Range of the gyro's temperature; the upper end belongs to the next bin.
-    temperature_c, bias_dph : float
-        Means weighted by 1/sigma^2; NaN in an empty bin, as are all below but ``count``.
-    sigma_dph : float
-        Standard uncertainty of the mean from those of the dwells.
-    count : int
-        Number of dwells.
-    chi2_reduced : float
-        Spread of the dwells' biases against their uncertainties: near 1 where these explain it;
-        NaN for a single dwell.
-    spread_p_value : float
-        Probability of a spread at least as large from these uncertainties alone.
-    paper_bias_dph, paper_sigma_dph : float
-        The mean by the paper's method, over the dwells that it applies to; NaN where there are none.
-    """
-
-    gyro: str
-    position: str
+    gyro: str  #: "x", "y" or "z".
+    position: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+    #: bin_low_c, bin_high_c: Range of the gyro's temperature; the upper end belongs to the next bin.
     bin_low_c: float
     bin_high_c: float
+    #: temperature_c, bias_dph: Means weighted by 1/sigma^2; NaN in an empty bin, as are all below but
+    #: ``count``.
     temperature_c: float
     bias_dph: float
-    sigma_dph: float
-    count: int
+    sigma_dph: float  #: Standard uncertainty of the mean from those of the dwells.
+    count: int  #: Number of dwells.
+    #: Spread of the dwells' biases against their uncertainties: near 1 where these explain it; NaN for a
+    #: single dwell.
     chi2_reduced: float
-    spread_p_value: float
+    spread_p_value: float  #: Probability of a spread at least as large from these uncertainties alone.
+    #: paper_bias_dph, paper_sigma_dph: The mean by the paper's method, over the dwells that it applies to;
+    #: NaN where there are none.
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
 
@@ -230,39 +214,23 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
 
 @dataclass(frozen=True)
 class PositionComparison:
-    """Positions compared for one gyro in one temperature bin.
+    """Positions compared for one gyro in one temperature bin."""
 
-    Attributes
-    ----------
-    gyro : str
-        "x", "y" or "z".
-    bin_low_c, bin_high_c : float
-        Range of the gyro's temperature.
-    positions : tuple of str
-        Those measured in this bin, two or more.
-    bias_dph : float
-        Weighted mean over the positions.
-    p_value : float
-        Probability of differences at least as large if the positions were equal: the chi-square
-        test of homogeneity with ``len(positions) - 1`` degrees of freedom.
-    largest_pair : tuple of str
-        The two positions that differ most, the higher bias first.
-    largest_difference_dph, largest_difference_sigma_dph : float
-        By how much, and its standard uncertainty.
-    temperature_spread_c : float
-        Largest difference of the positions' mean temperatures inside the bin. The test takes no
-        account of it: the bias's own slope times this can pass for a difference of positions.
-    """
-
-    gyro: str
+    gyro: str  #: "x", "y" or "z".
+    #: bin_low_c, bin_high_c: Range of the gyro's temperature.
     bin_low_c: float
     bin_high_c: float
-    positions: tuple[str, ...]
-    bias_dph: float
+    positions: tuple[str, ...]  #: Those measured in this bin, two or more.
+    bias_dph: float  #: Weighted mean over the positions.
+    #: Probability of differences at least as large if the positions were equal: the chi-square test of
+    #: homogeneity with ``len(positions) - 1`` degrees of freedom.
     p_value: float
-    largest_pair: tuple[str, str]
+    largest_pair: tuple[str, str]  #: The two positions that differ most, the higher bias first.
+    #: largest_difference_dph, largest_difference_sigma_dph: By how much, and its standard uncertainty.
     largest_difference_dph: float
     largest_difference_sigma_dph: float
+    #: Largest difference of the positions' mean temperatures inside the bin. The test takes no account of it:
+    #: the bias's own slope times this can pass for a difference of positions.
     temperature_spread_c: float
 
 

@@ -35,27 +35,16 @@ def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
 class NavigationWindow:
     """Output of the INS while the table holds its position.
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Time of each epoch on the clock of the INS, increasing.
-    velocity_enu_mps : ndarray, shape (n, 3)
-        Velocity East, North, Up; at rest all of it is error.
-    C_nb : ndarray, shape (n, 3, 3)
-        Attitude that the INS computed.
-    gyro_c : ndarray, shape (n, 3), optional
-        Temperature of each gyro at each epoch.
-
     Raises
     ------
     MeasurementError
         Too few epochs or too short a time, a gap, times that do not increase, not a number.
     """
 
-    time_s: FloatArray
-    velocity_enu_mps: FloatArray
-    C_nb: FloatArray
-    gyro_c: FloatArray | None = None
+    time_s: FloatArray  #: Shape (n,). Time of each epoch on the clock of the INS, increasing.
+    velocity_enu_mps: FloatArray  #: Shape (n, 3). Velocity East, North, Up; at rest all of it is error.
+    C_nb: FloatArray  #: Shape (n, 3, 3). Attitude that the INS computed.
+    gyro_c: FloatArray | None = None  #: Shape (n, 3), optional. Temperature of each gyro at each epoch.
 
     def __post_init__(self) -> None:
         count = len(self.time_s)
@@ -96,18 +85,11 @@ class NavigationWindow:
 
 @dataclass(frozen=True, eq=False)
 class TurnPath:
-    """Rotation from one window to the next, as the table reports it.
+    """Rotation from one window to the next, as the table reports it."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        Times on the clock of the INS; before the first and after the last one the unit rests.
-    C_nb : ndarray, shape (k, 3, 3)
-        Attitude at each of them.
-    """
-
+    #: Shape (k,). Times on the clock of the INS; before the first and after the last one the unit rests.
     time_s: FloatArray
-    C_nb: FloatArray
+    C_nb: FloatArray  #: Shape (k, 3, 3). Attitude at each of them.
 
     @classmethod
     def steady(cls, begin_s: float, end_s: float, C_nb: FloatArray) -> TurnPath:
@@ -119,30 +101,19 @@ class TurnPath:
 class Dwell:
     """Navigation in one position, with turns about the vertical between segments at rest.
 
-    Attributes
-    ----------
-    position_name : str
-        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    azimuth_rad : float
-        Azimuth of the position before the first turn; 0 in the paper.
-    windows : tuple of NavigationWindow
-        Output of the INS at rest, on one clock, without realignment in between; the paper has two.
-    C_nb_table : tuple of ndarray, shape (3, 3)
-        Attitude of the unit in each window, as the table reports it.
-    turns : tuple of TurnPath
-        From each window to the next.
-
     Raises
     ------
     MeasurementError
         Unknown position, windows out of order, or an INS whose attitude is not the table's.
     """
 
-    position_name: str
-    azimuth_rad: float
+    position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+    azimuth_rad: float  #: Azimuth of the position before the first turn; 0 in the paper.
+    #: Output of the INS at rest, on one clock, without realignment in between; the paper has two.
     windows: tuple[NavigationWindow, ...]
+    #: Shape (3, 3). Attitude of the unit in each window, as the table reports it.
     C_nb_table: tuple[FloatArray, ...]
-    turns: tuple[TurnPath, ...]
+    turns: tuple[TurnPath, ...]  #: From each window to the next.
 
     def __post_init__(self) -> None:
         if self.position_name not in POSITIONS:
@@ -194,18 +165,10 @@ class Dwell:
 
 @dataclass(frozen=True, eq=False)
 class BiasEstimate:
-    """Gyro bias of one dwell.
+    """Gyro bias of one dwell."""
 
-    Attributes
-    ----------
-    bias_radps : ndarray, shape (3,)
-        Bias of the x, y and z gyro.
-    covariance : ndarray, shape (3, 3)
-        Its covariance, (rad/s)^2.
-    """
-
-    bias_radps: FloatArray
-    covariance: FloatArray
+    bias_radps: FloatArray  #: Shape (3,). Bias of the x, y and z gyro.
+    covariance: FloatArray  #: Shape (3, 3). Its covariance, (rad/s)^2.
 
     @property
     def bias_dph(self) -> FloatArray:

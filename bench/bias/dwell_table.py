@@ -59,68 +59,46 @@ NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True)
 class DwellRow:
-    """One position at one temperature; fields of three values are those of the x, y and z gyro.
+    """One position at one temperature; fields of three values are those of the x, y and z gyro."""
 
-    Attributes
-    ----------
-    unit, run : str
-        Serial number of the INS, and one value per power-on.
-    dwell : int
-        Number unique in the table, in time order.
-    cycle : int
-        Which pass of the temperature profile.
-    position : str
-        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    start_s, end_s : float
-        Time on one clock for the whole table.
-    since_power_on_s : float
-        At the start of the dwell.
-    gyro_c, gyro_rate_c_per_h : tuple of float
-        Mean temperature of each gyro's optics, and its slope.
-    bias_dph, sigma_dph : tuple of float
-        Measured bias in body axes, and its standard uncertainty; by the state-space estimator
-        where the bench measured it.
-    azimuth_deg : float
-        Azimuth at the start of the dwell; NaN where not known.
-    chamber_set_c, chamber_c, case_c : float
-        Mean temperatures; NaN where not measured.
-    board_c : tuple of float
-        Mean temperature of each gyro's electronics; NaN where there is no sensor.
-    paper_bias_dph, paper_sigma_dph : tuple of float
-        The same by the paper's method; NaN where that does not apply.
-    accelerometer_ug, accelerometer_sigma_ug : tuple of float
-        Biases of the accelerometers and their standard uncertainties, ug; NaN where not known. That
-        of the vertical one keeps the uncertainty of prior knowledge.
-    fit_ratio, fit_p_value : float
-        See :class:`gyrobench.bench.bias.bias_filter.GoodnessOfFit`; NaN where not known.
-    flags : str
-        What was wrong with the dwell; empty where nothing was. A dwell with flags may be without
-        result: NaN for its biases, their uncertainties and the gyros' temperatures.
-    """
-
+    #: unit, run: Serial number of the INS, and one value per power-on.
     unit: str
     run: str
-    dwell: int
-    cycle: int
-    position: str
+    dwell: int  #: Number unique in the table, in time order.
+    cycle: int  #: Which pass of the temperature profile.
+    position: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+    #: start_s, end_s: Time on one clock for the whole table.
     start_s: float
     end_s: float
-    since_power_on_s: float
+    since_power_on_s: float  #: At the start of the dwell.
+    #: gyro_c, gyro_rate_c_per_h: Mean temperature of each gyro's optics, and its slope.
     gyro_c: Triple
     gyro_rate_c_per_h: Triple
+    #: bias_dph, sigma_dph: Measured bias in body axes, and its standard uncertainty; by the state-space
+    #: estimator where the bench measured it.
     bias_dph: Triple
     sigma_dph: Triple
-    azimuth_deg: float = math.nan
+    azimuth_deg: float = math.nan  #: Azimuth at the start of the dwell; NaN where not known.
+    #: chamber_set_c, chamber_c, case_c: Mean temperatures; NaN where not measured.
     chamber_set_c: float = math.nan
     chamber_c: float = math.nan
     case_c: float = math.nan
+    #: Mean temperature of each gyro's electronics; NaN where there is no sensor.
     board_c: Triple = NOT_MEASURED
+    #: paper_bias_dph, paper_sigma_dph: The same by the paper's method; NaN where that does not apply.
     paper_bias_dph: Triple = NOT_MEASURED
     paper_sigma_dph: Triple = NOT_MEASURED
+    #: accelerometer_ug, accelerometer_sigma_ug: Biases of the accelerometers and their standard
+    #: uncertainties, ug; NaN where not known. That of the vertical one keeps the uncertainty of prior
+    #: knowledge.
     accelerometer_ug: Triple = NOT_MEASURED
     accelerometer_sigma_ug: Triple = NOT_MEASURED
+    #: fit_ratio, fit_p_value: See :class:`gyrobench.bench.bias.bias_filter.GoodnessOfFit`; NaN where not
+    #: known.
     fit_ratio: float = math.nan
     fit_p_value: float = math.nan
+    #: What was wrong with the dwell; empty where nothing was. A dwell with flags may be without result: NaN
+    #: for its biases, their uncertainties and the gyros' temperatures.
     flags: str = ""
 
 

@@ -55,20 +55,13 @@ _MIN_P_VALUE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DwellRows:
-    """Information of one dwell on the joint problem.
+    """Information of one dwell on the joint problem."""
 
-    Attributes
-    ----------
-    rows, data : ndarray, shape (n, 17), (n,)
-        White rows for biases at mean temperatures, accelerometer biases as they seem in this
-        position, rates North and Up, and gyro error matrix.
-    position : Position
-        Which body axis was vertical.
-    """
-
+    #: rows, data: Shape (n, 17), (n,). White rows for biases at mean temperatures, accelerometer biases as
+    #: they seem in this position, rates North and Up, and gyro error matrix.
     rows: FloatArray
     data: FloatArray
-    position: Position
+    position: Position  #: Which body axis was vertical.
 
     @classmethod
     def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> DwellRows:
@@ -103,18 +96,13 @@ class DwellRows:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """Solution of the joint problem.
+    """Solution of the joint problem."""
 
-    Attributes
-    ----------
-    unknowns, covariance : ndarray, shape (23 + 3 m,), (23 + 3 m, 23 + 3 m)
-        Shared unknowns, then the biases of each of the m dwells.
-    chi2, dof, p_value : float, int, float
-        Test that the dwells agree on what they share.
-    """
-
+    #: unknowns, covariance: Shape (23 + 3 m,), (23 + 3 m, 23 + 3 m). Shared unknowns, then the biases of each
+    #: of the m dwells.
     unknowns: FloatArray
     covariance: FloatArray
+    #: chi2, dof, p_value: Test that the dwells agree on what they share.
     chi2: float
     dof: int
     p_value: float
@@ -169,33 +157,16 @@ def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class JointDwell:
-    """One dwell for a joint solution.
+    """One dwell for a joint solution."""
 
-    Attributes
-    ----------
-    number : int
-        Of the dwell; no two dwells of a run have the same.
-    position_name : str
-        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    information : DwellInformation
-        From its own estimate.
-    cycle : int
-        Cycle of the temperature profile.
-    chamber_set_c : float
-        Set point of the chamber; NaN where there is none.
-    gyro_c : tuple of float
-        Mean temperature of each gyro; NaN where not measured.
-    run : str
-        Power cycle of the INS.
-    """
-
-    number: int
-    position_name: str
-    information: DwellInformation
-    cycle: int = 1
-    chamber_set_c: float = math.nan
+    number: int  #: Of the dwell; no two dwells of a run have the same.
+    position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
+    information: DwellInformation  #: From its own estimate.
+    cycle: int = 1  #: Cycle of the temperature profile.
+    chamber_set_c: float = math.nan  #: Set point of the chamber; NaN where there is none.
+    #: Mean temperature of each gyro; NaN where not measured.
     gyro_c: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    run: str = ""
+    run: str = ""  #: Power cycle of the INS.
 
     @property
     def position(self) -> Position:
@@ -205,18 +176,10 @@ class JointDwell:
 
 @dataclass(frozen=True, eq=False)
 class JointBiases:
-    """Gyro biases of m dwells.
+    """Gyro biases of m dwells."""
 
-    Attributes
-    ----------
-    bias_radps : ndarray, shape (m, 3)
-        Bias of the x, y and z gyro in each dwell.
-    covariance : ndarray, shape (3 m, 3 m)
-        Dwell by dwell, (rad/s)^2.
-    """
-
-    bias_radps: FloatArray
-    covariance: FloatArray
+    bias_radps: FloatArray  #: Shape (m, 3). Bias of the x, y and z gyro in each dwell.
+    covariance: FloatArray  #: Shape (3 m, 3 m). Dwell by dwell, (rad/s)^2.
 
     @property
     def sigma_radps(self) -> FloatArray:
@@ -234,31 +197,20 @@ class JointSolution:
     """Joint solution of the dwells of one plateau, SI.
 
     A shared quantity that the data do not determine keeps its prior uncertainty.
-
-    Attributes
-    ----------
-    dwells : tuple of JointDwell
-        The m dwells.
-    single, together, north_free : JointBiases
-        Each dwell by itself; with the latitude as declared; with any rate North, where uncertainties
-        of vertical gyros leave a rate Up out.
-    fit, north_free_fit : JointFit
-        Of the last two. If the dwells agree (``p_value``) in the second alone, the latitude is wrong
-        by more than declared; if in neither, they do not share what they are meant to.
-    pairs : VerticalPairs
-        Half-differences of the vertical gyros.
-    up_rate : UpRate
-        The rate Up by these dwells alone.
     """
 
-    dwells: tuple[JointDwell, ...]
+    dwells: tuple[JointDwell, ...]  #: The m dwells.
+    #: single, together, north_free: Each dwell by itself; with the latitude as declared; with any rate North,
+    #: where uncertainties of vertical gyros leave a rate Up out.
     single: JointBiases
     together: JointBiases
     north_free: JointBiases
+    #: fit, north_free_fit: Of the last two. If the dwells agree (``p_value``) in the second alone, the
+    #: latitude is wrong by more than declared; if in neither, they do not share what they are meant to.
     fit: JointFit
     north_free_fit: JointFit
-    pairs: VerticalPairs
-    up_rate: UpRate
+    pairs: VerticalPairs  #: Half-differences of the vertical gyros.
+    up_rate: UpRate  #: The rate Up by these dwells alone.
 
     @property
     def agrees(self) -> bool:

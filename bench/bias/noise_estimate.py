@@ -64,21 +64,13 @@ _ARITHMETIC = 1e-11
 
 @dataclass(frozen=True)
 class NoiseParameter:
-    """A noise parameter, as the square in which it is estimated.
+    """A noise parameter, as the square in which it is estimated."""
 
-    Attributes
-    ----------
-    square : float or None
-        The parameter's square; None where the resolution hides it.
-    square_sigma : float
-        Standard uncertainty of the square, which scatters evenly about the truth; a small one may
-        come out below zero.
-    limit : float or None
-        The parameter is below this with a confidence of 95 %; None where nothing is known.
-    """
-
-    square: float | None
+    square: float | None  #: The parameter's square; None where the resolution hides it.
+    #: Standard uncertainty of the square, which scatters evenly about the truth; a small one may come out
+    #: below zero.
     square_sigma: float = 0.0
+    #: The parameter is below this with a confidence of 95 %; None where nothing is known.
     limit: float | None = None
 
     @classmethod
@@ -124,22 +116,13 @@ class NoiseParameter:
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """Allan variance of one rate, and what was fitted to it.
+    """Allan variance of one rate, and what was fitted to it."""
 
-    Attributes
-    ----------
-    allan : AllanVariance
-        Of the rate (rad/s) or acceleration (m/s^2), from samples with independent rounding errors;
-        from all where the resolution hides the noise.
-    step : float
-        Resolution of the output, as it shows in the data, rad or m/s; 0 if it never changes.
-    fit : RateNoise or None
-        None where the resolution hides the noise.
-    """
-
+    #: Of the rate (rad/s) or acceleration (m/s^2), from samples with independent rounding errors; from all
+    #: where the resolution hides the noise.
     allan: AllanVariance
-    step: float
-    fit: RateNoise | None
+    step: float  #: Resolution of the output, as it shows in the data, rad or m/s; 0 if it never changes.
+    fit: RateNoise | None  #: None where the resolution hides the noise.
 
     @property
     def is_seen(self) -> BoolArray:
@@ -158,30 +141,14 @@ class ChannelNoise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseEstimate:
-    """Noise of an INS from its output at rest; all in SI.
+    """Noise of an INS from its output at rest; all in SI."""
 
-    Attributes
-    ----------
-    gyros : tuple of ChannelNoise
-        Rates of the x, y and z gyro.
-    all_gyros : ChannelNoise
-        The three pooled.
-    heading : ChannelNoise
-        Rate about Up, by the attitude output.
-    acceleration : ChannelNoise
-        Horizontal accelerations, both directions pooled.
-    gravity : float
-        Gravity, m/s^2.
-    duration_s : float
-        Length of all windows together.
-    """
-
-    gyros: tuple[ChannelNoise, ChannelNoise, ChannelNoise]
-    all_gyros: ChannelNoise
-    heading: ChannelNoise
-    acceleration: ChannelNoise
-    gravity: float
-    duration_s: float
+    gyros: tuple[ChannelNoise, ChannelNoise, ChannelNoise]  #: Rates of the x, y and z gyro.
+    all_gyros: ChannelNoise  #: The three pooled.
+    heading: ChannelNoise  #: Rate about Up, by the attitude output.
+    acceleration: ChannelNoise  #: Horizontal accelerations, both directions pooled.
+    gravity: float  #: Gravity, m/s^2.
+    duration_s: float  #: Length of all windows together.
 
     @property
     def angle_random_walks(self) -> tuple[NoiseParameter, ...]:
@@ -239,25 +206,14 @@ class NoiseEstimate:
 
 @dataclass(frozen=True)
 class NoiseComparison:
-    """A measured noise parameter beside the declared one.
+    """A measured noise parameter beside the declared one."""
 
-    Attributes
-    ----------
-    name, unit : str
-        For people.
-    measured : NoiseParameter
-        In SI.
-    declared : float
-        In SI.
-    unit_si : float
-        Size of the unit in SI.
-    """
-
+    #: name, unit: For people.
     name: str
     unit: str
-    measured: NoiseParameter
-    declared: float
-    unit_si: float
+    measured: NoiseParameter  #: In SI.
+    declared: float  #: In SI.
+    unit_si: float  #: Size of the unit in SI.
 
     @property
     def ratio(self) -> float | None:

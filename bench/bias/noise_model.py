@@ -26,27 +26,16 @@ from gyrobench.bench.navigation.earth import MEAN_RADIUS
 class NoiseModel:
     """Declared noise of the INS, the same for all axes.
 
-    Attributes
-    ----------
-    angle_random_walk : float
-        White noise of the gyro rates, rad/sqrt(s); above zero.
-    velocity_random_walk : float
-        White noise of the accelerations, m/s/sqrt(s).
-    velocity_white : float
-        Noise of each velocity output, independent from epoch to epoch, m/s.
-    heading_white : float
-        The same of the attitude outputs, rad.
-
     Raises
     ------
     DocumentError
         A value is out of range.
     """
 
-    angle_random_walk: float
-    velocity_random_walk: float = 0.0
-    velocity_white: float = 0.0
-    heading_white: float = 0.0
+    angle_random_walk: float  #: White noise of the gyro rates, rad/sqrt(s); above zero.
+    velocity_random_walk: float = 0.0  #: White noise of the accelerations, m/s/sqrt(s).
+    velocity_white: float = 0.0  #: Noise of each velocity output, independent from epoch to epoch, m/s.
+    heading_white: float = 0.0  #: The same of the attitude outputs, rad.
 
     def __post_init__(self) -> None:
         for field in fields(self):

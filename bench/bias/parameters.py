@@ -94,37 +94,25 @@ class PriorKnowledge:
 
     Each enters the estimate as a parameter of this size, so the bias's uncertainty includes it.
 
-    Attributes
-    ----------
-    accelerometer_bias : float
-        m/s^2; so large that the data decide.
-    accelerometer_drift : float
-        Change of an accelerometer's bias in a dwell, m/s^3.
-    gyro_scale_factor, gyro_misalignment : float
-        Errors of the gyros in the turn and to the Earth's rotation, 1 and rad.
-    tilt_step : float
-        How far the sensors may tilt on their mount in a turn, rad.
-    latitude : float
-        Error of the latitude that the INS uses, rad.
-    bias_slope : float
-        Change of a gyro's bias with its temperature within a dwell, rad/s/K.
-    accelerometer_misalignment : float
-        rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable
-        only in a solution of several dwells.
-
     Raises
     ------
     DocumentError
         A value is negative or not a number.
     """
 
-    accelerometer_bias: float = 1000.0 * UG_TO_MPS2
+    accelerometer_bias: float = 1000.0 * UG_TO_MPS2  #: m/s^2; so large that the data decide.
+    #: gyro_scale_factor, gyro_misalignment: Errors of the gyros in the turn and to the Earth's rotation, 1
+    #: and rad.
     gyro_scale_factor: float = 5e-6
     gyro_misalignment: float = 2.0 * _ARCSEC
-    tilt_step: float = 1.0 * _ARCSEC
-    latitude: float = 0.02 * _ARCMIN
+    tilt_step: float = 1.0 * _ARCSEC  #: How far the sensors may tilt on their mount in a turn, rad.
+    latitude: float = 0.02 * _ARCMIN  #: Error of the latitude that the INS uses, rad.
+    #: Change of a gyro's bias with its temperature within a dwell, rad/s/K.
     bias_slope: float = 0.001 * DPH_TO_RADPS
+    #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
+    #: solution of several dwells.
     accelerometer_misalignment: float = 5.0 * _ARCSEC
+    #: Change of an accelerometer's bias in a dwell, m/s^3.
     accelerometer_drift: float = 2.0 * UG_TO_MPS2 / 3600.0
 
     def __post_init__(self) -> None:

@@ -51,23 +51,14 @@ _Member = TypeVar("_Member", bound=PlateauMember)
 
 @dataclass(frozen=True)
 class PlannedDwell:
-    """A dwell that a run is to measure.
+    """A dwell that a run is to measure."""
 
-    Attributes
-    ----------
-    dwell, cycle, position
-        As in :class:`gyrobench.bench.bias.dwell_table.DwellRow`.
-    chamber_set_c : float
-        Set point of the chamber; NaN where nothing sets it.
-    gyro_c : tuple of float
-        Expected temperatures of the gyros; NaN where not known.
-    """
-
+    #: dwell, cycle, position: As in :class:`gyrobench.bench.bias.dwell_table.DwellRow`.
     dwell: int
     cycle: int
     position: str
-    chamber_set_c: float
-    gyro_c: tuple[float, float, float]
+    chamber_set_c: float  #: Set point of the chamber; NaN where nothing sets it.
+    gyro_c: tuple[float, float, float]  #: Expected temperatures of the gyros; NaN where not known.
     run: str = ""
 
 

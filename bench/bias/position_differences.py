@@ -39,17 +39,11 @@ _POWERS = np.arange(1, 4)
 
 @dataclass(frozen=True, eq=False)
 class CubicBiasCurve:
-    """Bias of a gyro over its temperature, without its constant.
+    """Bias of a gyro over its temperature, without its constant."""
 
-    Attributes
-    ----------
-    reference_c : float
-        Temperature at which it is zero.
-    coefficients, covariance : ndarray, shapes (3,) and (3, 3)
-        Of the powers 1 to 3 of the temperature above the reference, in units of 50 K; deg/h.
-    """
-
-    reference_c: float
+    reference_c: float  #: Temperature at which it is zero.
+    #: coefficients, covariance: Shape (3,) and (3, 3). Of the powers 1 to 3 of the temperature above the
+    #: reference, in units of 50 K; deg/h.
     coefficients: FloatArray
     covariance: FloatArray
 
@@ -71,21 +65,11 @@ class Difference:
 
 @dataclass(frozen=True)
 class PositionDifferences:
-    """Differences between all positions of one plateau, over one or more passes.
+    """Differences between all positions of one plateau, over one or more passes."""
 
-    Attributes
-    ----------
-    temperature_c : float
-        Mean of the gyro.
-    differences : tuple of Difference
-        Of every pair that met in one pass, in both orders.
-    p_value : float
-        Probability of passes that disagree at least as much by chance; NaN for a single one.
-    """
-
-    temperature_c: float
-    differences: tuple[Difference, ...]
-    p_value: float
+    temperature_c: float  #: Mean of the gyro.
+    differences: tuple[Difference, ...]  #: Of every pair that met in one pass, in both orders.
+    p_value: float  #: Probability of passes that disagree at least as much by chance; NaN for a single one.
 
 
 def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:

@@ -23,13 +23,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.stats import norm
 
-from gyrobench.bench.bias.allan import (
-    RANDOM_WALK,
-    WHITE_ANGLE,
-    RateNoise,
-    allan_variance,
-    fit_rate_noise,
-)
+from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, RateNoise, allan_variance, fit_rate_noise
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -58,25 +52,17 @@ _IQR_TO_SIGMA = 1.0 / 1.349
 class RateRecording:
     """Output of the inertial sensors at rest, in body axes.
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Increasing.
-    rate_radps : ndarray, shape (n, 3)
-        Mean angular rate since the sample before. A coarse output must carry over what it rounds
-        off, as counted pulses do, or its noise must exceed the rounding.
-    specific_force_mps2 : ndarray, shape (n, 3), optional
-        For the vertical.
-
     Raises
     ------
     MeasurementError
         Not a number, times that do not increase, a gap, too short, a gyro that never changes, motion.
     """
 
-    time_s: FloatArray
+    time_s: FloatArray  #: Shape (n,). Increasing.
+    #: Shape (n, 3). Mean angular rate since the sample before. A coarse output must carry over what it rounds
+    #: off, as counted pulses do, or its noise must exceed the rounding.
     rate_radps: FloatArray
-    specific_force_mps2: FloatArray | None = None
+    specific_force_mps2: FloatArray | None = None  #: Shape (n, 3), optional. For the vertical.
 
     def __post_init__(self) -> None:
         self._check_shapes()
@@ -145,37 +131,22 @@ class RateRecording:
 
 @dataclass(frozen=True, eq=False)
 class RateEstimate:
-    """Mean rate of a recording.
+    """Mean rate of a recording."""
 
-    Attributes
-    ----------
-    rate_radps : ndarray, shape (3,)
-        Rate of each gyro.
-    sigma_radps : ndarray, shape (3,)
-        Its standard uncertainty from the noise in the recording.
-    """
-
-    rate_radps: FloatArray
-    sigma_radps: FloatArray
+    rate_radps: FloatArray  #: Shape (3,). Rate of each gyro.
+    sigma_radps: FloatArray  #: Shape (3,). Its standard uncertainty from the noise in the recording.
 
 
 @dataclass(frozen=True)
 class UpDownEstimate:
-    """Bias of a gyro and vertical Earth rate from two opposite attitudes.
+    """Bias of a gyro and vertical Earth rate from two opposite attitudes."""
 
-    Attributes
-    ----------
-    axis : str
-        "x", "y" or "z".
-    bias_radps, bias_sigma_radps : float
-        Bias of that gyro and its standard uncertainty.
-    earth_radps, earth_sigma_radps : float
-        Vertical part of the Earth's rotation, positive in the northern hemisphere.
-    """
-
-    axis: str
+    axis: str  #: "x", "y" or "z".
+    #: bias_radps, bias_sigma_radps: Bias of that gyro and its standard uncertainty.
     bias_radps: float
     bias_sigma_radps: float
+    #: earth_radps, earth_sigma_radps: Vertical part of the Earth's rotation, positive in the northern
+    #: hemisphere.
     earth_radps: float
     earth_sigma_radps: float
 

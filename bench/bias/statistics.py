@@ -81,18 +81,12 @@ def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -
 
 @dataclass(frozen=True)
 class WeightedMean:
-    """Mean of independent values, weighted by 1/sigma^2.
+    """Mean of independent values, weighted by 1/sigma^2."""
 
-    Attributes
-    ----------
-    value, sigma : float
-        The mean and its standard uncertainty.
-    chi2, dof : float, int
-        Scatter of the values in units of their uncertainties, and its degrees of freedom.
-    """
-
+    #: value, sigma: The mean and its standard uncertainty.
     value: float
     sigma: float
+    #: chi2, dof: Scatter of the values in units of their uncertainties, and its degrees of freedom.
     chi2: float
     dof: int
 
@@ -124,20 +118,11 @@ _MAX_SHARE = 1e3
 
 @dataclass(frozen=True, eq=False)
 class WeightedFit:
-    """Least squares with weights.
+    """Least squares with weights."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (k,)
-        The unknowns.
-    covariance : ndarray, shape (k, k)
-        Theirs, if the variances are right.
-    chi2, dof : float, int
-        Weighted sum of squared residuals, and its degrees of freedom.
-    """
-
-    values: FloatArray
-    covariance: FloatArray
+    values: FloatArray  #: Shape (k,). The unknowns.
+    covariance: FloatArray  #: Shape (k, k). Theirs, if the variances are right.
+    #: chi2, dof: Weighted sum of squared residuals, and its degrees of freedom.
     chi2: float
     dof: int
 

@@ -47,35 +47,25 @@ class AcceptanceLimits(StrictModel):
 
 
 class Judgement(StrictModel):
-    """One gyro on the plateaus of one bin against one limit; the mean temperature decides the bin.
-
-    Attributes
-    ----------
-    positions : list of str
-        Those compared.
-    worst : list of str
-        The two that differ most, the higher bias first; for a bias, its position.
-    value_dph, sigma_dph : float
-        Their difference, or that bias without its sign, and its standard uncertainty.
-    at_least_dph, at_most_dph : float
-        Limits of the largest true one, each with the probability ``confidence`` that the limits of
-        acceptance state: the lower one for all judgements of the run together.
-    passes_agree : bool
-        Whether these plateaus had the same differences in each pass; else each pass was judged alone.
-    """
+    """One gyro on the plateaus of one bin against one limit; the mean temperature decides the bin."""
 
     gyro: str = Field(pattern="^[xyz]$")
     quantity: Quantity
     bin_low_c: float
     bin_high_c: float
-    positions: list[str]
+    positions: list[str]  #: Those compared.
+    #: The two that differ most, the higher bias first; for a bias, its position.
     worst: list[str] = Field(min_length=1, max_length=2)
+    #: value_dph, sigma_dph: Their difference, or that bias without its sign, and its standard uncertainty.
     value_dph: float
     sigma_dph: float
+    #: at_least_dph, at_most_dph: Limits of the largest true one, each with the probability ``confidence``
+    #: that the limits of acceptance state: the lower one for all judgements of the run together.
     at_least_dph: float
     at_most_dph: float
     limit_dph: float
     verdict: Verdict
+    #: Whether these plateaus had the same differences in each pass; else each pass was judged alone.
     passes_agree: bool = True
 
 
@@ -89,21 +79,12 @@ class NotMeasured(StrictModel):
 
 
 class Acceptance(StrictModel):
-    """Verdict on the unit of a run, and what it stands on.
-
-    Attributes
-    ----------
-    limits : AcceptanceLimits or None
-        None where the procedure states none: then nothing is judged.
-    gyros : dict of str to str
-        Verdict on each gyro.
-    plateaus : int
-        Number of plateaus on which positions were compared; ``stops`` in the file.
-    """
+    """Verdict on the unit of a run, and what it stands on."""
 
     verdict: RunVerdict = "not judged"
-    limits: AcceptanceLimits | None = None
-    gyros: dict[str, GyroVerdict] = Field(default_factory=dict)
+    limits: AcceptanceLimits | None = None  #: None where the procedure states none: then nothing is judged.
+    gyros: dict[str, GyroVerdict] = Field(default_factory=dict)  #: Verdict on each gyro.
+    #: Number of plateaus on which positions were compared; ``stops`` in the file.
     plateaus: int = Field(
         default=0, validation_alias=AliasChoices("plateaus", "stops"), serialization_alias="stops"
     )

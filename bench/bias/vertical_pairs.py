@@ -62,71 +62,46 @@ class Finding(Enum):
 
 @dataclass(frozen=True, eq=False)
 class VerticalPairs:
-    """Half-differences of the vertical gyros' estimates up and down at one temperature, SI.
+    """Half-differences of the vertical gyros' estimates up and down at one temperature, SI."""
 
-    Attributes
-    ----------
-    gyros : tuple of int
-        The p gyros that were vertical both ways.
-    half_difference, covariance : ndarray, shape (p,), (p, p)
-        Up less down, halved; the covariance holds what different temperatures up and down may do.
-    weights : tuple of mapping
-        For each gyro, by dwell number: what the dwell's vertical bias counts in its half-difference.
-    north_rate, north_variance : float
-        Rate North fixed in the navigation frame, from the level gyros.
-    north_covariance : ndarray, shape (p,)
-        Of the rate North with the half-differences.
-    """
-
-    gyros: tuple[int, ...]
+    gyros: tuple[int, ...]  #: The p gyros that were vertical both ways.
+    #: half_difference, covariance: Shape (p,), (p, p). Up less down, halved; the covariance holds what
+    #: different temperatures up and down may do.
     half_difference: FloatArray
     covariance: FloatArray
+    #: For each gyro, by dwell number: what the dwell's vertical bias counts in its half-difference.
     weights: tuple[Mapping[int, float], ...]
+    #: north_rate, north_variance: Rate North fixed in the navigation frame, from the level gyros.
     north_rate: float
     north_variance: float
-    north_covariance: FloatArray
+    north_covariance: FloatArray  #: Shape (p,). Of the rate North with the half-differences.
 
 
 @dataclass(frozen=True, eq=False)
 class UpRate:
-    """Rate Up fixed in the navigation frame, if the biases are the same up and down; SI.
+    """Rate Up fixed in the navigation frame, if the biases are the same up and down; SI."""
 
-    Attributes
-    ----------
-    rate, sigma : float
-        Weighted mean of the half-differences, rad/s; NaN without any.
-    gyros : tuple of int
-        The gyros that took part.
-    weights : mapping of int to float
-        By dwell number: what the dwell's vertical bias counts in the rate.
-    chi2, dof : float, int
-        Scatter of all half-differences about the rate, and its degrees of freedom.
-    p_gyros, p_temperatures : float
-        Tests that they are equal, against a value for each gyro and against one for each temperature.
-    p_value : float
-        Test that they are equal, against any alternative: with several temperatures the smallest of
-        the p-values times their number, for one small difference over many temperatures hides in the sum.
-    latitude_error, latitude_sigma : float
-        Of the latitude that the INS uses, rad, from the rates Up and North together.
-    latitude_p_value : float
-        Test that the two rates are those of a latitude error.
-    finding : Finding
-        What follows. All p-values are NaN where there is nothing to compare.
-    """
-
+    #: rate, sigma: Weighted mean of the half-differences, rad/s; NaN without any.
     rate: float
     sigma: float
-    gyros: tuple[int, ...]
-    weights: Mapping[int, float]
+    gyros: tuple[int, ...]  #: The gyros that took part.
+    weights: Mapping[int, float]  #: By dwell number: what the dwell's vertical bias counts in the rate.
+    #: chi2, dof: Scatter of all half-differences about the rate, and its degrees of freedom.
     chi2: float
     dof: int
+    #: p_gyros, p_temperatures: Tests that they are equal, against a value for each gyro and against one for
+    #: each temperature.
     p_gyros: float
     p_temperatures: float
+    #: Test that they are equal, against any alternative: with several temperatures the smallest of the
+    #: p-values times their number, for one small difference over many temperatures hides in the sum.
     p_value: float
+    #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, from the rates Up and North
+    #: together.
     latitude_error: float
     latitude_sigma: float
-    latitude_p_value: float
-    finding: Finding
+    latitude_p_value: float  #: Test that the two rates are those of a latitude error.
+    finding: Finding  #: What follows. All p-values are NaN where there is nothing to compare.
 
     @property
     def applies(self) -> bool:
@@ -219,10 +194,7 @@ def _north_and_up(
     for group, north, up in zip(groups, north_parts, up_parts, strict=True):
         rates += north * group.north_rate, up @ group.half_difference
         mixed = north * (up @ group.north_covariance)
-        covariance += [
-            [north**2 * group.north_variance, mixed],
-            [mixed, up @ group.covariance @ up],
-        ]
+        covariance += [[north**2 * group.north_variance, mixed], [mixed, up @ group.covariance @ up]]
     return rates, covariance
 
 

@@ -26,46 +26,22 @@ from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 
 @dataclass(frozen=True, eq=False)
 class AlignedNavigation:
-    """Navigation straight from an alignment, and the noise of the INS in it.
+    """Navigation straight from an alignment, and the noise of the INS in it."""
 
-    Attributes
-    ----------
-    dwell : Dwell
-        An epoch a second.
-    noise : NoiseModel
-        Declared, or as estimated from all epochs.
-    """
-
-    dwell: Dwell
-    noise: NoiseModel
+    dwell: Dwell  #: An epoch a second.
+    noise: NoiseModel  #: Declared, or as estimated from all epochs.
 
 
 @dataclass(frozen=True, eq=False)
 class CheckDwell:
-    """An alignment, and the navigation straight after it.
+    """An alignment, and the navigation straight after it."""
 
-    Attributes
-    ----------
-    marks : DwellMarks
-        Where and when.
-    navigation : AlignedNavigation or None
-        None where it can't be used.
-    temperatures : DwellTemperatures
-        Of the navigation.
-    aligning_c : tuple of float
-        Mean temperatures of the gyros over the alignment.
-    counts : EpochCounts
-        How the frames came.
-    flags : str
-        What was wrong; empty where nothing was.
-    """
-
-    marks: DwellMarks
-    navigation: AlignedNavigation | None
-    temperatures: DwellTemperatures
-    aligning_c: Triple
-    counts: EpochCounts
-    flags: str
+    marks: DwellMarks  #: Where and when.
+    navigation: AlignedNavigation | None  #: None where it can't be used.
+    temperatures: DwellTemperatures  #: Of the navigation.
+    aligning_c: Triple  #: Mean temperatures of the gyros over the alignment.
+    counts: EpochCounts  #: How the frames came.
+    flags: str  #: What was wrong; empty where nothing was.
 
     @property
     def dwell(self) -> int:

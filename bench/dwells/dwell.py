@@ -46,34 +46,17 @@ _MIN_STEADY_P_VALUE = 1e-4
 
 @dataclass(frozen=True)
 class MeasurementSetup:
-    """What turns frames into biases, the same for all dwells of a run.
+    """What turns frames into biases, the same for all dwells of a run."""
 
-    Attributes
-    ----------
-    decode : callable
-        Frames to navigation data, as the station maps them.
-    table : TwoAxisTable
-        Kinematics of the table with the unit on it.
-    site : Site
-        Where the bench stands.
-    noise : NoiseModel or None
-        Declared noise of the INS; None to estimate it in each dwell.
-    prior : PriorKnowledge
-        What is known of the INS beforehand.
-    velocity_lsb_mps, heading_lsb_rad : float
-        Resolution of the INS's output.
-    resolution : tuple of ResolutionLimit
-        Which estimates it limits, and by how much.
-    """
-
-    decode: Callable[[FrameBlock], NavigationData]
-    table: TwoAxisTable
-    site: Site
-    noise: NoiseModel | None
-    prior: PriorKnowledge
+    decode: Callable[[FrameBlock], NavigationData]  #: Frames to navigation data, as the station maps them.
+    table: TwoAxisTable  #: Kinematics of the table with the unit on it.
+    site: Site  #: Where the bench stands.
+    noise: NoiseModel | None  #: Declared noise of the INS; None to estimate it in each dwell.
+    prior: PriorKnowledge  #: What is known of the INS beforehand.
+    #: velocity_lsb_mps, heading_lsb_rad: Resolution of the INS's output.
     velocity_lsb_mps: float
     heading_lsb_rad: float
-    resolution: tuple[ResolutionLimit, ...]
+    resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
 
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
@@ -109,27 +92,17 @@ class MeasurementSetup:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDwell:
-    """A row for the table, what is behind it where there is a result, and how the frames came.
-
-    Attributes
-    ----------
-    estimate, paper : StateSpaceEstimate, BiasEstimate or None
-        By the full error model and by the paper's method.
-    windows : tuple of NavigationWindow
-        Navigation at rest, an epoch a second, for the noise estimate; empty where it is
-        disturbed, and where :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
-    counts : EpochCounts
-        How the frames came.
-    doubts : tuple of str
-        Those flags that noise larger than declared would explain.
-    """
+    """A row for the table, what is behind it where there is a result, and how the frames came."""
 
     row: DwellRow
+    #: estimate, paper: By the full error model and by the paper's method.
     estimate: StateSpaceEstimate | None
     paper: BiasEstimate | None
+    #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
+    #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[NavigationWindow, ...]
-    counts: EpochCounts
-    doubts: tuple[str, ...]
+    counts: EpochCounts  #: How the frames came.
+    doubts: tuple[str, ...]  #: Those flags that noise larger than declared would explain.
 
     @property
     def flags(self) -> str:

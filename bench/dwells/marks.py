@@ -24,74 +24,52 @@ _AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 @dataclass(frozen=True)
 class WindowMark:
-    """One segment of navigation at rest.
-
-    Attributes
-    ----------
-    first_frame, end_frame : int
-        Numbers of its first data frame, and of the first one after it.
-    outer_deg, inner_deg : float
-        Where the table stood, by its own reading.
-    turn_first_frame, turn_end_frame : int or None
-        Numbers of the frames with which the turn to this window began and was over; None where
-        there was none.
-    """
+    """One segment of navigation at rest."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _AS_WRITTEN
 
+    #: first_frame, end_frame: Numbers of its first data frame, and of the first one after it.
     first_frame: int
     end_frame: int
+    #: outer_deg, inner_deg: Where the table stood, by its own reading.
     outer_deg: float
     inner_deg: float
+    #: turn_first_frame, turn_end_frame: Numbers of the frames with which the turn to this window began and
+    #: was over; None where there was none.
     turn_first_frame: int | None = None
     turn_end_frame: int | None = None
 
 
 @dataclass(frozen=True)
 class DwellMarks:
-    """All that is known of a dwell beside its frames.
-
-    Attributes
-    ----------
-    unit, run : str
-        Serial number of the INS; one value per power-on.
-    dwell, cycle : int
-        As in the dwell table.
-    position, azimuth_deg : str, float
-        Where the dwell began.
-    log_part : int
-        Part of the raw CAN log that began with its alignment; frame 0 is that part's first.
-    windows : tuple of WindowMark
-        In the order of time; the paper's method has two.
-    is_calibration_check : bool
-        Whether it checks a calibration: one window straight from the alignment.
-    align_s : float
-        How long the alignment took.
-    start_s, end_s, since_power_on_s : float
-        Times of the first and last window's ends on the run's clock, and from power-on to the first.
-    chamber_set_c, chamber_c : float or None
-        Set point, and mean of the air; None where the chamber was not controlled or not read.
-    disturbances : tuple of str
-        What went wrong while it lasted; a disturbed dwell is kept out of the bins.
-    """
+    """All that is known of a dwell beside its frames."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _AS_WRITTEN
 
+    #: unit, run: Serial number of the INS; one value per power-on.
     unit: str
     run: str
+    #: dwell, cycle: As in the dwell table.
     dwell: int
     cycle: int
+    #: position, azimuth_deg: Where the dwell began.
     position: str
     azimuth_deg: float
-    log_part: int
-    windows: tuple[WindowMark, ...]
+    log_part: int  #: Part of the raw CAN log that began with its alignment; frame 0 is that part's first.
+    windows: tuple[WindowMark, ...]  #: In the order of time; the paper's method has two.
+    #: start_s, end_s, since_power_on_s: Times of the first and last window's ends on the run's clock, and
+    #: from power-on to the first.
     start_s: float
     end_s: float
     since_power_on_s: float
+    #: chamber_set_c, chamber_c: Set point, and mean of the air; None where the chamber was not controlled or
+    #: not read.
     chamber_set_c: float | None
     chamber_c: float | None
+    #: Whether it checks a calibration: one window straight from the alignment.
     is_calibration_check: bool = False
-    align_s: float = 0.0
+    align_s: float = 0.0  #: How long the alignment took.
+    #: What went wrong while it lasted; a disturbed dwell is kept out of the bins.
     disturbances: tuple[str, ...] = ()
 
     @property

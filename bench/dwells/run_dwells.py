@@ -14,12 +14,7 @@ import can
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
-from gyrobench.bench.bias.joint_solution import (
-    JointDwell,
-    JointSolution,
-    pooled_up_rate,
-    solve_jointly,
-)
+from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
@@ -151,29 +146,16 @@ def _spacing(count: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
-    """Results of a run beyond its dwells.
+    """Results of a run beyond its dwells."""
 
-    Attributes
-    ----------
-    bins : list of BiasBin
-        Bias per gyro, position and temperature.
-    joint : list of JointSolution
-        One for each plateau.
-    up_rate : UpRate or None
-        Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
-    noise : NoiseEstimate or None
-        Of the INS, from its output; None where it is not observable.
-    calibration_check : list of CalibrationCheckRow
-        Biases that a calibration check measured, beside the calibrated ones.
-    acceptance : Acceptance
-        Verdict on the unit by the limits of the procedure.
-    """
-
-    bins: list[BiasBin] = field(default_factory=list)
-    joint: list[JointSolution] = field(default_factory=list)
+    bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
+    joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
+    #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     up_rate: UpRate | None = None
-    noise: NoiseEstimate | None = None
+    noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
+    #: Biases that a calibration check measured, beside the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
+    #: Verdict on the unit by the limits of the procedure.
     acceptance: Acceptance = field(default_factory=Acceptance)
 
 

@@ -70,36 +70,23 @@ BatchQuantity = Quantity | EffectSize
 
 @dataclass(frozen=True)
 class UnitStatistics:
-    """Statistics of one unit in one quantity.
+    """Statistics of one unit in one quantity."""
 
-    Attributes
-    ----------
-    unit : str
-        Serial number.
-    runs : int
-        Number of its runs.
-    bias_dph, sigma_dph : float
-        Mean over its runs, and its standard uncertainty with the scatter between runs.
-    shrunken_dph, shrunken_sigma_dph : float
-        Estimate shrunk towards the batch's mean (best linear unbiased prediction).
-    expected_dph, expected_sigma_dph : float
-        Prediction of its mean from the other units, and the standard deviation of the difference.
-    p_value : float
-        Probability of a difference at least as large.
-    p_adjusted : float
-        The same, corrected for all units and quantities (Holm).
-    """
-
-    unit: str
-    runs: int
+    unit: str  #: Serial number.
+    runs: int  #: Number of its runs.
+    #: bias_dph, sigma_dph: Mean over its runs, and its standard uncertainty with the scatter between runs.
     bias_dph: float
     sigma_dph: float
+    #: shrunken_dph, shrunken_sigma_dph: Estimate shrunk towards the batch's mean (best linear unbiased
+    #: prediction).
     shrunken_dph: float
     shrunken_sigma_dph: float
+    #: expected_dph, expected_sigma_dph: Prediction of its mean from the other units, and the standard
+    #: deviation of the difference.
     expected_dph: float
     expected_sigma_dph: float
-    p_value: float
-    p_adjusted: float = math.nan
+    p_value: float  #: Probability of a difference at least as large.
+    p_adjusted: float = math.nan  #: The same, corrected for all units and quantities (Holm).
 
     @property
     def is_outlier(self) -> bool:
@@ -109,29 +96,17 @@ class UnitStatistics:
 
 @dataclass(frozen=True)
 class QuantityStatistics:
-    """Statistics of one quantity over the units of a batch.
+    """Statistics of one quantity over the units of a batch."""
 
-    Attributes
-    ----------
-    quantity : Quantity or EffectSize
-        The quantity.
-    mean_dph, mean_sigma_dph : float
-        The batch's mean, and its standard uncertainty.
-    between_units : ExcessSigma
-        Standard deviation between units without noise, with its 95 % interval.
-    between_runs_dph : float or None
-        Standard deviation between runs of one unit; None where no unit has two runs: it is then part
-        of the spread between units.
-    units : sequence of UnitStatistics
-        By serial number.
-    """
-
-    quantity: BatchQuantity
+    quantity: BatchQuantity  #: The quantity.
+    #: mean_dph, mean_sigma_dph: The batch's mean, and its standard uncertainty.
     mean_dph: float
     mean_sigma_dph: float
-    between_units: ExcessSigma
+    between_units: ExcessSigma  #: Standard deviation between units without noise, with its 95 % interval.
+    #: Standard deviation between runs of one unit; None where no unit has two runs: it is then part of the
+    #: spread between units.
     between_runs_dph: float | None
-    units: Sequence[UnitStatistics]
+    units: Sequence[UnitStatistics]  #: By serial number.
 
 
 def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[QuantityStatistics]:

@@ -47,24 +47,12 @@ class JobState(StrEnum):
 
 @dataclass(frozen=True)
 class JobResult:
-    """Outcome of the job for one run.
+    """Outcome of the job for one run."""
 
-    Attributes
-    ----------
-    path : str
-        The run folder.
-    state : JobState
-        The outcome.
-    text : str
-        Result in a few words, or the reason why it was not done.
-    took_s : float
-        Duration.
-    """
-
-    path: str
-    state: JobState
-    text: str
-    took_s: float = 0.0
+    path: str  #: The run folder.
+    state: JobState  #: The outcome.
+    text: str  #: Result in a few words, or the reason why it was not done.
+    took_s: float = 0.0  #: Duration.
 
 
 def do_job(kind: JobKind, path: str) -> JobResult:
@@ -168,21 +156,11 @@ class _RecordContent(BaseModel):
 
 @dataclass
 class FleetRecord:
-    """Outcomes of the runs of a fleet.
+    """Outcomes of the runs of a fleet."""
 
-    Attributes
-    ----------
-    kind : JobKind
-        The job.
-    folder : Path
-        Folder of the record.
-    runs : dict of str to RunEntry
-        By run folder.
-    """
-
-    kind: JobKind
-    folder: Path
-    runs: dict[str, RunEntry] = field(default_factory=dict)
+    kind: JobKind  #: The job.
+    folder: Path  #: Folder of the record.
+    runs: dict[str, RunEntry] = field(default_factory=dict)  #: By run folder.
 
     def pending(self, paths: list[Path]) -> list[Path]:
         """Runs that are new, failed, or have changed since."""

@@ -38,21 +38,12 @@ _CONFIG = {
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers that process the runs.
+    """Workers that process the runs."""
 
-    Attributes
-    ----------
-    count : int or None
-        Workers on this machine; None for one per core.
-    are_threads : bool
-        Whether they are threads of this process instead of processes.
-    scheduler : str or None
-        Address of a Dask scheduler, as ``tcp://host:8786``, whose workers see the run folders under the
-        same paths; it excludes the two above.
-    """
-
-    count: int | None = None
-    are_threads: bool = False
+    count: int | None = None  #: Workers on this machine; None for one per core.
+    are_threads: bool = False  #: Whether they are threads of this process instead of processes.
+    #: Address of a Dask scheduler, as ``tcp://host:8786``, whose workers see the run folders under the same
+    #: paths; it excludes the two above.
     scheduler: str | None = None
 
     def describe(self) -> str:

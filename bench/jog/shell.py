@@ -16,10 +16,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 _WATCH_S = 60.0
 _MAX_WATCH_S = 604_800.0
-_END_USAGES = {
-    "quit": "end; the bench goes to its safe state",
-    "leave": "end; only the table is stopped",
-}
+_END_USAGES = {"quit": "end; the bench goes to its safe state", "leave": "end; only the table is stopped"}
 #: Commands that end a session; "leave" without the safe state.
 END_COMMANDS = ("quit", "exit", "q", "leave")
 

@@ -76,9 +76,7 @@ def euler_pry231(C_nb: FloatArray) -> FloatArray:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def _axis_and_angle(
-    turn: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _axis_and_angle(turn: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Axis times sine (..., 3), sine and angle (...) of rotation matrices (..., 3, 3)."""
     twice = [
         turn[..., 2, 1] - turn[..., 1, 2],

@@ -89,10 +89,7 @@ def _both_senses(turns: tuple[tuple[Literal["outer", "inner"], float], ...]) -> 
 
 #: Sixteen half turns: the inner axis stays vertical, in four attitudes of two positions.
 HALF_TURNS = _both_senses(
-    (
-        *((("inner", 180.0), ("outer", 180.0)) * 2),
-        *((("inner", -180.0), ("outer", -180.0)) * 2),
-    )
+    (*((("inner", 180.0), ("outer", 180.0)) * 2), *((("inner", -180.0), ("outer", -180.0)) * 2))
 )
 
 #: Thirty-two turns through all six positions, each at azimuths half a turn apart: sixteen attitudes.

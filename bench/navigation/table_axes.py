@@ -140,10 +140,7 @@ class TwoAxisTable:
         inner_axis = rotation_matrix(self.outer_axis_enu, np.deg2rad(start[0])) @ self.inner_axis_enu
         outer_up, inner_up = (_upward(axis) for axis in (self.outer_axis_enu, inner_axis))
         both_level = not (outer_up or inner_up)
-        wanted = (
-            start[0] + angle_deg * outer_up,
-            start[1] + angle_deg * (1 if both_level else inner_up),
-        )
+        wanted = (start[0] + angle_deg * outer_up, start[1] + angle_deg * (1 if both_level else inner_up))
         options = [option for option in _nearest_first(*principal) if self._allows(option)]
         if not both_level:
             options = [option for option in options if np.allclose(option, wanted, atol=_TOLERANCE)]

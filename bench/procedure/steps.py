@@ -50,8 +50,7 @@ class Step(StrictModel):
     at_position: ClassVar[bool] = False
 
     timeout_s: Duration | None = Field(
-        default=None,
-        description="time after which the step has failed, s; by default from its duration",
+        default=None, description="time after which the step has failed, s; by default from its duration"
     )
     retries: int = Field(
         default=3, ge=0, le=100, description="how often a failed exchange with an instrument is repeated"

@@ -375,8 +375,7 @@ def _before_after_table(before: Sequence[BiasBin], after: Sequence[BiasBin]) -> 
     compared = {"before": compare_positions(before), "after": compare_positions(after)}
     every = [each for comparisons in compared.values() for each in comparisons]
     scale = BiasScale.of(
-        [each.largest_difference_dph for each in every],
-        [each.largest_difference_sigma_dph for each in every],
+        [each.largest_difference_dph for each in every], [each.largest_difference_sigma_dph for each in every]
     )
     rows = [
         [gyro_label(gyro), when, *_worst([each for each in comparisons if each.gyro == gyro], scale)]

@@ -37,43 +37,29 @@ Entry = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class RunContent:
-    """Contents of a run folder.
+    """Contents of a run folder."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the folder.
-    journal : list of mapping
-        Its entries, up to the first damaged one.
-    provenance, procedure, station : mapping
-        Content of these files; empty where missing.
-    dwells, bins, telemetry
-        The tables; empty where missing. Bins are computed from the dwells if only their file is missing.
-    joint_biases, joint_plateaus, noise, verification
-        Joint solution, noise of the INS, calibration check; empty without results.
-    acceptance : Acceptance or None
-        Verdict on the unit, or None.
-    chapters : list of Findings
-        Results of the search for effects and of the verification on these dwells.
-    problems : list of str
-        Missing or unreadable files.
-    """
-
-    name: str
-    journal: list[Entry]
+    name: str  #: Name of the folder.
+    journal: list[Entry]  #: Its entries, up to the first damaged one.
+    #: provenance, procedure, station: Content of these files; empty where missing.
     provenance: Entry
     procedure: Entry
     station: Entry
+    #: dwells, bins, telemetry: The tables; empty where missing. Bins are computed from the dwells if only
+    #: their file is missing.
     dwells: list[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
+    #: joint_biases, joint_plateaus, noise, verification: Joint solution, noise of the INS, calibration check;
+    #: empty without results.
     joint_biases: list[JointBiasRow] = field(default_factory=list)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     verification: list[CalibrationCheckRow] = field(default_factory=list)
-    acceptance: Acceptance | None = None
+    acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
+    #: Results of the search for effects and of the verification on these dwells.
     chapters: list[Findings] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)  #: Missing or unreadable files.
 
     @cached_property
     def facts(self) -> RunFacts:

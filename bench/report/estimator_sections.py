@@ -89,11 +89,7 @@ def fit_section(rows: Sequence[DwellRow]) -> Section | None:
     if not sentence:
         return None
     caption = _FIT_P_VALUES if has_distribution(rows) else _FIT_SIZES
-    return Section(
-        "Goodness of fit",
-        [_FIT, sentence],
-        [SectionFigure("fit", caption, fit_figure(rows))],
-    )
+    return Section("Goodness of fit", [_FIT, sentence], [SectionFigure("fit", caption, fit_figure(rows))])
 
 
 def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:

@@ -19,20 +19,11 @@ Took = Mapping[str, Sequence[tuple[float, float]]]
 
 @dataclass(frozen=True)
 class KindDuration:
-    """Planned and actual duration of the steps of one kind.
+    """Planned and actual duration of the steps of one kind."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of the kind for people: "go to".
-    count : int
-        Finished steps.
-    planned_s, took_s : float
-        Sums over them.
-    """
-
-    kind: str
-    count: int
+    kind: str  #: Name of the kind for people: "go to".
+    count: int  #: Finished steps.
+    #: planned_s, took_s: Sums over them.
     planned_s: float
     took_s: float
 

@@ -26,20 +26,11 @@ _MAX_DECIMALS_DPH = 7
 
 @dataclass(frozen=True)
 class BiasScale:
-    """Unit and number of decimals for a set of biases.
+    """Unit and number of decimals for a set of biases."""
 
-    Attributes
-    ----------
-    factor : float
-        Factor for a bias in deg/h.
-    unit : str
-        Unit of the product.
-    decimals : int
-        Decimals that show one digit of the smallest uncertainty, or two if it begins with 1 or 2.
-    """
-
-    factor: float
-    unit: str
+    factor: float  #: Factor for a bias in deg/h.
+    unit: str  #: Unit of the product.
+    #: Decimals that show one digit of the smallest uncertainty, or two if it begins with 1 or 2.
     decimals: int
 
     @classmethod

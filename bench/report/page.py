@@ -34,26 +34,15 @@ _PAGE = "page.html.j2"
 
 @dataclass(frozen=True, config=_CONFIG)
 class SectionTable:
-    """A table of texts.
+    """A table of texts."""
 
-    Attributes
-    ----------
-    caption : str
-        What it shows, with units.
-    header, rows : sequence of str, sequence of sequences of str
-        One cell for each column; the last cell of a shorter row spans the rest. A second line of a cell
-        is grey.
-    words : int
-        Number of columns of words at the left; the others hold numbers.
-    marks : sequence of str
-        Highlight of each row; without any, none.
-    """
-
-    caption: str
+    caption: str  #: What it shows, with units.
+    #: header, rows: One cell for each column; the last cell of a shorter row spans the rest. A second line of
+    #: a cell is grey.
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    words: int = 1
-    marks: Sequence[Mark] = ()
+    words: int = 1  #: Number of columns of words at the left; the others hold numbers.
+    marks: Sequence[Mark] = ()  #: Highlight of each row; without any, none.
 
 
 @dataclass(frozen=True, eq=False, config=_CONFIG)

@@ -27,11 +27,7 @@ from gyrobench.bench.report.bias_sections import (
     dwells_section,
     gyro_section,
 )
-from gyrobench.bench.report.calibration_check import (
-    dwells_text,
-    verification_section,
-    verification_sentence,
-)
+from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,

@@ -164,39 +164,23 @@ MAX_RUN_S = 1e9
 
 @dataclass(frozen=True)
 class RunFacts:
-    """Summary of a journal; unknown texts are empty.
+    """Summary of a journal; unknown texts are empty."""
 
-    Attributes
-    ----------
-    procedure, station, unit : str
-        Procedure, station, and serial number of the INS.
-    options : mapping
-        Options of the command that began or resumed it.
-    started_utc : str
-        ISO 8601, when it began.
-    last_s : float
-        Latest time of an entry, on the run's clock.
-    resumes : int
-        Number of resumptions.
-    dwells : int
-        Number of completed dwells.
-    ended, reason : str
-        "finished", "stopped" or "failed", and why. Empty for a run that was cut off or is in progress.
-    safe_state : tuple of mapping
-        Actions at its end that made the bench safe.
-    """
-
+    #: procedure, station, unit: Procedure, station, and serial number of the INS.
     procedure: str = ""
     station: str = ""
     unit: str = ""
+    #: Options of the command that began or resumed it.
     options: Mapping[str, Any] = field(default_factory=dict)
-    started_utc: str = ""
-    last_s: float = 0.0
-    resumes: int = 0
-    dwells: int = 0
+    started_utc: str = ""  #: ISO 8601, when it began.
+    last_s: float = 0.0  #: Latest time of an entry, on the run's clock.
+    resumes: int = 0  #: Number of resumptions.
+    dwells: int = 0  #: Number of completed dwells.
+    #: ended, reason: "finished", "stopped" or "failed", and why. Empty for a run that was cut off or is in
+    #: progress.
     ended: str = ""
     reason: str = ""
-    safe_state: tuple[Mapping[str, Any], ...] = ()
+    safe_state: tuple[Mapping[str, Any], ...] = ()  #: Actions at its end that made the bench safe.
 
 
 def facts_of(entries: Iterable[Mapping[str, Any]]) -> RunFacts:

@@ -125,21 +125,12 @@ def _version(package: str) -> str:
 
 @dataclass(frozen=True)
 class DataHash:
-    """Hash of a file, or of all parts of a log.
+    """Hash of a file, or of all parts of a log."""
 
-    Attributes
-    ----------
-    name : str
-        The file, or the parts: "can/*.blf".
-    count : int
-        Number of files.
-    sha256 : str
-        Of a single file. Of a log in parts that of its manifest, the lines that ``sha256sum`` prints for
-        them: ``sha256sum can/*.blf | sha256sum`` in the run folder gives the same.
-    """
-
-    name: str
-    count: int
+    name: str  #: The file, or the parts: "can/*.blf".
+    count: int  #: Number of files.
+    #: Of a single file. Of a log in parts that of its manifest, the lines that ``sha256sum`` prints for them:
+    #: ``sha256sum can/*.blf | sha256sum`` in the run folder gives the same.
     sha256: str
 
 

@@ -41,7 +41,7 @@ def without_password(address: str) -> str:
     if _USER_IN_ADDRESS.search(address):
         raise ValueError(
             "an address can't hold a user or password: every run folder has a copy of this file. "
-            "Reach the port by a tunnel or a device server without password",
+            "Reach the port by a tunnel or a device server without password"
         )
     return address
 
@@ -81,8 +81,7 @@ class DialectSection(StrictModel):
         default=None, gt=0, description="bit/s of a serial device; by default that of the dialect"
     )
     parity: Literal["N", "E", "O"] | None = Field(
-        default=None,
-        description="none, even or odd, of a serial device; by default that of the dialect",
+        default=None, description="none, even or odd, of a serial device; by default that of the dialect"
     )
 
     @property

@@ -258,8 +258,7 @@ class StationFile(StrictModel):
         default=Interlocks(), description="what is monitored, and how the run resumes after a trip"
     )
     messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
-        default=[],
-        description="receivers of messages about a run, also of an emulated one",
+        default=[], description="receivers of messages about a run, also of an emulated one"
     )
 
     @model_validator(mode="after")

@@ -73,10 +73,7 @@ def _velocity_row(each: CheckDwell, calibration: Calibration, setup: Measurement
 
 
 def _alignment_row(
-    first: CheckDwell,
-    second: CheckDwell | None,
-    calibration: Calibration,
-    setup: MeasurementSetup,
+    first: CheckDwell, second: CheckDwell | None, calibration: Calibration, setup: MeasurementSetup
 ) -> CalibrationCheckRow:
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
@@ -100,9 +97,7 @@ def _alignment_row(
     return _compared(row, (x, y, z), bias, None, known, calibration)
 
 
-def _half_turn_pairs(
-    dwells: Sequence[CheckDwell],
-) -> list[tuple[CheckDwell, CheckDwell | None]]:
+def _half_turn_pairs(dwells: Sequence[CheckDwell]) -> list[tuple[CheckDwell, CheckDwell | None]]:
     """Pair each dwell with the next one of its plateau half a turn from it; None for those left over."""
     pairs: list[tuple[CheckDwell, CheckDwell | None]] = []
     for plateau in group_plateaus(sorted(dwells, key=lambda dwell: dwell.dwell)):

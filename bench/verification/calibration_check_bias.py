@@ -39,17 +39,10 @@ _EAST, _NORTH = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class AxisBias:
-    """Bias along one direction that an INS in one attitude shows.
+    """Bias along one direction that an INS in one attitude shows."""
 
-    Attributes
-    ----------
-    direction : tuple of float
-        Unit vector in body axes.
-    bias_radps, sigma_radps : float
-        Bias along it and its standard uncertainty.
-    """
-
-    direction: tuple[float, float, float]
+    direction: tuple[float, float, float]  #: Unit vector in body axes.
+    #: bias_radps, sigma_radps: Bias along it and its standard uncertainty.
     bias_radps: float
     sigma_radps: float
 
@@ -66,14 +59,9 @@ class AxisBias:
 
 @dataclass(frozen=True, eq=False)
 class KnownAccelerometers:
-    """Accelerometer biases of the calibration, m/s^2, body axes.
+    """Accelerometer biases of the calibration, m/s^2, body axes."""
 
-    Attributes
-    ----------
-    bias, sigma : ndarray, shape (3,)
-        Values and standard uncertainties.
-    """
-
+    #: bias, sigma: Shape (3,). Values and standard uncertainties.
     bias: FloatArray
     sigma: FloatArray
 

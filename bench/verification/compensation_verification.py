@@ -33,104 +33,60 @@ class VerificationRow:
     """Residual bias with one compensation at one plateau, or at all of them.
 
     A ``noise`` is the value expected from the measurement noise alone.
-
-    Attributes
-    ----------
-    compensation : str
-        :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
-    plateau : int
-        Number of the plateau, from 1 (column ``stop``); 0 for all: rms over all dwells, otherwise maximum.
-    cycle, chamber_set_c, gyro_c : int or None, float or None, float or None
-        Of the plateau, with the mean gyro temperature; None for all.
-    fit : str
-        Position of the temperature relative to the fit: "fitted", "between" or "outside"; empty for all.
-    dwells : int
-        Number of biases per gyro.
-    bias_rms_dph, bias_noise_dph : float
-        Rms of all gyros, including the constant of the power cycle.
-    varying_rms_dph : float
-        The same without each gyro's mean over the run, which includes the constant.
-    varying_p_value : float
-        p-value of the varying bias, for all plateaus; NaN for one.
-    spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps : float
-        See :class:`gyrobench.bench.verification.residuals.ResidualCheck`.
-    position_nmi, position_noise_nmi : float
-        Largest position error of a rotational INS with these biases within a day; NaN without all
-        six positions.
     """
 
-    compensation: str
+    compensation: str  #: :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
+    #: Number of the plateau, from 1 (column ``stop``); 0 for all: rms over all dwells, otherwise maximum.
     plateau: int
+    #: cycle, chamber_set_c, gyro_c: Of the plateau, with the mean gyro temperature; None for all.
     cycle: int | None
     chamber_set_c: float | None
     gyro_c: float | None
+    #: Position of the temperature relative to the fit: "fitted", "between" or "outside"; empty for all.
     fit: str
-    dwells: int
+    dwells: int  #: Number of biases per gyro.
+    #: bias_rms_dph, bias_noise_dph: Rms of all gyros, including the constant of the power cycle.
     bias_rms_dph: float
     bias_noise_dph: float
-    varying_rms_dph: float
-    varying_p_value: float
+    varying_rms_dph: float  #: The same without each gyro's mean over the run, which includes the constant.
+    varying_p_value: float  #: p-value of the varying bias, for all plateaus; NaN for one.
+    #: spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps: See
+    #: :class:`gyrobench.bench.verification.residuals.ResidualCheck`.
     spread_dph: float
     spread_noise_dph: float
     velocity_east_mps: float
     velocity_noise_mps: float
+    #: position_nmi, position_noise_nmi: Largest position error of a rotational INS with these biases within a
+    #: day; NaN without all six positions.
     position_nmi: float
     position_noise_nmi: float
 
 
 @dataclass(frozen=True, eq=False)
 class CompensationResult:
-    """Residual bias with one compensation.
+    """Residual bias with one compensation."""
 
-    Attributes
-    ----------
-    compensation : str
-        As in the rows.
-    plateaus : tuple of ResidualCheck
-        In the order of time.
-    rows : tuple of VerificationRow
-        One for each plateau.
-    total : VerificationRow
-        All plateaus.
-    """
-
-    compensation: str
-    plateaus: tuple[ResidualCheck, ...]
-    rows: tuple[VerificationRow, ...]
-    total: VerificationRow
+    compensation: str  #: As in the rows.
+    plateaus: tuple[ResidualCheck, ...]  #: In the order of time.
+    rows: tuple[VerificationRow, ...]  #: One for each plateau.
+    total: VerificationRow  #: All plateaus.
 
 
 @dataclass(frozen=True, eq=False)
 class VerificationResult:
-    """Residual bias in new measurements with each compensation derived from a campaign.
+    """Residual bias in new measurements with each compensation derived from a campaign."""
 
-    Attributes
-    ----------
-    source : str
-        The campaign, as displayed.
-    closure : Closure
-        Outcome of the search in it.
-    models : mapping of str to LoadableModel
-        The loadable models, by compensation.
-    results : tuple of CompensationResult
-        One for each compensation measured, at least one.
-    new_attitudes, dwells : int
-        Dwells of one run that began in a position and azimuth in which no dwell of the campaign
-        began, and all dwells of the run.
-    is_same_seed : bool
-        Whether all runs had the same emulated world and seed, and so the same constants of the power cycle.
-    notes : tuple of str
-        Remarks; sentences.
-    """
-
-    source: str
-    closure: Closure
-    models: Mapping[str, LoadableModel]
-    results: tuple[CompensationResult, ...]
+    source: str  #: The campaign, as displayed.
+    closure: Closure  #: Outcome of the search in it.
+    models: Mapping[str, LoadableModel]  #: The loadable models, by compensation.
+    results: tuple[CompensationResult, ...]  #: One for each compensation measured, at least one.
+    #: new_attitudes, dwells: Dwells of one run that began in a position and azimuth in which no dwell of the
+    #: campaign began, and all dwells of the run.
     new_attitudes: int
     dwells: int
+    #: Whether all runs had the same emulated world and seed, and so the same constants of the power cycle.
     is_same_seed: bool
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: Remarks; sentences.
 
 
 def compensation_result(

@@ -32,39 +32,26 @@ from gyrobench.bench.navigation.rotational_ins import (
 
 @dataclass(frozen=True, eq=False)
 class ResidualCheck:
-    """What is left on one plateau, all positions together.
+    """What is left on one plateau, all positions together."""
 
-    Attributes
-    ----------
-    cycle, chamber_set_c : int, float or None
-        Which plateau; None where the chamber had no set point.
-    dwells : tuple of int
-        Numbers of the dwells whose biases are in it.
-    gyro_c : float
-        Mean temperature of the gyros.
-    bias_rms_dph, sigma_rms_dph : float
-        Of all biases, and of their standard uncertainties; NaN without dwells.
-    spread_dph, spread_noise_dph : float
-        Largest difference between two positions in the bias of one gyro, and what the uncertainties
-        alone give in its place; NaN without two.
-    velocity_east_mps, velocity_noise_mps : float
-        Largest error of the velocity East in the navigations straight from an alignment, of
-        either sign, and what the noise of the sensors alone gives in its place; NaN without any.
-    day : DayOfNavigation or None
-        Position error of a day; None unless all six positions were measured.
-    """
-
+    #: cycle, chamber_set_c: Which plateau; None where the chamber had no set point.
     cycle: int
     chamber_set_c: float | None
-    dwells: tuple[int, ...]
-    gyro_c: float
+    dwells: tuple[int, ...]  #: Numbers of the dwells whose biases are in it.
+    gyro_c: float  #: Mean temperature of the gyros.
+    #: bias_rms_dph, sigma_rms_dph: Of all biases, and of their standard uncertainties; NaN without dwells.
     bias_rms_dph: float
     sigma_rms_dph: float
+    #: spread_dph, spread_noise_dph: Largest difference between two positions in the bias of one gyro, and
+    #: what the uncertainties alone give in its place; NaN without two.
     spread_dph: float
     spread_noise_dph: float
+    #: velocity_east_mps, velocity_noise_mps: Largest error of the velocity East in the navigations straight
+    #: from an alignment, of either sign, and what the noise of the sensors alone gives in its place; NaN
+    #: without any.
     velocity_east_mps: float
     velocity_noise_mps: float
-    day: DayOfNavigation | None
+    day: DayOfNavigation | None  #: Position error of a day; None unless all six positions were measured.
 
 
 def check_residuals(
@@ -160,18 +147,12 @@ _UNIT_DPH = 0.001
 
 @dataclass(frozen=True, eq=False)
 class DayOfNavigation:
-    """Errors of a day, and how much of them the uncertainty of the biases explains.
+    """Errors of a day, and how much of them the uncertainty of the biases explains."""
 
-    Attributes
-    ----------
-    error : PositionError
-        With the biases as measured; those that are the same in all positions average out.
-    noise_nmi : float
-        What biases that are the same in all positions would show in its place: the largest rms
-        distance that the uncertainties of the measured ones alone give.
-    """
-
+    #: With the biases as measured; those that are the same in all positions average out.
     error: PositionError
+    #: What biases that are the same in all positions would show in its place: the largest rms distance that
+    #: the uncertainties of the measured ones alone give.
     noise_nmi: float
 
 

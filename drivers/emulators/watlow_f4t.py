@@ -44,12 +44,7 @@ class WatlowF4TEmulator(TextInstrument):
     """
 
     def __init__(
-        self,
-        air: ChamberAir,
-        on_event: OnEvent | None = None,
-        *,
-        decimals: int = 4,
-        latency_s: float = 0.02,
+        self, air: ChamberAir, on_event: OnEvent | None = None, *, decimals: int = 4, latency_s: float = 0.02
     ) -> None:
         super().__init__(latency_s)
         self.air = air

@@ -280,8 +280,7 @@ class Acutrol3000:
 
     def _unexpected(self, message: str, reply: str) -> ReplyError:
         return ReplyError(
-            self._line.instrument,
-            f"{message} was answered by {reply!r}. Does another program use this line?",
+            self._line.instrument, f"{message} was answered by {reply!r}. Does another program use this line?"
         )
 
 

@@ -44,19 +44,11 @@ _CUT_OFF_EPOCHS = 2
 
 @dataclass
 class CanTraffic:
-    """Frames received from the bus in some seconds.
+    """Frames received from the bus in some seconds."""
 
-    Attributes
-    ----------
-    duration_s : float
-        On the run's clock.
-    arrived_s : list of float
-        When each frame was received, on the run's clock.
-    """
-
-    duration_s: float = 0.0
+    duration_s: float = 0.0  #: On the run's clock.
     messages: list[can.Message] = field(default_factory=list)
-    arrived_s: list[float] = field(default_factory=list)
+    arrived_s: list[float] = field(default_factory=list)  #: When each frame was received, on the run's clock.
 
     @property
     def frames_per_s(self) -> float:

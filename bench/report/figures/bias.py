@@ -224,9 +224,7 @@ _LIMIT_COLOUR = "#b3261e"
 
 @house_style
 def position_difference_figure(
-    comparisons: Sequence[PositionComparison],
-    limit_dph: float | None = None,
-    marked_c: Sequence[float] = (),
+    comparisons: Sequence[PositionComparison], limit_dph: float | None = None, marked_c: Sequence[float] = ()
 ) -> Figure:
     """Draw the largest difference between positions in every bin of the three gyros.
 

@@ -45,12 +45,7 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
         judged = "/".join(str(row[name]) for name in ("accepted", "marginal", "rejected"))
         means = [_with_spread(scale, row, gyro) for gyro in "xyz"]
         table.add_row(
-            Text(str(row["name"] or "unknown")),
-            str(row["runs"]),
-            str(row["units"]),
-            searched,
-            judged,
-            *means,
+            Text(str(row["name"] or "unknown")), str(row["runs"]), str(row["units"]), searched, judged, *means
         )
     note = (
         f"Biases: mean ± standard deviation of the runs, {scale.unit}. c/e/o: runs clean, explained, other "

@@ -27,46 +27,27 @@ LEVEL = "level"
 
 @dataclass(frozen=True)
 class RunBias:
-    """One quantity in one run.
+    """One quantity in one run."""
 
-    Attributes
-    ----------
-    path, unit : str
-        The run, and its INS.
-    started_utc : datetime
-        Its start.
-    bias_dph, sigma_dph : float
-        Value and standard uncertainty.
-    """
-
+    #: path, unit: The run, and its INS.
     path: str
     unit: str
-    started_utc: datetime
+    started_utc: datetime  #: Its start.
+    #: bias_dph, sigma_dph: Value and standard uncertainty.
     bias_dph: float
     sigma_dph: float
 
 
 @dataclass(frozen=True, order=True)
 class Quantity:
-    """A quantity compared between runs.
+    """A quantity compared between runs."""
 
-    Attributes
-    ----------
-    gyro : str
-        "x", "y" or "z".
-    bin_low_c, bin_high_c : float
-        Range of the gyro's temperature.
-    name : str
-        :data:`LEVEL`, or the position whose bias minus the level it is.
-    positions : tuple of str
-        Positions averaged in the level.
-    """
-
-    gyro: str
+    gyro: str  #: "x", "y" or "z".
+    #: bin_low_c, bin_high_c: Range of the gyro's temperature.
     bin_low_c: float
     bin_high_c: float
-    name: str
-    positions: tuple[str, ...]
+    name: str  #: :data:`LEVEL`, or the position whose bias minus the level it is.
+    positions: tuple[str, ...]  #: Positions averaged in the level.
 
     @property
     def label(self) -> str:
@@ -149,35 +130,20 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Trend:
-    """Drift of one gyro's bias in one temperature bin.
+    """Drift of one gyro's bias in one temperature bin."""
 
-    Attributes
-    ----------
-    quantity : Quantity
-        The quantity.
-    runs : sequence of RunBias
-        Its measurements in order of time.
-    bias_dph, sigma_dph : float
-        Mean over the runs, and its standard uncertainty.
-    between_runs_dph : float
-        Standard deviation of the runs about the line beyond their uncertainties (turn-on bias).
-    slope_dph_per_month, slope_sigma_dph_per_month : float
-        The drift; NaN with too few runs.
-    p_value : float
-        Probability of a slope at least as steep if there is none; NaN with too few runs.
-    p_adjusted : float
-        The same, corrected for all comparisons (Holm).
-    """
-
-    quantity: Quantity
-    runs: Sequence[RunBias]
+    quantity: Quantity  #: The quantity.
+    runs: Sequence[RunBias]  #: Its measurements in order of time.
+    #: bias_dph, sigma_dph: Mean over the runs, and its standard uncertainty.
     bias_dph: float
     sigma_dph: float
+    #: Standard deviation of the runs about the line beyond their uncertainties (turn-on bias).
     between_runs_dph: float
+    #: slope_dph_per_month, slope_sigma_dph_per_month: The drift; NaN with too few runs.
     slope_dph_per_month: float
     slope_sigma_dph_per_month: float
-    p_value: float
-    p_adjusted: float
+    p_value: float  #: Probability of a slope at least as steep if there is none; NaN with too few runs.
+    p_adjusted: float  #: The same, corrected for all comparisons (Holm).
 
     @property
     def is_proven(self) -> bool:

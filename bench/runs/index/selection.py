@@ -9,30 +9,18 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Selection:
-    """Criteria for runs; None for any.
+    """Criteria for runs; None for any."""
 
-    Attributes
-    ----------
-    unit, batch, bench : str
-        Serial number, batch of its gyros, name of the station.
-    procedure : str
-        Name of the procedure, or the beginning of its SHA-256.
-    since, until : date
-        First and last day (UTC) of the start of the run.
-    verdict : str
-        Verdict of the search for effects, or of acceptance.
-    ended : str
-        End of the run.
-    """
-
+    #: unit, batch, bench: Serial number, batch of its gyros, name of the station.
     unit: str | None = None
     batch: str | None = None
     bench: str | None = None
-    procedure: str | None = None
+    procedure: str | None = None  #: Name of the procedure, or the beginning of its SHA-256.
+    #: since, until: First and last day (UTC) of the start of the run.
     since: date | None = None
     until: date | None = None
-    verdict: str | None = None
-    ended: str | None = None
+    verdict: str | None = None  #: Verdict of the search for effects, or of acceptance.
+    ended: str | None = None  #: End of the run.
 
     def condition(self) -> tuple[str, list[Any]]:
         """SQL condition on the table of runs, and its parameters."""

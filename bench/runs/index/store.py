@@ -43,18 +43,10 @@ _TAGS = ("ETag", "etag", "mtime", "LastModified", "last_modified", "created")
 
 @dataclass(frozen=True)
 class RunFiles:
-    """One run folder of a store.
+    """One run folder of a store."""
 
-    Attributes
-    ----------
-    path : str
-        Relative to the root; "." where the root is the run.
-    files : mapping of str to str
-        Size and tag of each file that the index reads, by name.
-    """
-
-    path: str
-    files: Mapping[str, str]
+    path: str  #: Relative to the root; "." where the root is the run.
+    files: Mapping[str, str]  #: Size and tag of each file that the index reads, by name.
 
     @property
     def fingerprint(self) -> str:
@@ -64,17 +56,10 @@ class RunFiles:
 
 @dataclass(frozen=True)
 class RunStore:
-    """A folder, or a part of an object store, that holds run folders.
+    """A folder, or a part of an object store, that holds run folders."""
 
-    Attributes
-    ----------
-    url : str
-        As given: a path, or any URL that fsspec knows, as ``s3://bucket/runs`` or ``memory://runs``.
-    file_system, root
-        Its fsspec file system, and the path in it.
-    """
-
-    url: str
+    url: str  #: As given: a path, or any URL that fsspec knows, as ``s3://bucket/runs`` or ``memory://runs``.
+    #: file_system, root: Its fsspec file system, and the path in it.
     file_system: AbstractFileSystem = field(repr=False)
     root: str
 

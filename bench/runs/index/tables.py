@@ -32,20 +32,11 @@ from gyrobench.bench.runs.journal import facts_of, parse_journal
 
 @dataclass(frozen=True)
 class Unit:
-    """A row of ``units.csv``.
+    """A row of ``units.csv``."""
 
-    Attributes
-    ----------
-    unit : str
-        Serial number, as in the runs.
-    batch : str
-        Batch of its gyros.
-    hardware, note : str
-        Further information; may be empty.
-    """
-
-    unit: str
-    batch: str
+    unit: str  #: Serial number, as in the runs.
+    batch: str  #: Batch of its gyros.
+    #: hardware, note: Further information; may be empty.
     hardware: str
     note: str
 
@@ -133,55 +124,35 @@ class _Acceptance(BaseModel):
 
 @dataclass(frozen=True)
 class RunRow:
-    """One row of the table of runs; empty text and None mean unknown.
+    """One row of the table of runs; empty text and None mean unknown."""
 
-    Attributes
-    ----------
-    path : str
-        Relative to the root of the runs.
-    unit, station, procedure, procedure_sha256, gyrobench : str
-        Serial number, bench, procedure and its version, version of the program.
-    clock, world : str
-        Clock of the run, and world behind emulated instruments.
-    started_utc : datetime
-        Start, UTC without time zone.
-    duration_h : float
-        From its journal.
-    ended, reason : str
-        From its journal; or :data:`NOT_ENDED`.
-    dwells, flagged : int
-        Number of dwells measured, and flagged.
-    compensated : bool
-        Whether the INS compensated biases: the measured ones are residuals.
-    verdict : str
-        Verdict of the search for effects.
-    noise_dph, error_before_dph, error_after_dph, dwells_searched
-        Errors found by the search.
-    acceptance : str
-        Verdict on the acceptance limits.
-    """
-
-    path: str
+    path: str  #: Relative to the root of the runs.
+    #: unit, station, procedure, procedure_sha256, gyrobench: Serial number, bench, procedure and its version,
+    #: version of the program.
     unit: str
     station: str
     procedure: str
     procedure_sha256: str
     gyrobench: str
+    #: clock, world: Clock of the run, and world behind emulated instruments.
     clock: str
     world: str
-    started_utc: datetime
-    duration_h: float
+    started_utc: datetime  #: Start, UTC without time zone.
+    duration_h: float  #: From its journal.
+    #: ended, reason: From its journal; or :data:`NOT_ENDED`.
     ended: str
     reason: str
+    #: dwells, flagged: Number of dwells measured, and flagged.
     dwells: int
     flagged: int
-    compensated: bool
-    verdict: str
+    compensated: bool  #: Whether the INS compensated biases: the measured ones are residuals.
+    verdict: str  #: Verdict of the search for effects.
+    #: noise_dph, error_before_dph, error_after_dph, dwells_searched: Errors found by the search.
     noise_dph: float | None
     error_before_dph: float | None
     error_after_dph: float | None
     dwells_searched: int | None
-    acceptance: str
+    acceptance: str  #: Verdict on the acceptance limits.
 
 
 @dataclass(frozen=True)

@@ -18,61 +18,45 @@ METHODS = ("alignment", "velocity")
 
 @dataclass(frozen=True)
 class CalibrationCheckRow:
-    """Bias of one gyro by a calibration check, beside the calibrated one.
+    """Bias of one gyro by a calibration check, beside the calibrated one."""
 
-    Attributes
-    ----------
-    unit, run : str
-        As in the dwell table.
-    dwell, turned_dwell : int, int or None
-        Number of the dwell; for two alignments that of the first, and of the one half a turn from it.
-    cycle : int
-        Which pass of the temperature profile.
-    position, azimuth_deg : str, float
-        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`, and azimuth of the dwell.
-    gyro : str
-        "x", "y" or "z".
-    method : str
-        One of :data:`METHODS`.
-    temperature_c : float
-        Mean of this gyro's optics over the alignments or the navigation; NaN where not measured.
-    bias_dph, sigma_dph : float
-        Bias of the gyro and its standard uncertainty.
-    paper_bias_dph, paper_sigma_dph : float
-        The same by the second slope of the velocity East alone.
-    accelerometer_ug, accelerometer_sigma_ug : float
-        What was taken for the bias of the accelerometer along this gyro; both enter the biases.
-    calibrated_dph, calibrated_sigma_dph : float
-        Calibrated bias of the gyro in this position at this temperature; NaN where there is none.
-    difference_dph, difference_sigma_dph, p_value : float
-        The bias less the calibrated one, its standard uncertainty, and the probability of such a
-        difference by chance; NaN without a calibrated one, and where there are flags.
-    flags : str
-        What was wrong; empty where nothing was. A row with flags may be without numbers.
-    """
-
+    #: unit, run: As in the dwell table.
     unit: str
     run: str
+    #: dwell, turned_dwell: Number of the dwell; for two alignments that of the first, and of the one half a
+    #: turn from it.
     dwell: int
     turned_dwell: int | None
-    cycle: int
+    cycle: int  #: Which pass of the temperature profile.
+    #: position, azimuth_deg: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`, and azimuth of
+    #: the dwell.
     position: str
     azimuth_deg: float
-    gyro: str
-    method: str
+    gyro: str  #: "x", "y" or "z".
+    method: str  #: One of :data:`METHODS`.
+    #: Mean of this gyro's optics over the alignments or the navigation; NaN where not measured.
     temperature_c: float = math.nan
+    #: bias_dph, sigma_dph: Bias of the gyro and its standard uncertainty.
     bias_dph: float = math.nan
     sigma_dph: float = math.nan
+    #: paper_bias_dph, paper_sigma_dph: The same by the second slope of the velocity East alone.
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
+    #: accelerometer_ug, accelerometer_sigma_ug: What was taken for the bias of the accelerometer along this
+    #: gyro; both enter the biases.
     accelerometer_ug: float = math.nan
     accelerometer_sigma_ug: float = math.nan
+    #: calibrated_dph, calibrated_sigma_dph: Calibrated bias of the gyro in this position at this temperature;
+    #: NaN where there is none.
     calibrated_dph: float = math.nan
     calibrated_sigma_dph: float = math.nan
+    #: difference_dph, difference_sigma_dph, p_value: The bias less the calibrated one, its standard
+    #: uncertainty, and the probability of such a difference by chance; NaN without a calibrated one, and
+    #: where there are flags.
     difference_dph: float = math.nan
     difference_sigma_dph: float = math.nan
     p_value: float = math.nan
-    flags: str = ""
+    flags: str = ""  #: What was wrong; empty where nothing was. A row with flags may be without numbers.
 
     @property
     def is_compared(self) -> bool:

@@ -20,33 +20,23 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 @dataclass(frozen=True)
 class JointBiasRow:
-    """Bias of one gyro in one dwell.
+    """Bias of one gyro in one dwell."""
 
-    Attributes
-    ----------
-    plateau, dwell : int
-        Number of the plateau, from 1 (column ``stop``), and of the dwell.
-    position, gyro : str
-        Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`; "x", "y" or "z".
-    temperature_c : float
-        Mean of the gyro.
-    single_dph, single_sigma_dph : float
-        The dwell by itself.
-    joint_dph, joint_sigma_dph : float
-        All dwells of the plateau together.
-    corrected_dph, corrected_sigma_dph : float
-        The same with the rate Up taken away from the vertical gyros; NaN where that is not to be done.
-    """
-
+    #: plateau, dwell: Number of the plateau, from 1 (column ``stop``), and of the dwell.
     plateau: int
     dwell: int
+    #: position, gyro: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`; "x", "y" or "z".
     position: str
     gyro: str
-    temperature_c: float
+    temperature_c: float  #: Mean of the gyro.
+    #: single_dph, single_sigma_dph: The dwell by itself.
     single_dph: float
     single_sigma_dph: float
+    #: joint_dph, joint_sigma_dph: All dwells of the plateau together.
     joint_dph: float
     joint_sigma_dph: float
+    #: corrected_dph, corrected_sigma_dph: The same with the rate Up taken away from the vertical gyros; NaN
+    #: where that is not to be done.
     corrected_dph: float
     corrected_sigma_dph: float
 

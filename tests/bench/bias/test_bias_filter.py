@@ -55,9 +55,7 @@ def test_the_bias_is_exact_after_a_slow_turn(position):
 @pytest.mark.parametrize("position", POSITIONS)
 def test_the_bias_is_exact_with_another_mechanisation(dwell_of, position):
     dwell = dwell_of(
-        position=position,
-        gyro_bias_dph=tuple(BIAS_DPH),
-        accelerometer_bias_mps2=tuple(ACCELEROMETER_UG * UG),
+        position=position, gyro_bias_dph=tuple(BIAS_DPH), accelerometer_bias_mps2=tuple(ACCELEROMETER_UG * UG)
     )
     assert np.abs(error_dph(dwell)).max() < EXACT_DPH
 
@@ -198,7 +196,7 @@ def test_refuses_an_estimate_before_there_is_navigation_after_the_turn():
         bias_filter.estimate()
 
 
-def test_a_turn_that_tells_nothing_leaves_the_level_gyros_unknown():
+def test_a_turn_that_determines_nothing_leaves_the_level_gyros_unknown():
     """Back to where it started: only the prior parts biases from initial errors, and it says so."""
     table = [rotation_matrix(UP, 0.0)] * 2
     dwell = replace(emulate(ins=sensors(BIAS_DPH), stops_deg=(0.0, 0.0)), C_nb_table=tuple(table))

@@ -130,9 +130,7 @@ def test_variance_of_several_sums_is_that_of_each(gyro_noise):
 
 
 @given(
-    st.lists(st.floats(0.01, 30.0), min_size=30, max_size=60),
-    st.floats(1e-5, 1e-1),
-    st.floats(0.0, 200.0),
+    st.lists(st.floats(0.01, 30.0), min_size=30, max_size=60), st.floats(1e-5, 1e-1), st.floats(0.0, 200.0)
 )
 def test_variances_are_positive_on_uneven_epochs(intervals, arw, vrw):
     noise = NoiseModel.from_datasheet(arw, vrw)

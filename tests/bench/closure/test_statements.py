@@ -3,10 +3,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import attitude_thermal, g_sensitivity, thermal_hysteresis, warm_up
-from gyrobench.bench.closure.loop import (
-    FoundEffect,
-    close_loop,
-)
+from gyrobench.bench.closure.loop import FoundEffect, close_loop
 from tests.bench.closure.test_candidates import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 

@@ -102,7 +102,7 @@ def test_a_run_that_was_cut_off_gives_what_it_holds(two_dwells, tmp_path):
     last.write_bytes(last.read_bytes()[:-1000])
     exported = export_run(folder, ExportSelection(), tmp_path / "out")
     assert {path.name for path in exported.files} == {
-        *("dwells.parquet", "telemetry.parquet", "can.blf", "export.json"),
+        *("dwells.parquet", "telemetry.parquet", "can.blf", "export.json")
     }
     assert "gyrobench bins" in exported.missing[DataKind.BINS]
     assert json.loads((tmp_path / "out" / "export.json").read_text())["origin"]["ended"] is None

@@ -32,10 +32,7 @@ def test_a_bench_behind_ports_has_one(station, tmp_path):
 
 def test_a_guard_that_can_not_start_is_an_error(station, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with (
-        pytest.raises(GyrobenchError, match="did not start"),
-        GuardProcess(station, tmp_path, WallClock()),
-    ):
+    with pytest.raises(GyrobenchError, match="did not start"), GuardProcess(station, tmp_path, WallClock()):
         pass
 
 

@@ -43,12 +43,7 @@ def test_each_receiver_gets_the_events_of_its_choice(serve, receiver):
     assert [json.loads(body)["event"] for _, _, body in ends.received] == ["ends", "guard_acted"]
     assert record.events == ["message_sent"] * 5
     first = next(details for _, details in record.entries if details["about"] == "needs_person")
-    assert first | {"to": ""} == {
-        "to": "",
-        "about": "needs_person",
-        "answer": "200 OK",
-        "attempts": 1,
-    }
+    assert first | {"to": ""} == {"to": "", "about": "needs_person", "answer": "200 OK", "attempts": 1}
 
 
 def test_sending_never_waits_for_a_server_that_hangs(serve, receiver):

@@ -24,8 +24,7 @@ def test_every_receiver_gets_the_text_and_every_reply_is_returned(serve, station
     server = serve()
     down = f"http://127.0.0.1:{free_port()}"
     station = station_with(
-        f"{{kind: ntfy, address: '{server.url}/bench', on: [ends]}}",
-        f"{{kind: webhook, address: '{down}'}}",
+        f"{{kind: ntfy, address: '{server.url}/bench', on: [ends]}}", f"{{kind: webhook, address: '{down}'}}"
     )
     first, second = send_test(str(station), "Hello.")
     assert (first.is_sent, first.reply) == (True, "200 OK")

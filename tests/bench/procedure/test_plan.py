@@ -90,9 +90,7 @@ def test_a_soak_ends_a_dwell(planned: PlanOf) -> None:
     assert [one.dwell for one in plan.steps[2:]] == [1, 1, None, None, None]
 
 
-def test_one_navigation_straight_from_the_alignment_is_a_dwell_with_its_purpose(
-    planned: PlanOf,
-) -> None:
+def test_one_navigation_straight_from_the_alignment_is_a_dwell_with_its_purpose(planned: PlanOf) -> None:
     verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: calibration_check}\n"
     _, plan = planned(START + verify + "- go_to: {position: z_up, azimuth_deg: 180}\n" + verify + PAIR)
     assert [(one.dwell, one.is_calibration_check, one.window) for one in plan.steps[2:]] == [

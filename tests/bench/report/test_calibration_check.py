@@ -100,7 +100,7 @@ def test_the_table_holds_every_bias_beside_the_calibrated_one():
     assert {len(row) for row in table.rows} == {len(table.header)}
 
 
-def test_azimuths_tell_dwells_of_one_position_apart():
+def test_azimuths_distinguish_dwells_of_one_position():
     opposite = replace(ROW, dwell=2, azimuth_deg=180.0)
     pair = replace(ALIGNMENT, azimuth_deg=270.0)
     assert [line[0] for line in verification_rows([ROW, opposite, pair])] == [
@@ -126,9 +126,7 @@ def test_dwells_are_counted_regardless_of_the_number_of_their_biases():
 def test_flags_are_stated_with_their_place():
     biases, flags = verification_section([ROW, FLAGGED]).tables
     assert biases.rows[1][-1] == "flagged"
-    assert list(flags.rows) == [
-        ("dwell 5, Z-Up at 180 deg, Y gyro by velocity", "the INS left navigation"),
-    ]
+    assert list(flags.rows) == [("dwell 5, Z-Up at 180 deg, Y gyro by velocity", "the INS left navigation")]
 
 
 def test_the_text_says_what_is_in_no_uncertainty_and_what_was_assumed():

@@ -62,8 +62,7 @@ def test_a_dialect_can_not_take_a_key_that_every_section_has(changed, monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("station", "usual"),
-    [("emulated", 9600), ("emulated_thermotron", 9600), ("emulated_f4t", 38400)],
+    ("station", "usual"), [("emulated", 9600), ("emulated_thermotron", 9600), ("emulated_f4t", 38400)]
 )
 def test_a_line_has_the_dialects_usual_settings_unless_others_are_given(
     tmp_path, monkeypatch, station, usual

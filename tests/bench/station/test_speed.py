@@ -36,9 +36,7 @@ def station(tmp_path):
     [
         {},
         {"table": "socket://127.0.0.1:9878", "chamber": "socket://localhost:4000"},
-        {
-            "ins": "interface: socketcand\n  channel: can0\n  options: {host: 127.0.0.1, port: 28600}",
-        },
+        {"ins": "interface: socketcand\n  channel: can0\n  options: {host: 127.0.0.1, port: 28600}"},
         {"table": TABLE, "chamber": CHAMBER, "ins": INS},
         {"table": "replay:///tmp/table.rec"},
     ],

@@ -70,8 +70,7 @@ def test_an_absent_dbc_file_is_named(changed):
 
 def test_outer_and_inner_follow_the_controllers_axis_numbers(changed):
     path = changed(
-        ("outer_axis_number: 1", "outer_axis_number: 2"),
-        ("inner_axis_number: 2", "inner_axis_number: 1"),
+        ("outer_axis_number: 1", "outer_axis_number: 2"), ("inner_axis_number: 2", "inner_axis_number: 1")
     )
     station = Station(path)
     assert station.by_axis_number((10.0, 20.0)) == {2: 10.0, 1: 20.0}

@@ -39,10 +39,7 @@ def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_reported(change
     [
         ("guessed", 'write `estimated` .* or give angle_random_walk_deg_per_sqrt_h, .*; found "guessed"'),
         ("5", "write `estimated` .* found 5"),
-        (
-            "{angle_random_walk_deg_per_sqrt_h: 0}",
-            "'angle_random_walk_deg_per_sqrt_h' must be above 0",
-        ),
+        ("{angle_random_walk_deg_per_sqrt_h: 0}", "'angle_random_walk_deg_per_sqrt_h' must be above 0"),
         (
             "{angle_random_walk_deg_per_sqrt_h: 0.001, velocity_output_mps: -1}",
             "'velocity_output_mps' must be at least 0; found -1",
@@ -73,10 +70,7 @@ def test_noise_may_be_left_to_the_data(changed):
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        (
-            "tilt_step_arcsec: -1",
-            r"station\.yaml:\d+:\d+: 'tilt_step_arcsec' must be at least 0",
-        ),
+        ("tilt_step_arcsec: -1", r"station\.yaml:\d+:\d+: 'tilt_step_arcsec' must be at least 0"),
         ("acelerometer_bias_ug: 1", "did you mean 'accelerometer_bias_ug'"),
     ],
 )

@@ -40,11 +40,7 @@ def serve(tmp_path):
     def start(*options):
         command = [*COMMAND, "--world", str(world), "--for-s", "600", *options]
         server = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            preexec_fn=heed_interrupts,
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_interrupts
         )
         servers.append(server)
         return servers[-1], json.loads(servers[-1].stdout.readline())

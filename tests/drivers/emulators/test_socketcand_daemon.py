@@ -44,8 +44,7 @@ def test_a_frame_that_is_sent_reaches_the_ins(client):
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["open can1", "rawmode", "send 200 2 2 0", "bcmmode", "", "frame 1 2 3", "open can0 can0", "é"],
+    "command", ["open can1", "rawmode", "send 200 2 2 0", "bcmmode", "", "frame 1 2 3", "open can0 can0", "é"]
 )
 def test_what_is_wrong_or_too_early_is_answered_with_an_error(client, command):
     assert client.say(command) == "< error unknown command >"

@@ -23,10 +23,7 @@ from gyrobench.drivers.rate_table import RateTable, TableReading
 from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, Acutrol3000, ReplyFraming, set_bits
 
 FAST = AxisParameters(
-    rate_limit_dps=2000.0,
-    acceleration_limit_dps2=2e4,
-    jerk_limit_dps3=2e6,
-    settling_time_constant_s=0.001,
+    rate_limit_dps=2000.0, acceleration_limit_dps2=2e4, jerk_limit_dps3=2e6, settling_time_constant_s=0.001
 )
 
 
@@ -434,8 +431,7 @@ def test_no_prefix_gives_a_length_beyond_the_longest_message(prefixes):
 
 
 @pytest.mark.parametrize(
-    ("register", "expected"),
-    [(0, []), (0b10, ["rate trip"]), (0b10010, ["rate trip", "fault 4"])],
+    ("register", "expected"), [(0, []), (0b10, ["rate trip"]), (0b10010, ["rate trip", "fault 4"])]
 )
 def test_bits_have_names_or_at_least_numbers(register, expected):
     assert set_bits(register, SOFTWARE_FAULTS, "fault") == expected

@@ -19,10 +19,7 @@ def log(request, tmp_path):
     clock = VirtualClock()
     world = str(find_document("worlds", "quick"))
     path = tmp_path / f"ins{request.param}"
-    with (
-        open_bus("emulator", "ins", clock, world=world) as bus,
-        can.Logger(path) as writer,
-    ):
+    with open_bus("emulator", "ins", clock, world=world) as bus, can.Logger(path) as writer:
         bus._bench.world.power_unit(True)
         for _ in range(40):
             frame = bus.recv(30.0)

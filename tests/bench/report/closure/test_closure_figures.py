@@ -11,13 +11,7 @@ from gyrobench.bench.report.closure.closure_figures import (
     temperature_groups,
 )
 from gyrobench.bench.report.closure.closure_text import residuals_dph, rms
-from tests.bench.report.made_up_closure import (
-    ambiguous,
-    clean,
-    explained,
-    unexplained,
-    without_boards,
-)
+from tests.bench.report.made_up_closure import ambiguous, clean, explained, unexplained, without_boards
 
 
 def points(axes, label):

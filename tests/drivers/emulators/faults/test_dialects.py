@@ -50,10 +50,7 @@ def test_a_fault_that_a_dialect_can_not_have_is_refused_by_name_and_place(
     "fault", ["lost_reply", "half_reply", "garbage", "damaged_reply", "lost_request", "earlier_reply"]
 )
 def test_faults_of_the_line_go_with_every_dialect(bench_with, chamber, fault):
-    requests = {
-        "thermotron_8800": b"SETP1?\r",
-        "watlow_f4t": b":SOURCE:CLOOP1:SPOINT?\n",
-    }
+    requests = {"thermotron_8800": b"SETP1?\r", "watlow_f4t": b":SOURCE:CLOOP1:SPOINT?\n"}
     bench = bench_with(f"fault: {fault}, target: chamber, at_s: 10", chamber=chamber)
     right = bench.serial["chamber"].feed(requests[chamber], 0.0)
     assert right

@@ -68,11 +68,7 @@ def test_a_move_from_rest_ends_at_its_target_within_all_limits(target, bounds):
     assert max(abs(piece.jerk_dps3) for piece in [*up, *along, *down]) <= bounds.jerk_dps3
 
 
-@given(
-    target=st.floats(-300.0, 300.0),
-    start_dps=rates,
-    acceleration=st.floats(-5.0, 5.0),
-)
+@given(target=st.floats(-300.0, 300.0), start_dps=rates, acceleration=st.floats(-5.0, 5.0))
 def test_a_move_that_starts_in_motion_still_ends_at_its_target(target, start_dps, acceleration):
     start = AxisState(7.0, start_dps, acceleration)
     up, along, down = move(start, target, LIMITS)

@@ -101,8 +101,7 @@ def test_with_both_axes_at_zero_the_unit_lies_level_and_looks_north(make_world):
 
 
 @pytest.mark.parametrize(
-    ("outer_axis", "outer", "inner"),
-    [("east", [1, 0, 0], [0, 0, 1]), ("up", [0, 0, 1], [1, 0, 0])],
+    ("outer_axis", "outer", "inner"), [("east", [1, 0, 0], [0, 0, 1]), ("up", [0, 0, 1], [1, 0, 0])]
 )
 def test_the_outer_axis_carries_the_inner_one(make_world, outer_axis, outer, inner):
     world = make_world(table={"outer_axis": outer_axis})
