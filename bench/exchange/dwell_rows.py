@@ -20,12 +20,8 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[int]:
     """Number the legs of the temperature between its turning points, from 1.
 
-    Parameters
-    ----------
-    temperatures_c : sequence of float
-        In the order of time.
-    min_turn_c : float
-        The temperature turned at its extreme once it came back by this much, K.
+    ``temperatures_c``: in the order of time. ``min_turn_c``: the temperature turned at its extreme once it
+    came back by this much, K.
     """
     turns: list[int] = []
     direction = 0

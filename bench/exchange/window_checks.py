@@ -253,15 +253,8 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     exceed these terms contain drift and are ignored. Outliers, as a knock in one window, are left out. The
     uncertainty of a mean is at least that of the resolution of the rate.
 
-    Parameters
-    ----------
-    logs : sequence of sequences of Window
-        Valid windows, log by log.
-
-    Raises
-    ------
-    MeasurementError
-        A gyro's rate never changes, or there are too few windows.
+    ``logs``: valid windows, log by log. Raises MeasurementError if a gyro's rate never changes, or there are
+    too few windows.
     """
     windows = [window for log in logs for window in log]
     differences = {

@@ -297,12 +297,7 @@ _COMPLETE = ("clean", "explained")
 def read_batch(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[BatchQuantity, Sequence[RunBias]]:
     """Read what can be compared between units: biases and sizes of effects.
 
-    Parameters
-    ----------
-    index : RunIndex
-        Where to read.
-    runs : sequence of mapping
-        Rows of its table of runs.
+    ``runs``: rows of the index's table of runs.
     """
     biases = read_run_biases(index, [run["path"] for run in runs])
     values: dict[BatchQuantity, Sequence[RunBias]] = dict(biases.items())

@@ -126,12 +126,8 @@ _WIDTH = 0.62
 def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> Figure:
     """Draw the units: a panel for each gyro, a band for each temperature bin or position in a bin.
 
-    Parameters
-    ----------
-    batch : sequence of QuantityStatistics
-        The batch.
-    of_positions : bool
-        Whether to draw the differences of positions in place of the levels.
+    ``of_positions``: whether to draw the differences of positions in place of the
+    levels.
     """
     figure = new_figure(9.2 if of_positions else 7.6)
     panels = figure.subplots(len(AXES), 1, sharex=False)

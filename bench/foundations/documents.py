@@ -390,12 +390,8 @@ class _SchemaGenerator(GenerateJsonSchema):
 def json_schema(model: type[BaseModel], title: str) -> Schema:
     """Write the JSON Schema (draft 2020-12) of a file model, for editors that complete, explain and check.
 
-    Parameters
-    ----------
-    model : type
-        Descriptions, defaults and bounds are those of its fields; models below it are in ``$defs``.
-    title : str
-        What such a file is.
+    ``model``: descriptions, defaults and bounds are those of its fields; models below it are in ``$defs``.
+    ``title``: what such a file is.
     """
     made = model.model_json_schema(schema_generator=_SchemaGenerator)
     return {"$schema": _SCHEMA_DIALECT, "title": title} | {

@@ -59,15 +59,8 @@ def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
 
     An existing file of that name is replaced atomically.
 
-    Parameters
-    ----------
-    is_synced : bool
-        False for a file that need not survive a power cut; faster.
-
-    Raises
-    ------
-    RunFolderError
-        It can't be written.
+    ``is_synced``: false for a file that need not survive a power cut; faster. Raises RunFolderError if it
+    can't be written.
     """
     temporary = temporary_path(path)
     try:

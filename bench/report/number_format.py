@@ -90,12 +90,8 @@ def by_temperature(
 
     Neighbours that are empty in all positions come as one range without positions.
 
-    Parameters
-    ----------
-    bins : iterable
-        One for each position and bin.
-    ends_c, is_filled : callable
-        Return the ends of one, and whether anything was measured there.
+    ``bins``: one for each position and bin. ``ends_c``, ``is_filled``: return the ends of one, and whether
+    anything was measured there.
     """
     groups: dict[tuple[float, float], list[BinT]] = {}
     for each in sorted(bins, key=ends_c):

@@ -339,21 +339,9 @@ _LACKING = (
 def write_pdf(page: Path, pdf: Path) -> Path:
     """Convert a self-contained HTML page to PDF.
 
-    Parameters
-    ----------
-    page : Path
-        A page of :func:`write_report`.
-    pdf : Path
-        Output file.
-
-    Raises
-    ------
-    GyrobenchError
-        A system library is missing.
-    MissingPackageError
-        Weasyprint is not installed.
-    RunFolderError
-        The file can't be written.
+    ``page``: a page of :func:`write_report`. ``pdf``: output file. Raises GyrobenchError if a system library
+    is missing. Raises MissingPackageError if weasyprint is not installed. Raises RunFolderError if the file
+    can't be written.
     """
     try:
         html, urls = require("weasyprint"), require("weasyprint.urls")

@@ -75,10 +75,7 @@ class ReplayScript:
 
     A reply arrives as long after its request as recorded.
 
-    Parameters
-    ----------
-    now_s : float
-        Time at which the line is opened, on the same clock as the times of the methods.
+    ``now_s``: time at which the line is opened, on the same clock as the times of the methods.
     """
 
     def __init__(self, recording: Recording, now_s: float) -> None:

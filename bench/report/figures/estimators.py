@@ -33,12 +33,8 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     Bars are combined uncertainties. Both use the same data, so noise alone separates them by less:
     points beyond their bars show systematic errors of the paper's method.
 
-    Parameters
-    ----------
-    dwells : iterable of DwellRow
-        Dwells with flags, or without the paper's estimate, are left out.
-    marked_c : sequence of float
-        Temperatures in degC to mark with a line.
+    Dwells with flags, or without the paper's estimate, are left out. ``marked_c``: temperatures
+    in degC to mark with a line.
     """
     both = with_both(dwells)
     pairs = [pair for row in both for pair in differences_dph(row)]
@@ -111,10 +107,7 @@ def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
 
     Few dwells have no distribution: see :func:`has_distribution`.
 
-    Parameters
-    ----------
-    dwells : iterable of DwellRow
-        Dwells without a test of fit are left out; those with flags are crossed out.
+    Dwells without a test of fit are left out; those with flags are crossed out.
     """
     tested = _tested(dwells)
     figure = new_figure(3.4)

@@ -73,12 +73,7 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
 
     Results of the paper's method are in a second row; a note gives the reason if it does not apply.
 
-    Parameters
-    ----------
-    bins : sequence of BiasBin
-        Of one unit.
-    comparisons : sequence of PositionComparison
-        Result of :func:`gyrobench.bench.bias.bins.compare_positions`.
+    ``bins``: of one unit. ``comparisons``: result of :func:`gyrobench.bench.bias.bins.compare_positions`.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))
@@ -112,10 +107,7 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
 def durations_table(took: Took) -> RenderableType:
     """Planned and actual duration by kind of step.
 
-    Parameters
-    ----------
-    took : mapping of str to sequence of tuple
-        Planned and actual duration, s, of every finished step, by kind.
+    ``took``: planned and actual duration, s, of every finished step, by kind.
     """
     kinds = durations_by_kind(took)
     if not kinds:

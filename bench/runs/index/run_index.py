@@ -84,13 +84,8 @@ class QueryResult:
 class RunIndex:
     """The index of one store.
 
-    Parameters
-    ----------
-    store : RunStore
-        The run folders.
-    path : Path, optional
-        The index; by default ``index.duckdb`` beside the runs, and for an object store a file
-        in the user's cache.
+    ``store``: the run folders. ``path``: the index; by default ``index.duckdb`` beside the runs, and for an
+    object store a file in the user's cache.
     """
 
     def __init__(self, store: RunStore, path: Path | None = None) -> None:
@@ -101,19 +96,9 @@ class RunIndex:
     def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> Changes:
         """Bring the index up to date.
 
-        Parameters
-        ----------
-        rebuild : bool
-            Whether to read all runs again.
-        progress : callable, optional
-            Called with the number of changed runs read so far and in total.
-
-        Raises
-        ------
-        RunFolderError
-            The runs can't be found or the index can't be written.
-        DocumentError
-            The table of units is wrong.
+        ``rebuild``: whether to read all runs again. ``progress``: called with the number of changed runs read
+        so far and in total. Raises RunFolderError if the runs can't be found or the index can't be written.
+        Raises DocumentError if the table of units is wrong.
         """
         found = {run.path: run for run in self._store.runs()}
         units_tag = self._store.tag(UNITS)
