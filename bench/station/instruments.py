@@ -107,18 +107,11 @@ DriverT = TypeVar("DriverT", bound=_Closable)
 
 @dataclass(frozen=True)
 class Emulation:
-    """Simulated world behind emulated instruments, which alone read it; real ones ignore it.
+    """Simulated world behind emulated instruments, which alone read it; real ones ignore it."""
 
-    Attributes
-    ----------
-    world, faults : str
-        World file and list of faults (empty: none), by path or shipped name.
-    seed : int
-        Seed of everything random in the world.
-    """
-
+    #: world, faults: World file and list of faults (empty: none), by path or shipped name.
     world: str = "gyro_a"
-    seed: int = 0
+    seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
 
     def options(self) -> dict[str, str | int]:

@@ -39,23 +39,13 @@ _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
 
 
 class Station:
-    """A bench as its file describes it.
-
-    Attributes
-    ----------
-    file : StationFile
-        The file's content.
-    path : Path
-        Where it was read from; file names in it are relative to its folder.
-    table : TwoAxisTable
-        Kinematics of the table with the unit on it.
-    """
+    """A bench as its file describes it."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._document, self.file = load_station_file(path)
+        self.path = path  #: Where it was read from; file names in it are relative to its folder.
+        self._document, self.file = load_station_file(path)  #: The file's content.
         try:
-            self.table = self._table()
+            self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:
             raise self._document.error([Problem(("rate_table", "mounting"), str(error))]) from error
 
