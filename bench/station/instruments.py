@@ -199,7 +199,7 @@ class Instruments(Outputs):
             opened.callback(super().close)
             self.table  # noqa: B018 - opens it
             self.chamber  # noqa: B018
-            self.ins = _opened(clock, INS, self._open_ins)
+            self.ins = _opened(clock, INS, lambda: open_ins(self._station, self.clock, self._emulation))
             opened.pop_all()
 
     def reopen(self, instrument: str) -> None:
@@ -223,9 +223,6 @@ class Instruments(Outputs):
         """Close all ports; the instruments keep their state."""
         self.ins.close()
         super().close()
-
-    def _open_ins(self) -> CanIns:
-        return open_ins(self._station, self.clock, self._emulation)
 
 
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
