@@ -43,12 +43,7 @@ def compensation_files(suffixes: Sequence[str]) -> list[str]:
 
 
 def export_compensation(closure: Closure, suffixes: Sequence[str], destination: ExportFolder) -> None:
-    """Write table, terms and the file that `gyrobench run --compensation` takes.
-
-    Parameters
-    ----------
-    suffixes : sequence of str
-        Endings of the tables, ".csv" or ".parquet" or both.
+    """Write tables with these suffixes, and the file that `gyrobench run --compensation` takes.
 
     Raises
     ------

@@ -47,14 +47,9 @@ Batch = dict[Column, NDArray[Any]]
 
 
 class TextLog:
-    """A text log.
+    """A text log; its columns without a header are ``column 1``, ...
 
-    Attributes
-    ----------
-    columns : list of str
-        Names from the header; ``column 1``, ... without a header.
-    truncated : bool
-        Whether the last line was cut off and left out; known once all batches are read.
+    ``truncated`` states whether the last line was cut off and left out, once all batches are read.
 
     Raises
     ------
@@ -79,12 +74,7 @@ class TextLog:
         self.columns = cells if layout.header else [f"column {index + 1}" for index in range(len(cells))]
 
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
-        """Read columns batch by batch; what was not measured is NaN.
-
-        Parameters
-        ----------
-        numbers, texts : sequence of Column
-            Which to read as float64, and which as text.
+        """Read columns batch by batch, ``numbers`` as float64 and ``texts`` as text; NaN if not measured.
 
         Raises
         ------

@@ -60,14 +60,7 @@ class LogImport:
 
 
 def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
-    """Average logs to a dwell table.
-
-    Parameters
-    ----------
-    logs : sequence of Path
-        In the order of time.
-    mapping : str
-        Import map: file or shipped name.
+    """Average logs, in the order of time, to a dwell table by an import map: a file or shipped name.
 
     Raises
     ------

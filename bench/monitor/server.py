@@ -64,14 +64,7 @@ _HEADERS = {
 
 
 class MonitorServer(ThreadingHTTPServer):
-    """Serves what a function answers to the target of a GET or HEAD request.
-
-    Parameters
-    ----------
-    answer : callable
-        Returns the response to a target such as ``/runs/mine/``.
-    port : int
-        TCP port; 0 for any free port.
+    """Serves what a function answers to the target of a GET or HEAD request, such as ``/runs/mine/``.
 
     Raises
     ------

@@ -43,12 +43,7 @@ _MAX_UNPACKED_BYTES = 16 * 1024 * 1024
 
 
 class CanLog:
-    """Writes the raw CAN log of a run.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if absent; existing parts are kept and numbering continues.
+    """Writes the raw CAN log of a run; existing parts are kept and numbering continues.
 
     Raises
     ------

@@ -215,15 +215,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
 
 
 class _MainTerm:
-    """The term of an effect that changes one gyro's bias most.
-
-    Attributes
-    ----------
-    label : str
-        Label of the horizontal axis.
-    along, bias_dph : ndarray, shape (n,)
-        Abscissa, and the bias of the term without its mean.
-    """
+    """The term that changes one gyro's bias most: abscissa and its label, bias (n,) without its mean."""
 
     def __init__(self, closure: Closure, found: FoundEffect, columns: FloatArray, axis: int) -> None:
         campaign, searched = closure.campaign, closure.searched

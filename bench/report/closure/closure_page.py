@@ -223,17 +223,8 @@ def _facts(closure: Closure) -> dict[str, str]:
 def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -> tuple[Path, Path | None]:
     """Write the files of a search and update the report of its run.
 
-    Parameters
-    ----------
-    campaign : Path
-        The run folder or dwell table that was searched.
-    folder : Path, optional
-        Where to write; by default ``closure``, in the run folder or beside the table.
-
-    Returns
-    -------
-    page, report : Path, Path or None
-        The page, and the updated report; None if the files are not in a run folder.
+    ``campaign`` is the run folder or dwell table that was searched, ``folder`` by default ``closure`` in the
+    run folder or beside the table. Returns the page and the updated report, None for files outside a run.
 
     Raises
     ------

@@ -29,18 +29,8 @@ def separability_summary(
 ) -> RenderableType:
     """Sizes that are found and distinguished, what is not at the target size, and procedure changes.
 
-    Parameters
-    ----------
-    separability : Separability
-        Of the dwells searched.
-    dwells : int
-        Number of dwells including the held-out ones.
-    unit : PlannedUnit
-        The unit under test.
-    target_dph : float
-        Target size, deg/h rms.
-    advice : sequence of Advice
-        From :func:`gyrobench.bench.closure.procedure_changes.advise` for the target size.
+    The separability is that of the dwells searched, ``dwells`` includes the held-out ones; the target size is
+    an rms, the advice is for it.
     """
     seen = [each for each in separability.detections if each.missing_input is None]
     parts: list[RenderableType] = [

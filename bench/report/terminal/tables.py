@@ -69,16 +69,9 @@ _PAPER_METHOD = (
 
 
 def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison]) -> RenderableType:
-    """Each gyro's bias by temperature bin and position, and the comparison of positions.
+    """Each gyro's bias by temperature bin and position, and the comparison of positions, of one unit.
 
     Results of the paper's method are in a second row; a note gives the reason if it does not apply.
-
-    Parameters
-    ----------
-    bins : sequence of BiasBin
-        Of one unit.
-    comparisons : sequence of PositionComparison
-        Result of :func:`gyrobench.bench.bias.bins.compare_positions`.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))
@@ -110,13 +103,7 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
 
 
 def durations_table(took: Took) -> RenderableType:
-    """Planned and actual duration by kind of step.
-
-    Parameters
-    ----------
-    took : mapping of str to sequence of tuple
-        Planned and actual duration, s, of every finished step, by kind.
-    """
+    """Planned and actual duration by kind of step."""
     kinds = durations_by_kind(took)
     if not kinds:
         return Text("No step was finished.")

@@ -84,13 +84,7 @@ class QueryResult:
 class RunIndex:
     """The index of one store.
 
-    Parameters
-    ----------
-    store : RunStore
-        The run folders.
-    path : Path, optional
-        The index; by default ``index.duckdb`` beside the runs, and for an object store a file
-        in the user's cache.
+    Its file is by default ``index.duckdb`` beside the runs, and for an object store in the user's cache.
     """
 
     def __init__(self, store: RunStore, path: Path | None = None) -> None:
@@ -99,14 +93,9 @@ class RunIndex:
         self.path = path or _default_path(store)
 
     def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> Changes:
-        """Bring the index up to date.
+        """Bring the index up to date, or read all runs again.
 
-        Parameters
-        ----------
-        rebuild : bool
-            Whether to read all runs again.
-        progress : callable, optional
-            Called with the number of changed runs read so far and in total.
+        ``progress`` is called with the number of changed runs read so far and in total.
 
         Raises
         ------

@@ -163,10 +163,7 @@ def _tag(info: Mapping[str, Any]) -> str:
 def runs_named(names: Sequence[str]) -> list[Path]:
     """Absolute paths of run folders, each once.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
+    A name is a run folder, a folder that holds some at any depth, or a pattern with ``*``, ``?`` or ``[]``.
 
     Raises
     ------

@@ -42,14 +42,7 @@ class Unit:
 
 
 def parse_units(text: str, name: str) -> list[Unit]:
-    """Read CSV text with the columns unit and batch, optionally hardware and note.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-    name : str
-        Name of the file for messages.
+    """Read CSV text with the columns unit and batch, optionally hardware and note; ``name`` is for messages.
 
     Raises
     ------
@@ -166,14 +159,7 @@ class RunRecord:
 
 
 def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
-    """Read a run.
-
-    Parameters
-    ----------
-    files : RunFiles
-        Files of its folder.
-    read : callable
-        Returns the content of a file, given its path from the root.
+    """Read a run by a function that returns the content of a file, given its path from the root.
 
     Raises
     ------
