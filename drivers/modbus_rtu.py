@@ -52,13 +52,7 @@ def framed(content: bytes) -> bytes:
 
 
 class ModbusRtu:
-    """Exchanges with the device at one address of a line.
-
-    Parameters
-    ----------
-    address : int
-        1 to 247.
-    """
+    """Exchanges with the device at one address of a line. ``address``: 1 to 247."""
 
     def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
         self._line = line
@@ -70,12 +64,8 @@ class ModbusRtu:
     def read(self, register: int, count: int = 1) -> tuple[int, ...]:
         """Read successive registers as signed 16-bit numbers.
 
-        Raises
-        ------
-        RefusedError
-            The device replied with an exception.
-        ReplyError, NoReplyError, ConnectionFailedError
-            There was no valid reply.
+        Raises RefusedError if the device replied with an exception. Raises ReplyError, NoReplyError,
+        ConnectionFailedError if there was no valid reply.
         """
         request = struct.pack(">BBHH", self._address, _READ, register, count)
         start = bytes((self._address, _READ, 2 * count))

@@ -105,10 +105,7 @@ class SerialLine:
     def reopen(self) -> None:
         """Close the port and open it again with the same settings; unread input is lost.
 
-        Raises
-        ------
-        ConnectionFailedError
-            The port can't be opened; it stays closed and can be reopened later.
+        Raises ConnectionFailedError if the port can't be opened; it stays closed and can be reopened later.
         """
         self.close()
         try:
@@ -131,13 +128,7 @@ class SerialLine:
                 self._recording.close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
-
-        Raises
-        ------
-        ConnectionFailedError
-            The port went away.
-        """
+        """Send bytes. Raises ConnectionFailedError if the port went away."""
         try:
             self._record(True, data)
             self._port.write(data)
@@ -148,12 +139,8 @@ class SerialLine:
     def read(self, count: int, deadline: Deadline) -> bytes:
         """Read exactly ``count`` bytes.
 
-        Raises
-        ------
-        NoReplyError
-            Fewer bytes arrived before the deadline; the message has those that did.
-        ConnectionFailedError
-            The port went away.
+        Raises NoReplyError if fewer bytes arrived before the deadline; the message has those that did. Raises
+        ConnectionFailedError if the port went away.
         """
         try:
             self._port.timeout = deadline.remaining_s() / self.clock.speed
@@ -180,12 +167,8 @@ class SerialLine:
     def await_silence(self, silence_s: float, max_s: float | None = None) -> None:
         """Discard input until nothing has arrived for ``silence_s``.
 
-        Raises
-        ------
-        ReplyError
-            The line did not become silent within ``max_s``, by default five times the silence.
-        ConnectionFailedError
-            The port went away.
+        Raises ReplyError if the line did not become silent within ``max_s``, by default five times the
+        silence. Raises ConnectionFailedError if the port went away.
         """
         deadline = Deadline(self.clock, _MAX_SILENCES * silence_s if max_s is None else max_s)
         while not deadline.expired():

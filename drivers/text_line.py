@@ -24,12 +24,8 @@ LINE_ENDINGS = {"cr": b"\r", "crlf": b"\r\n", "lf": b"\n"}
 class TextLine:
     """Requests and replies of text.
 
-    Parameters
-    ----------
-    ending : bytes
-        Ends each request.
-    end_of_reply : bytes
-        Any one of these bytes ends a reply; those before its first letter are dropped.
+    ``ending``: ends each request. ``end_of_reply``: any one of these bytes ends a reply; those before its
+    first letter are dropped.
     """
 
     def __init__(

@@ -17,12 +17,21 @@ WORDS = (
 #: Identifiers for which the vocabulary has another word.
 IDENTIFIERS = (
     *("Audience", "People", "RunProgress", "Standing", "Orders", "Picture", "bench_now", "believed"),
-    *("paid_with", "many_comparisons", "fit_test", "FitTest", "misfit", "Hand"),
+    *("paid_with", "many_comparisons", "fit_test", "FitTest", "Hand"),
 )
 PREFIXES = ("_MOST_", "_LEAST_", "_LONGEST_", "_SHORTEST_", "MOST_", "LEAST_", "LONGEST_", "SHORTEST_")
 
-#: The name of a command of version 0.1.0, which still works and says what replaces it; and this list.
-EXEMPT = {"bench/cli/control.py": {"tell"}, "CHANGELOG.md": {"tell"}, "tests/test_language.py": set(WORDS)}
+#: Names of version 0.1.0 that are accepted with a note of what replaces them; and this list.
+EXEMPT = {
+    "bench/cli/control.py": {"tell"},
+    "bench/cli/__init__.py": {"tell"},
+    "tests/bench/cli/test_control.py": {"tell"},
+    "tests/bench/cli/test_command_groups.py": {"tell"},
+    "CHANGELOG.md": {"tell", "nobody"},
+    "bench/station/interlocks.py": {"nobody"},
+    "tests/bench/foundations/test_documents.py": {"nobody"},
+    "tests/test_language.py": set(WORDS),
+}
 
 
 def texts() -> list[Path]:

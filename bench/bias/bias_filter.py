@@ -157,10 +157,7 @@ class BiasFilter:
     def estimate(self) -> StateSpaceEstimate:
         """Estimate the biases from what has been added so far.
 
-        Raises
-        ------
-        MeasurementError
-            There was no turn yet, or nothing has been added after it.
+        Raises MeasurementError if there was no turn yet, or nothing has been added after it.
         """
         if len(self._windows) < 2 or not self._windows[-1].epochs:
             raise MeasurementError(
@@ -261,10 +258,7 @@ def estimate_state_space(
 ) -> StateSpaceEstimate:
     """Estimate the gyro biases of one dwell; see the module.
 
-    Raises
-    ------
-    MeasurementError
-        The dwell has no turn.
+    Raises MeasurementError if the dwell has no turn.
     """
     bias_filter = BiasFilter(site, noise, prior)
     for number, window in enumerate(dwell.windows):

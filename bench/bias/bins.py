@@ -124,23 +124,14 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
 
 def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
-    """Write ``bias_bins.csv``.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write ``bias_bins.csv``. Raises RunFolderError if the file can't be written."""
     write_text(path, format_csv(_COLUMNS, (_cells(each) for each in bins)))
 
 
 def read_bins(path: Path) -> list[BiasBin]:
     """Read ``bias_bins.csv``; the paper's columns may be missing.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
     """
     return parse_bins(read_text(path), str(path))
 
@@ -148,10 +139,7 @@ def read_bins(path: Path) -> list[BiasBin]:
 def parse_bins(text: str, name: str) -> list[BiasBin]:
     """Read CSV text called ``name`` in messages; see :func:`read_bins`.
 
-    Raises
-    ------
-    DocumentError
-        Lists all that is wrong with it.
+    Raises DocumentError, which lists all that is wrong with it.
     """
     table = CsvTable(text, name, required=[column for column in _COLUMNS if column not in _PAPER])
     bins = [_parsed(table, index) for index in range(len(table))]

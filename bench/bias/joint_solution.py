@@ -251,10 +251,7 @@ class JointSolution:
         Meant for a rate that ``applies``. One of several temperatures is much the safer: three biases
         that differ up and down by little more than the noise often pass for a rate.
 
-        Parameters
-        ----------
-        rate : UpRate, optional
-            Of several temperatures together, these dwells among them; otherwise that of these dwells.
+        ``rate``: of several temperatures together, these dwells among them; otherwise that of these dwells.
         """
         rate = rate or self.up_rate
         if not rate.weights:
@@ -278,17 +275,8 @@ class JointSolution:
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """Solve the dwells of one plateau together.
 
-    Parameters
-    ----------
-    dwells : sequence of JointDwell
-        Of one plateau, in any positions.
-    prior : PriorKnowledge
-        What is known beforehand, as for each dwell by itself.
-
-    Raises
-    ------
-    MeasurementError
-        There is no dwell.
+    ``dwells``: of one plateau, in any positions. ``prior``: what is known beforehand, as for each dwell by
+    itself. Raises MeasurementError if there is no dwell.
     """
     if not dwells:
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")

@@ -188,11 +188,7 @@ class NoiseEstimate:
 
         The velocity random walk is a cautious one: a dwell determines it coarsely, and good dwells would fail
         the test of fit where it came out small. White noise that is hidden is zero: add the resolution.
-
-        Raises
-        ------
-        MeasurementError
-            The angle random walk was not found.
+        Raises MeasurementError if the angle random walk was not found.
         """
         arw = self.angle_random_walk
         if not arw.is_found or arw.value is None:
@@ -284,17 +280,9 @@ def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseCo
 def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> NoiseEstimate:
     """Estimate the noise of an INS from its output at rest.
 
-    Parameters
-    ----------
-    windows : sequence of NavigationWindow
-        Of one or more dwells, of any attitude; missing epochs are allowed for.
-    gravity : float
-        Gravity at the bench, m/s^2.
-
-    Raises
-    ------
-    MeasurementError
-        No windows, windows with different epoch intervals, or too few data.
+    ``windows``: of one or more dwells, of any attitude; missing epochs are allowed for. ``gravity``:
+    at the bench, m/s^2. Raises MeasurementError if no windows, windows with different epoch intervals, or too
+    few data.
     """
     if not windows:
         raise MeasurementError("no window to estimate noise from. Let the INS navigate at rest")

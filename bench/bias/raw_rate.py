@@ -157,10 +157,7 @@ class UpDownEstimate:
     def latitude_rad(self) -> tuple[float, float]:
         """Latitude that the Earth rate implies, and its standard uncertainty.
 
-        Raises
-        ------
-        MeasurementError
-            The rate is not that of the Earth at any latitude.
+        Raises MeasurementError if the rate is not that of the Earth at any latitude.
         """
         sine = self.earth_radps / EARTH_RATE
         if abs(sine) >= 1.0:
@@ -174,10 +171,7 @@ class UpDownEstimate:
 def estimate_rate(recording: RateRecording) -> RateEstimate:
     """Estimate the mean rate of a recording by generalised least squares.
 
-    Raises
-    ------
-    MeasurementError
-        The recording is too short to estimate its noise.
+    Raises MeasurementError if the recording is too short to estimate its noise.
     """
     interval = recording.interval_s
     slopes = []

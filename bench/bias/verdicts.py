@@ -106,24 +106,12 @@ def _severity(judged: Judgement) -> tuple[int, bool, float]:
 
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:
-    """Write a verdict and all that it stands on.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write a verdict and all that it stands on. Raises RunFolderError if the file can't be written."""
     write_text(path, acceptance.model_dump_json(indent=2, by_alias=True) + "\n")
 
 
 def read_acceptance(path: Path) -> Acceptance:
-    """Read a verdict.
-
-    Raises
-    ------
-    DocumentError
-        The file can't be read or holds something else.
-    """
+    """Read a verdict. Raises DocumentError if the file can't be read or holds something else."""
     text = read_text(path)
     try:
         return Acceptance.model_validate(parse_json(text))

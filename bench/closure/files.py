@@ -30,10 +30,7 @@ PREDICTION_COLUMNS = (
 def write_closure(folder: Path, closure: Closure) -> None:
     """Write all files into a folder, which is created if missing.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
     write_text(folder / _DOCUMENT, _document_text(closure))
@@ -50,10 +47,7 @@ def is_written(folder: Path, closure: Closure) -> bool:
 def read_held_out_cycles(folder: Path) -> list[int]:
     """Held-out cycles of an earlier search; none without one.
 
-    Raises
-    ------
-    RunFolderError
-        The file is damaged.
+    Raises RunFolderError if the file is damaged.
     """
     path = folder / _DOCUMENT
     if not path.exists():

@@ -39,10 +39,7 @@ def declared_model(closure: Closure) -> LoadableModel:
 def model_with_effects(closure: Closure) -> LoadableModel:
     """The model with the effects found, as far as an INS can subtract them.
 
-    Raises
-    ------
-    MeasurementError
-        An effect of another package names a coefficient that an INS does not have.
+    Raises MeasurementError if an effect of another package names a coefficient that an INS does not have.
     """
     coefficients = _declared(closure, closure.model.declared)
     loaded, notes = [], [_constant_note(closure)]

@@ -52,13 +52,9 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
     """Predict the dwells of a plan.
 
     The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
-    Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more
-    in shorter ones. Dwells of a calibration check are left out.
-
-    Raises
-    ------
-    MeasurementError
-        The plan has no dwell that measures a bias.
+    Accelerometer noise is neglected: it adds about 6 % for the level gyros in windows of 10 min, more in
+    shorter ones. Dwells of a calibration check are left out. Raises MeasurementError if the plan has no dwell
+    that measures a bias.
     """
     navigations = list(_navigations(plan.steps))
     if not navigations:

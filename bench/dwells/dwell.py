@@ -78,10 +78,7 @@ class MeasurementSetup:
     def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
         """Noise of the INS in these windows: declared, or estimated from them.
 
-        Raises
-        ------
-        MeasurementError
-            It is to be estimated, and is not observable in these windows.
+        Raises MeasurementError if it is to be estimated, and is not observable in these windows.
         """
         if self.noise is not None:
             return self.noise
@@ -155,10 +152,7 @@ def checked_navigation(
 ) -> NavigationData:
     """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
 
-    Raises
-    ------
-    MeasurementError
-        The dwell never came to a window.
+    Raises MeasurementError if the dwell never came to a window.
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
@@ -177,10 +171,8 @@ def checked_navigation(
 def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
     """Navigation in the windows of a dwell, with what the table says of them.
 
-    Raises
-    ------
-    MeasurementError
-        The INS was not navigating all the time, restarted, or what it sent can't be used.
+    Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
+    used.
     """
     _check_navigating(
         navigation,
@@ -229,10 +221,7 @@ def rest_output(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
     """Times (n,), velocities (n, 3), attitudes (n, 3, 3) and gyro temperatures (n, 3) of one window.
 
-    Raises
-    ------
-    MeasurementError
-        The INS was not navigating all the time, or restarted.
+    Raises MeasurementError if the INS was not navigating all the time, or restarted.
     """
     inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
     _check_navigating(navigation, inside)
@@ -306,10 +295,7 @@ def _row(
 def measurement_setup(station: Station) -> MeasurementSetup:
     """Decoding, kinematics and noise of a station.
 
-    Raises
-    ------
-    DocumentError
-        The DBC file is wrong, or lacks signals that the station file maps.
+    Raises DocumentError if the DBC file is wrong, or lacks signals that the station file maps.
     """
     codec = DbcCodec(load_dbc(station.dbc_path))
     signals = station.file.ins.signals

@@ -85,13 +85,7 @@ class DwellMarks:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> DwellMarks:
-        """Undo :meth:`to_json`.
-
-        Raises
-        ------
-        RunFolderError
-            The data are not those of a dwell.
-        """
+        """Undo :meth:`to_json`. Raises RunFolderError if the data are not those of a dwell."""
         try:
             marks = _adapter().validate_json(json.dumps(_named(data)))
         except ValidationError as error:

@@ -44,14 +44,10 @@ from gyrobench.drivers.ins.can_bus import FrameBlock
 def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
     """Measure every finished dwell of a run again; check dwells are returned separately.
 
-    The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of
-    it at a time. Of a dwell that was finished twice, the last time counts; parts of the
-    log that belong to no finished dwell, as a kill leaves them, are passed over.
-
-    Raises
-    ------
-    RunFolderError
-        The journal or the log can't be read, or the log lacks the frames of a dwell.
+    The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of it at
+    a time. Of a dwell that was finished twice, the last time counts; parts of the log that belong to no
+    finished dwell, as a kill leaves them, are passed over. Raises RunFolderError if the journal or the log
+    can't be read, or the log lacks the frames of a dwell.
     """
     dwells: list[MeasuredDwell] = []
     check_dwells: list[CheckDwell] = []
@@ -79,10 +75,7 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
 def finished_marks(folder: RunFolder) -> Iterator[DwellMarks]:
     """Marks of the finished dwells in the journal, in the order of time.
 
-    Raises
-    ------
-    RunFolderError
-        The journal is damaged.
+    Raises RunFolderError if the journal is damaged.
     """
     for entry in read_journal(folder.journal):
         if entry.get("event") == "dwell_finished":
@@ -95,10 +88,7 @@ def finished_marks(folder: RunFolder) -> Iterator[DwellMarks]:
 def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
     """Frames of one finished dwell.
 
-    Raises
-    ------
-    RunFolderError
-        The run has no finished dwell of that number, or the log lacks its frames.
+    Raises RunFolderError if the run has no finished dwell of that number, or the log lacks its frames.
     """
     marks = {each.dwell: each for each in finished_marks(folder)}.get(dwell)
     if marks is None:
@@ -230,10 +220,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
 def write_results(folder: RunFolder, results: RunResults) -> None:
     """Write the tables of a run beyond that of its dwells.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     write_bins(folder.bias_bins, results.bins)
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)

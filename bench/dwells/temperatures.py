@@ -39,10 +39,7 @@ class DwellTemperatures:
 def dwell_temperatures(navigation: NavigationData, first_row: int, end_row: int) -> DwellTemperatures:
     """Temperatures between two frames of a recording; those that are seldom a number are not measured.
 
-    Raises
-    ------
-    MeasurementError
-        There are no epochs or no temperatures between them.
+    Raises MeasurementError if there are no epochs or no temperatures between them.
     """
     series = navigation.temperatures
     epochs = (navigation.row >= first_row) & (navigation.row < end_row)

@@ -63,21 +63,14 @@ _RETRY_PAUSE_S = 2.0
 
 
 class StepContext:
-    """What actions share.
-
-    Attributes
-    ----------
-    retries : int
-        How often a failed exchange is tried again in the step in progress.
-    next_turns_deg : sequence of float
-        The turns until the next position: the table is positioned so that they stay within its limits.
-    """
+    """What actions share."""
 
     def __init__(self, run: RunContext, recorder: DwellRecorder) -> None:
         self.run = run
         self.bench = run.bench
         self.recorder = recorder
-        self.retries = 0
+        self.retries = 0  #: How often a failed exchange is tried again in the step in progress.
+        #: The turns until the next position: the table is positioned so that they stay within its limits.
         self.next_turns_deg: Sequence[float] = ()
 
 

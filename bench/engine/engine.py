@@ -115,10 +115,8 @@ class Engine:
     def _check_interlocks_before_motion(self) -> None:
         """Stop while anything is tripped, or for faults from before the run, which are not cleared unseen.
 
-        Raises
-        ------
-        TrippedError
-            An interlock is tripped, or the table reports faults that the operator has not seen.
+        Raises TrippedError if an interlock is tripped, or the table reports faults that the operator has not
+        seen.
         """
         trips = self._bench.trips()
         faults, self._unseen_faults = self._unseen_faults, ()
@@ -215,12 +213,8 @@ class Engine:
     def _tick(self) -> None:
         """Let a tick pass.
 
-        Raises
-        ------
-        TrippedError
-            An interlock is tripped.
-        CommandReceivedError, RunStoppedError
-            A command interrupts the step.
+        Raises TrippedError if an interlock is tripped. Raises CommandReceivedError or RunStoppedError if a
+        command interrupts the step.
         """
         self._heartbeat.beat()
         trips = self._bench.trips()

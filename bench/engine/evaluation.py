@@ -27,11 +27,7 @@ def evaluate_run(
     """Compute the results of all dwells of a run, and write them into its folder.
 
     ``check_dwells`` are compared with ``calibration``, or where that is empty with the run's own dwells.
-
-    Raises
-    ------
-    RunFolderError
-        The tables can't be written.
+    Raises RunFolderError if the tables can't be written.
     """
     check = calibration_check_rows(check_dwells, calibration or [dwell.row for dwell in dwells], setup)
     procedure = plan.procedure
@@ -45,12 +41,8 @@ def evaluate_run(
 def recompute_run(path: Path) -> RunFolder:
     """Measure a run again from its raw log, and write its tables.
 
-    Raises
-    ------
-    RunFolderError
-        The folder is no run folder, or its log can't be read.
-    DocumentError
-        The procedure, station or DBC file in it is wrong.
+    Raises RunFolderError if the folder is no run folder, or its log can't be read. Raises DocumentError if
+    the procedure, station or DBC file in it is wrong.
     """
     folder = open_run_folder(path)
     document, procedure = load_procedure(folder.procedure)

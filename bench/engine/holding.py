@@ -42,10 +42,7 @@ class Heartbeat:
     def command(self) -> GivenCommand | None:
         """Return the next command; it is in the journal when this returns.
 
-        Raises
-        ------
-        RunStoppedError
-            The command is to abort.
+        Raises RunStoppedError if the command is to abort.
         """
         run = self._run
         typed = run.operator.command()
@@ -82,14 +79,9 @@ class Holding:
     def hold(self, why: str, trips: Sequence[Trip] = (), command: RunCommand | None = None) -> None:
         """Wait because of trips, or of a command; ticks and interlocks continue.
 
-        Without trips, or where a rule requires it, the operator has to continue the run.
-
-        Raises
-        ------
-        TrippedError
-            Another interlock trips meanwhile.
-        RunStoppedError
-            The operator aborts, or the hold lasts longer than the station allows.
+        Without trips, or where a rule requires it, the operator has to continue the run. Raises TrippedError
+        if another interlock trips meanwhile. Raises RunStoppedError if the operator aborts, or the hold lasts
+        longer than the station allows.
         """
         run, names = self._run, [trip.name for trip in trips]
         after_s = self._continues_after_s(trips)

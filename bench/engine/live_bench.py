@@ -169,10 +169,7 @@ class LiveBench:
     def start(self) -> None:
         """Ask all instruments for the first time.
 
-        Raises
-        ------
-        InstrumentError
-            One does not answer, although it was asked several times.
+        Raises InstrumentError if one does not answer, although it was asked several times.
         """
         table = self._first(self.instruments.table.read)
         faults = self._first(self.instruments.table.faults)
@@ -370,10 +367,7 @@ class LiveBench:
     def prepare_table(self) -> None:
         """Set the limits of motion, clear latched faults and close the servos, unless that is done.
 
-        Raises
-        ------
-        InstrumentError
-            The table does not answer, or a servo does not close.
+        Raises InstrumentError if the table does not answer, or a servo does not close.
         """
         if self.state.expected.table_prepared:
             return

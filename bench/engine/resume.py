@@ -97,10 +97,7 @@ class ResumeState:
 def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeState:
     """Read from the journal of a run what is finished of its plan.
 
-    Raises
-    ------
-    RunFolderError
-        The journal does not belong to this plan, or lacks entries before its last one.
+    Raises RunFolderError if the journal does not belong to this plan, or lacks entries before its last one.
     """
     state = ResumeState()
     for entry in entries:
@@ -144,10 +141,7 @@ class Resumption:
     def check_unchanged(self) -> None:
         """Refuse where another process has resumed the run before this one locked it.
 
-        Raises
-        ------
-        RunFolderError
-            The journal has changed.
+        Raises RunFolderError if the journal has changed.
         """
         now = _state_in(self.folder, self.job.plan)
         if replace(now, last_s=self.state.last_s) != self.state:
@@ -190,12 +184,8 @@ class Resumption:
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     """Read the folder of an interrupted run; ``anyway`` also after many resumes without progress.
 
-    Raises
-    ------
-    RunFolderError
-        There is no run, it is finished, or it was resumed too often without progress.
-    DocumentError
-        Its procedure, station or DBC file is wrong.
+    Raises RunFolderError if there is no run, it is finished, or it was resumed too often without progress.
+    Raises DocumentError if its procedure, station or DBC file is wrong.
     """
     folder = open_run_folder(path)
     job = job_in(folder)

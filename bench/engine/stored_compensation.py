@@ -33,15 +33,9 @@ class StoredCompensation:
     def settle(self, after_power_on: bool) -> Iterator[None]:
         """Compare, ask and load; yields once a tick until the operator answers.
 
-        Where the INS does not report whether it compensates, nothing can be compared, and the
-        compensation is loaded after each power-on.
-
-        Raises
-        ------
-        RunStoppedError
-            The operator stops the run.
-        InstrumentError
-            The INS does not accept the compensation.
+        Where the INS does not report whether it compensates, nothing can be compared, and the compensation is
+        loaded after each power-on. Raises RunStoppedError if the operator stops the run. Raises
+        InstrumentError if the INS does not accept the compensation.
         """
         ins, run = self._run.bench.instruments.ins, self._run
         found = ins.status()

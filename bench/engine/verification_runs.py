@@ -112,10 +112,7 @@ class VerificationRuns:
     def is_finished(self, name: str) -> bool:
         """Whether the run with a compensation is finished, with the same job.
 
-        Raises
-        ------
-        RunFolderError
-            Its folder holds another run, or an unfinished one.
+        Raises RunFolderError if its folder holds another run, or an unfinished one.
         """
         folder = RunFolder(self.folder / name)
         if name in self._measured:
@@ -136,10 +133,7 @@ class VerificationRuns:
     def measure(self, name: str, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
         """Run the procedure with one compensation.
 
-        Raises
-        ------
-        InstrumentError, RunFolderError
-            As :func:`gyrobench.bench.engine.run.run_job`.
+        Raises InstrumentError or RunFolderError as :func:`gyrobench.bench.engine.run.run_job`.
         """
         folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
         if outcome.ended == "finished":
@@ -147,13 +141,7 @@ class VerificationRuns:
         return folder, outcome
 
     def result(self) -> VerificationResult:
-        """Evaluate all finished runs.
-
-        Raises
-        ------
-        RunFolderError
-            An earlier run can't be read.
-        """
+        """Evaluate all finished runs. Raises RunFolderError if an earlier run can't be read."""
         measured = {
             name: self._measured.get(name) or self._read(name) for name in self.jobs if self.is_finished(name)
         }
@@ -198,10 +186,7 @@ class VerificationRuns:
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
     """World of a run with the next seed: the same unit with new noise and power-ons, without faults.
 
-    Parameters
-    ----------
-    world, seed : str or None, int or None
-        Replacements.
+    ``world`` and ``seed`` replace those of the run.
     """
     known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)

@@ -128,10 +128,7 @@ def export_navigation(
 ) -> None:
     """Write decoded navigation of a run, or of one finished dwell; one part of the log is read at a time.
 
-    Raises
-    ------
-    RunFolderError
-        The log can't be read, there is no such dwell, or the file can't be written.
+    Raises RunFolderError if the log can't be read, there is no such dwell, or the file can't be written.
     """
     batches = _batches(folder, setup, dwell)
     destination.table(name, SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)

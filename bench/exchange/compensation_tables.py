@@ -43,12 +43,10 @@ def compensation_files(suffixes: Sequence[str]) -> list[str]:
 
 
 def export_compensation(closure: Closure, suffixes: Sequence[str], destination: ExportFolder) -> None:
-    """Write tables with these suffixes, and the file that `gyrobench run --compensation` takes.
+    """Write table, terms and the file that `gyrobench run --compensation` takes.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    ``suffixes``: endings of the tables, ".csv" or ".parquet" or both. Raises RunFolderError if a file can't
+    be written.
     """
     declared, model = declared_model(closure), model_with_effects(closure)
     about: dict[str, Any] = {

@@ -63,12 +63,8 @@ class ReadLog:
 def read_log(path: Path, log_map: LogMap) -> ReadLog:
     """Cut one log into windows and judge them.
 
-    Raises
-    ------
-    DocumentError
-        The import map does not match the log, or it can't be read.
-    MeasurementError
-        Time goes back.
+    Raises DocumentError if the import map does not match the log, or it can't be read. Raises
+    MeasurementError if time goes back.
     """
     reader = SampleReader(path, log_map)
     windows = list(cut_windows(reader.batches(), log_map.window_s, log_map.skip_s))
@@ -124,12 +120,8 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
 def _offsets_s(logs: Sequence[ReadLog], log_map: LogMap) -> list[float]:
     """Time of each log's first sample on the table's clock.
 
-    Logs of one power-on share a clock; those of several are laid one behind the other.
-
-    Raises
-    ------
-    MeasurementError
-        Logs of one power-on overlap or do not follow one another.
+    Logs of one power-on share a clock; those of several are laid one behind the other. Raises
+    MeasurementError if logs of one power-on overlap or do not follow one another.
     """
     offsets: list[float] = []
     end_s = 0.0

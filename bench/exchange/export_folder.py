@@ -78,10 +78,7 @@ def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
 def data_origin(folder: RunFolder) -> dict[str, Any]:
     """Run, unit, versions, hashes and end of the run as plain data; None for unknown values.
 
-    Raises
-    ------
-    RunFolderError
-        Provenance or journal can't be read.
+    Raises RunFolderError if provenance or journal can't be read.
     """
     provenance = read_provenance(folder)
     facts = facts_of(read_journal(folder.journal))
@@ -121,10 +118,7 @@ class ExportFolder:
     def refuse_existing(self, names: list[str]) -> None:
         """Check for existing files before the first one is written.
 
-        Raises
-        ------
-        RunFolderError
-            A file exists and ``force`` is off.
+        Raises RunFolderError if a file exists and ``force`` is off.
         """
         there = [name for name in names if (self.folder / name).exists()]
         if there and not self.force:
@@ -136,10 +130,7 @@ class ExportFolder:
     def file(self, name: str, **about: Any) -> Iterator[Path]:
         """Path to write to; the complete file then replaces the target. ``about`` goes into the record.
 
-        Raises
-        ------
-        RunFolderError
-            It can't be written.
+        Raises RunFolderError if it can't be written.
         """
         make_folder(self.folder)
         path = self.folder / name
@@ -160,10 +151,7 @@ class ExportFolder:
     def table(self, name: str, schema: pa.Schema, batches: Iterator[pa.Table], **about: Any) -> None:
         """Write a table as Parquet or CSV, by the suffix of its name, batch by batch.
 
-        Raises
-        ------
-        RunFolderError
-            It can't be written.
+        Raises RunFolderError if it can't be written.
         """
         units = {column: unit for column in schema.names if (unit := unit_of(column))}
         with self.file(name, units=units, **about) as path:
@@ -183,10 +171,7 @@ class ExportFolder:
     def finish(self) -> None:
         """Write the record of all files; entries of other files of the same run are kept.
 
-        Raises
-        ------
-        RunFolderError
-            It can't be written.
+        Raises RunFolderError if it can't be written.
         """
         if not self.written:
             return

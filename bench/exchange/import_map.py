@@ -271,9 +271,6 @@ class LogMap(StrictModel):
 def load_log_map(path: Path) -> LogMap:
     """Read an import map.
 
-    Raises
-    ------
-    DocumentError
-        Lists everything that is wrong with it, each with its place.
+    Raises DocumentError, which lists everything that is wrong with it, each with its place.
     """
     return validate(read_document(path), LogMap)

@@ -74,12 +74,10 @@ class TextLog:
         self.columns = cells if layout.header else [f"column {index + 1}" for index in range(len(cells))]
 
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
-        """Read columns batch by batch, ``numbers`` as float64 and ``texts`` as text; NaN if not measured.
+        """Read columns batch by batch; what was not measured is NaN.
 
-        Raises
-        ------
-        DocumentError
-            A column that the file does not have, or cells that can't be read: lists them.
+        ``numbers``, ``texts``: which to read as float64, and which as text. Raises DocumentError if a column
+        that the file does not have, or cells that can't be read: lists them.
         """
         import pyarrow as pa
 
@@ -267,10 +265,7 @@ _BATCH_RECORDS = 100_000
 class RecordLog:
     """A log of binary records; an incomplete record at the end is left out, and ``truncated`` is set.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read or has no record.
+    Raises DocumentError if the file can't be read or has no record.
     """
 
     def __init__(self, path: Path, layout: RecordFormat) -> None:
@@ -290,10 +285,7 @@ class RecordLog:
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
         """Read columns batch by batch: ``numbers`` as float64, ``texts`` as text.
 
-        Raises
-        ------
-        DocumentError
-            There is no such column, or the file can't be read.
+        Raises DocumentError if there is no such column, or the file can't be read.
         """
         indices = {column: self._index(column) for column in (*numbers, *texts)}
         try:

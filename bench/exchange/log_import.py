@@ -60,14 +60,11 @@ class LogImport:
 
 
 def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
-    """Average logs, in the order of time, to a dwell table by an import map: a file or shipped name.
+    """Average logs to a dwell table.
 
-    Raises
-    ------
-    DocumentError
-        The import map is wrong, or does not match a log, or a log can't be read.
-    MeasurementError
-        No window is valid, time goes back, or the temperatures can't support a curve.
+    ``logs``: in the order of time. ``mapping``: import map: file or shipped name. Raises DocumentError if the
+    import map is wrong, or does not match a log, or a log can't be read. Raises MeasurementError if no window
+    is valid, time goes back, or the temperatures can't support a curve.
     """
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path)
@@ -94,10 +91,7 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
 def write_import(out: Path, imported: LogImport) -> Path:
     """Write the dwell table, and beside it a record ``NAME.import.json``; returns the record's path.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     write_dwells(out, imported.rows)
     record = out.with_name(f"{out.stem}.import.json")

@@ -71,14 +71,9 @@ class SampleReader:
     def batches(self) -> Iterator[Samples]:
         """Read the log in the order of time.
 
-        A sample with an invalid status keeps its time; its rates become NaN.
-
-        Raises
-        ------
-        DocumentError
-            The import map names a column that the log lacks, or a cell can't be read.
-        MeasurementError
-            Time goes back.
+        A sample with an invalid status keeps its time; its rates become NaN. Raises DocumentError if the
+        import map names a column that the log lacks, or a cell can't be read. Raises MeasurementError if time
+        goes back.
         """
         numbers = [column for column, _, _ in self._quantities.values()]
         time = self._map.time.column
@@ -151,12 +146,8 @@ class SampleReader:
 def read_recording(path: Path, log_map: LogMap) -> RateRecording:
     """Read a whole log at rest as one recording; the specific force is scaled to standard gravity.
 
-    Raises
-    ------
-    DocumentError
-        The log can't be read, or does not fit the map.
-    MeasurementError
-        The unit was not at rest, or samples are missing or wrong.
+    Raises DocumentError if the log can't be read, or does not fit the map. Raises MeasurementError if the
+    unit was not at rest, or samples are missing or wrong.
     """
     batches = list(SampleReader(path, log_map).batches())
     samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}

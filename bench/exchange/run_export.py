@@ -73,10 +73,7 @@ _DEFAULT_FORMATS = (Format.PARQUET, Format.BLF)
 class ExportSelection:
     """Selected data of a run.
 
-    Raises
-    ------
-    DocumentError
-        A named kind has none of the formats, or a dwell is given without navigation.
+    Raises DocumentError if a named kind has none of the formats, or a dwell is given without navigation.
     """
 
     what: Sequence[DataKind] = ()  #: Empty for all but navigation.
@@ -106,12 +103,7 @@ class ExportSelection:
 def export_csv(path: Path, name: str, destination: ExportFolder) -> None:
     """Write a CSV table of the run as Parquet, or as it is.
 
-    Raises
-    ------
-    DocumentError
-        The table can't be read.
-    RunFolderError
-        The file can't be written.
+    Raises DocumentError if the table can't be read. Raises RunFolderError if the file can't be written.
     """
     about = {"source": path.name, "source_sha256": file_sha256(path)}
     table = read_table(path)
@@ -126,10 +118,7 @@ def export_csv(path: Path, name: str, destination: ExportFolder) -> None:
 def read_table(path: Path) -> pa.Table:
     """Read a CSV table; an empty cell is null, except in text columns.
 
-    Raises
-    ------
-    DocumentError
-        It is not a table, or a cell does not match its column's type.
+    Raises DocumentError if it is not a table, or a cell does not match its column's type.
     """
     text = read_text(path)
     header = next(csv.reader(io.StringIO(text)), [])
@@ -152,10 +141,7 @@ _SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in COLUMNS)])
 def export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:
     """Write all readings; gaps are marked by a row without values.
 
-    Raises
-    ------
-    RunFolderError
-        Telemetry can't be read, or the file can't be written.
+    Raises RunFolderError if telemetry can't be read, or the file can't be written.
     """
     readings = read_telemetry(folder.telemetry)
     columns = {column: _values(column, values) for column, values in readings.items()}
@@ -191,14 +177,9 @@ class Exported:
 def export_run(folder: RunFolder, selection: ExportSelection, out: Path, force: bool = False) -> Exported:
     """Write the selected data to the folder ``out``; an interrupted run may lack some of it.
 
-    With ``force`` existing files are replaced.
-
-    Raises
-    ------
-    DocumentError
-        A table, station or DBC file is wrong.
-    RunFolderError
-        Files exist, can't be read or written, or the run holds none of the selected data.
+    With ``force`` existing files are replaced. Raises DocumentError if a table, station or DBC file is wrong.
+    Raises RunFolderError if files exist, can't be read or written, or the run holds none of the selected
+    data.
     """
     missing = {what: why for what in selection.kinds() if (why := _why_missing(folder, what))}
     kinds = [what for what in selection.kinds() if what not in missing]

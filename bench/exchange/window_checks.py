@@ -100,10 +100,7 @@ def temperature_resolution_c(windows: Sequence[Window], name: str) -> float:
 def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], log_map: LogMap) -> list[str]:
     """Warnings about the temperatures of a table.
 
-    Raises
-    ------
-    MeasurementError
-        They swing too little, or in too few steps, for a curve over temperature.
+    Raises MeasurementError if they swing too little, or in too few steps, for a curve over temperature.
     """
     if log_map.temperatures.constant_c is not None:
         return ["all rows have the constant temperature of the import map: no curve over temperature"]
@@ -248,10 +245,8 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     exceed these terms contain drift and are ignored. Outliers, as a knock in one window, are left out. The
     uncertainty of a mean is at least that of the resolution of the rate.
 
-    Raises
-    ------
-    MeasurementError
-        A gyro's rate never changes, or there are too few windows.
+    ``logs``: valid windows, log by log. Raises MeasurementError if a gyro's rate never changes, or there are
+    too few windows.
     """
     windows = [window for log in logs for window in log]
     differences = {

@@ -112,10 +112,7 @@ class QuantityStatistics:
 def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[QuantityStatistics]:
     """Fit the model to each quantity measured on at least :data:`MIN_UNITS` units.
 
-    Raises
-    ------
-    MeasurementError
-        There is no such quantity.
+    Raises MeasurementError if there is no such quantity.
     """
     families: dict[object, list[_UnitMeans]] = defaultdict(list)
     for quantity, runs in values.items():

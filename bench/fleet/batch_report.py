@@ -124,7 +124,7 @@ _WIDTH = 0.62
 
 @house_style
 def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> Figure:
-    """Draw the units: a panel for each gyro, a band for each temperature bin or position in a bin."""
+    """Draw levels or position differences: a panel a gyro, a band for each bin or position in a bin."""
     figure = new_figure(9.2 if of_positions else 7.6)
     panels = figure.subplots(len(AXES), 1, sharex=False)
     out = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]

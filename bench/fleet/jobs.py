@@ -176,13 +176,7 @@ class FleetRecord:
         )
 
     def write(self) -> None:
-        """Write the record.
-
-        Raises
-        ------
-        RunFolderError
-            It can't be written.
-        """
+        """Write the record. Raises RunFolderError if it can't be written."""
         content = _RecordContent(kind=self.kind, gyrobench=__version__, runs=dict(sorted(self.runs.items())))
         make_folder(self.folder)
         write_whole(self.folder / RECORD, (content.model_dump_json(indent=1) + "\n").encode())
@@ -197,10 +191,7 @@ class FleetRecord:
 def read_record(kind: JobKind, folder: Path) -> FleetRecord:
     """Read the record of an earlier call; an empty one if there is none.
 
-    Raises
-    ------
-    RunFolderError
-        It can't be read, is damaged, or belongs to another job.
+    Raises RunFolderError if it can't be read, is damaged, or belongs to another job.
     """
     path = folder / RECORD
     if not path.exists():

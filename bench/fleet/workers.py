@@ -58,12 +58,8 @@ class Workers:
 def connected(workers: Workers) -> Iterator[Client]:
     """Start local workers, stopped afterwards, or connect to those of a cluster.
 
-    Raises
-    ------
-    GyrobenchError
-        The scheduler can't be reached or has no workers.
-    MissingPackageError
-        Dask is not installed.
+    Raises GyrobenchError if the scheduler can't be reached or has no workers. Raises MissingPackageError if
+    Dask is not installed.
     """
     dask, distributed = require("dask"), require("distributed")
     with dask.config.set(_CONFIG):
@@ -123,12 +119,7 @@ _calls = count(1)
 def work_through(client: Client, record: FleetRecord, paths: Sequence[Path]) -> Iterator[JobResult]:
     """Process runs; yields each result as it arrives and adds it to the record.
 
-    The record on disk is complete however this ends.
-
-    Raises
-    ------
-    RunFolderError
-        The record can't be written.
+    The record on disk is complete however this ends. Raises RunFolderError if the record can't be written.
     """
     clock = WallClock()
     deadline = Deadline(clock, _WRITE_EVERY_S)

@@ -205,13 +205,7 @@ class Deadline:
 
 
 def clock_named(name: str) -> Clock:
-    """Find the clock of that name.
-
-    Raises
-    ------
-    KeyError
-        No clock of that name is in use.
-    """
+    """Find the clock of that name. Raises KeyError if no clock of that name is in use."""
     return _clocks[name]
 
 

@@ -167,10 +167,7 @@ def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def read_text(path: Path) -> str:
     """Content of a UTF-8 file, without the mark that some spreadsheets put in front.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, is too large, or is not UTF-8.
+    Raises DocumentError if the file can't be read, is too large, or is not UTF-8.
     """
     try:
         return read_limited(path, MAX_TABLE_BYTES, DocumentError).decode("utf-8-sig")
@@ -181,9 +178,6 @@ def read_text(path: Path) -> str:
 def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 file whole or not at all, line ends as they are.
 
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
+    Raises RunFolderError if the file can't be written.
     """
     write_whole(path, text.encode())

@@ -22,10 +22,7 @@ _HALF_CHARACTER = re.compile(r"\\u[dD]")
 def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]) -> bytes:
     """Content of a plain file of at most ``max_bytes``; pipes and devices, which may never end, are refused.
 
-    Raises
-    ------
-    error_type
-        The file can't be read, is no plain file, or is too large.
+    Raises error_type if the file can't be read, is no plain file, or is too large.
     """
     try:
         status = path.stat()
@@ -44,10 +41,8 @@ def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | Ru
 def parse_json(text: str | bytes) -> Any:
     """Parse JSON.
 
-    Raises
-    ------
-    ValueError
-        It is no JSON, nested too deeply, or has halves of characters, which can't be written again.
+    Raises ValueError if it is no JSON, nested too deeply, or has halves of characters, which can't be written
+    again.
     """
     try:
         text = text if isinstance(text, str) else text.decode()
@@ -64,15 +59,8 @@ def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
 
     An existing file of that name is replaced atomically.
 
-    Parameters
-    ----------
-    is_synced : bool
-        False for a file that need not survive a power cut; faster.
-
-    Raises
-    ------
-    RunFolderError
-        It can't be written.
+    ``is_synced``: false for a file that need not survive a power cut; faster. Raises RunFolderError if it
+    can't be written.
     """
     temporary = temporary_path(path)
     try:
@@ -96,13 +84,7 @@ def temporary_path(path: Path) -> Path:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits.
-
-    Raises
-    ------
-    RunFolderError
-        It can't be read.
-    """
+    """SHA-256 of a file, in hexadecimal digits. Raises RunFolderError if it can't be read."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -113,10 +95,7 @@ def file_sha256(path: Path) -> str:
 def remove(path: Path) -> None:
     """Remove a file if it is there; when this returns, it is gone from the disk.
 
-    Raises
-    ------
-    RunFolderError
-        It can't be removed.
+    Raises RunFolderError if it can't be removed.
     """
     try:
         if path.exists():
@@ -129,10 +108,7 @@ def remove(path: Path) -> None:
 def make_folder(path: Path) -> None:
     """Make a folder, and those above it, unless it is there; when this returns, it is on the disk.
 
-    Raises
-    ------
-    RunFolderError
-        It can't be made.
+    Raises RunFolderError if it can't be made.
     """
     if not make_new_folder(path) and not path.is_dir():
         raise RunFolderError(f"{path}: is a file where a folder should be")
@@ -141,10 +117,7 @@ def make_folder(path: Path) -> None:
 def make_new_folder(path: Path) -> bool:
     """Make a folder and return whether it was made: False if something of that name exists.
 
-    Raises
-    ------
-    RunFolderError
-        It can't be made.
+    Raises RunFolderError if it can't be made.
     """
     try:
         missing = [folder for folder in (path, *path.parents) if not folder.exists()]
@@ -162,13 +135,7 @@ def make_new_folder(path: Path) -> bool:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk.
-
-    Raises
-    ------
-    OSError
-        It can't be done.
-    """
+    """Bring the names in a folder to the disk. Raises OSError if it can't be done."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -48,12 +48,8 @@ class GuardProcess(Guard):
     """A guard process for one run; a context manager.
 
     Without :meth:`release`, the guard makes the bench safe on exit: it waits until the bench's lock is free,
-    and tries for minutes. So release it once the bench is safe, and enter it with the bench locked.
-
-    Raises
-    ------
-    GyrobenchError
-        The guard does not start (when entered).
+    and tries for minutes. So release it once the bench is safe, and enter it with the bench locked. Raises
+    GyrobenchError if the guard does not start (when entered).
     """
 
     def __init__(self, station: Station, folder: Path, clock: Clock) -> None:

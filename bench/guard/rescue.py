@@ -33,10 +33,7 @@ _ALARM_PATIENCE_S = 900.0
 class Rescue:
     """Makes table and chamber of a bench safe over their ports, with repeated attempts.
 
-    Raises
-    ------
-    DocumentError
-        The station file is wrong.
+    Raises DocumentError if the station file is wrong.
     """
 
     def __init__(self, config: GuardConfig, engine: EngineProcess, clock: Clock, log: GuardLog) -> None:
@@ -96,10 +93,7 @@ class Rescue:
     def _lock(self) -> AbstractContextManager[object]:
         """Lock the bench as soon as the engine has released it.
 
-        Raises
-        ------
-        BenchInUseError
-            Another run has locked it.
+        Raises BenchInUseError if another run has locked it.
         """
         deadline = Deadline(self._clock, self._silence_s)
         while True:

@@ -72,17 +72,9 @@ class ManualControl:
     def tick(self, follow: bool = False) -> None:
         """Poll the bench for one tick, check interlocks and signals.
 
-        Parameters
-        ----------
-        follow : bool
-            Whether to read all instruments at this tick, also before their period is over.
-
-        Raises
-        ------
-        TrippedError
-            An interlock tripped; the bench is in its safe state.
-        StoppedByOperatorError, EndSessionError
-            A signal arrived.
+        ``follow``: whether to read all instruments at this tick, also before their period is over. Raises
+        TrippedError if an interlock tripped; the bench is in its safe state. Raises StoppedByOperatorError or
+        EndSessionError if a signal arrived.
         """
         self.bench.tick()
         self._ticked_s = self.bench.clock.now()

@@ -83,10 +83,8 @@ class ManualLimits:
 def manual_limits(station: Station, table: RateTable, chamber: Chamber) -> ManualLimits:
     """Query the controllers' limits and combine them with the station's.
 
-    Raises
-    ------
-    InstrumentError
-        A controller does not reply. A controller without such a query leaves the station's limits.
+    Raises InstrumentError if a controller does not reply. A controller without such a query leaves the
+    station's limits.
     """
     section, air = station.file.rate_table, station.file.chamber.limits
     limits = section.limits

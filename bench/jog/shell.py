@@ -73,12 +73,8 @@ class Shell:
     def execute(self, line: str) -> None:
         """Parse a line and execute it.
 
-        Raises
-        ------
-        CommandError
-            It is not understood, or a limit forbids it.
-        GyrobenchError
-            It failed during execution.
+        Raises CommandError if it is not understood, or a limit forbids it. Raises GyrobenchError if it failed
+        during execution.
         """
         words = line.replace(",", " ").lower().split()
         if not words:

@@ -77,12 +77,7 @@ class Display:
 class TypedLines:
     """Lines of standard input, read while the bench is polled.
 
-    Parameters
-    ----------
-    descriptor : int
-        Descriptor to read from.
-    meanwhile : callable
-        Called before every wait for input; returns soon.
+    ``meanwhile``: called before every wait for input; returns soon.
     """
 
     def __init__(self, descriptor: int, meanwhile: Callable[[], None]) -> None:
@@ -95,10 +90,7 @@ class TypedLines:
     def next(self) -> str | None:
         """Wait for a line; None at the end of the input.
 
-        Raises
-        ------
-        CommandError
-            A line is too long; its rest is skipped.
+        Raises CommandError if a line is too long; its rest is skipped.
         """
         while b"\n" not in self._text and len(self._text) <= _MAX_COMMAND_BYTES and not self._ended:
             self._meanwhile()
@@ -146,12 +138,8 @@ class Interruptions:
     def check(self) -> None:
         """Raise what has arrived since the last call.
 
-        Raises
-        ------
-        StoppedByOperatorError
-            Ctrl-C was pressed.
-        EndSessionError
-            SIGTERM or SIGHUP arrived; raised by every later call too.
+        Raises StoppedByOperatorError if Ctrl-C was pressed. Raises EndSessionError if SIGTERM or SIGHUP
+        arrived; raised by every later call too.
         """
         if self._end:
             raise EndSessionError("the session ends: its terminal closed or it was terminated.")

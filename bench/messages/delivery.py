@@ -56,10 +56,7 @@ _SHOWN = 200
 def read_secret(receiver: Receiver) -> str:
     """Read the secret of a receiver; empty where it has none.
 
-    Raises
-    ------
-    DocumentError
-        It is missing at the place that the station file names.
+    Raises DocumentError if it is missing at the place that the station file names.
     """
     if receiver.secret_env is not None:
         source = f"the environment variable {receiver.secret_env}"
@@ -268,10 +265,7 @@ _SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
 def deliver(receiver: Receiver, message: Message) -> str:
     """Deliver a message and return the receiver's reply; takes up to :data:`MAX_EXCHANGE_S` without one.
 
-    Raises
-    ------
-    UndeliveredError
-        It could not be delivered.
+    Raises UndeliveredError if it could not be delivered.
     """
     try:
         secret = read_secret(receiver)

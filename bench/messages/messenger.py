@@ -54,12 +54,8 @@ class Sender:
 
     A message stays in the queue until it is delivered, so that the journal can name those that were not.
 
-    Parameters
-    ----------
-    record : callable
-        Takes the event of a journal entry and its details; called by the thread.
-    pauses_s : sequence of float
-        Pauses between attempts; the last one repeats.
+    ``record``: takes the event of a journal entry and its details; called by the thread. ``pauses_s``: pauses
+    between attempts; the last one repeats.
     """
 
     def __init__(
@@ -220,10 +216,7 @@ class Attempt:
 def send_test(station: str, text: str) -> list[Attempt]:
     """Send a test message once to each receiver of a station, by file or shipped name.
 
-    Raises
-    ------
-    DocumentError
-        The station file is wrong, or has no receivers.
+    Raises DocumentError if the station file is wrong, or has no receivers.
     """
     document, file = load_station_file(find_document("stations", station))
     if not file.messages:

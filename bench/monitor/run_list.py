@@ -39,10 +39,7 @@ from gyrobench.drivers.ins.readout import InsMode
 def snapshot_of(path: Path) -> RunSnapshot:
     """The snapshot of a run in progress or ended, also of one recorded by an older gyrobench.
 
-    Raises
-    ------
-    RunFolderError
-        There is no run at that path.
+    Raises RunFolderError if there is no run at that path.
     """
     folder = open_run_folder(path)
     try:
@@ -226,10 +223,7 @@ def is_run(folder: Path) -> bool:
 def runs_in(folder: Path) -> list[Path]:
     """Run folders directly inside a folder, without links: those in progress first, then the newest.
 
-    Raises
-    ------
-    RunFolderError
-        The folder can't be read.
+    Raises RunFolderError if the folder can't be read.
     """
     try:
         inside = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
@@ -239,13 +233,7 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def summarise(folder: Path) -> RunSummary:
-    """Summarise a run from its snapshot or its journal alone.
-
-    Raises
-    ------
-    RunFolderError
-        It can't be read.
-    """
+    """Summarise a run from its snapshot or its journal alone. Raises RunFolderError if it can't be read."""
     found = RunFolder(folder)
     return _of_snapshot(folder.name, snapshot_of(folder)) if found.live.is_file() else _of_journal(found)
 

@@ -64,12 +64,10 @@ _HEADERS = {
 
 
 class MonitorServer(ThreadingHTTPServer):
-    """Serves what a function answers to the target of a GET or HEAD request, such as ``/runs/mine/``.
+    """Serves what a function answers to the target of a GET or HEAD request.
 
-    Raises
-    ------
-    GyrobenchError
-        The port is not available.
+    ``answer``: returns the response to a target such as ``/runs/mine/``. ``port``: TCP port; 0 for any free
+    port. Raises GyrobenchError if the port is not available.
     """
 
     daemon_threads = True

@@ -327,10 +327,7 @@ class RunSnapshot(StrictRecord):
     def from_json(cls, data: bytes, name: str = "live.json") -> RunSnapshot:
         """Undo :meth:`to_json`; ``name`` identifies the data in messages.
 
-        Raises
-        ------
-        RunFolderError
-            The data are damaged, or of another version of gyrobench.
+        Raises RunFolderError if the data are damaged, or of another version of gyrobench.
         """
         damaged = f"{name}: damaged, or of another version of gyrobench"
         try:
@@ -347,10 +344,7 @@ class RunSnapshot(StrictRecord):
 def read_snapshot(path: Path) -> RunSnapshot:
     """Read the snapshot in a run folder.
 
-    Raises
-    ------
-    RunFolderError
-        It can't be read; see :meth:`RunSnapshot.from_json`.
+    Raises RunFolderError if it can't be read; see :meth:`RunSnapshot.from_json`.
     """
     return RunSnapshot.from_json(read_limited(path, _MAX_BYTES, RunFolderError), str(path))
 

@@ -37,10 +37,7 @@ _TERMS = 16
 class Site:
     """Where the bench is.
 
-    Raises
-    ------
-    MeasurementError
-        Near a pole the Earth's rotation is all but vertical: gyrocompassing fails there.
+    Raises MeasurementError: near a pole the Earth's rotation is all but vertical: gyrocompassing fails there.
     """
 
     #: latitude, height: Geodetic latitude in rad, height above the ellipsoid in m.

@@ -54,10 +54,8 @@ _GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 class RotationScheme:
     """Turns of the gimbals, one after the other and then from the beginning.
 
-    Raises
-    ------
-    MeasurementError
-        The turns do not lead back to the angles that they began with, or a time is not above zero.
+    Raises MeasurementError if the turns do not lead back to the angles that they began with, or a time is not
+    above zero.
     """
 
     #: Axis and angle of each turn. The outer axis points East, the inner one Up while the outer angle is
@@ -145,17 +143,8 @@ def rotate_for(
 
     The vehicle rests, the accelerometers are without error, and the navigation starts without one.
 
-    Parameters
-    ----------
-    duration_s : float
-        Rounded up to whole steps.
-    residual_bias : callable
-        Gets the middle of each step and Up in body axes then; :func:`bias_by_position` makes one.
-
-    Raises
-    ------
-    MeasurementError
-        A residual bias is not finite.
+    ``duration_s``: rounded up to whole steps. ``residual_bias``: gets the middle of each step and Up in body
+    axes then; :func:`bias_by_position` makes one. Raises MeasurementError if a residual bias is not finite.
     """
     steps_s, attitudes = _cycle(scheme)
     cycles = int(np.ceil(duration_s / steps_s.sum()))

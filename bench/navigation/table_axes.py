@@ -35,10 +35,7 @@ _PATH_STEP_DEG = 10.0
 class TwoAxisTable:
     """A two-axis table with a unit mounted on it.
 
-    Raises
-    ------
-    DocumentError
-        The axes are no perpendicular unit vectors or ``C_mount`` is no rotation.
+    Raises DocumentError if the axes are no perpendicular unit vectors or ``C_mount`` is no rotation.
     """
 
     #: outer_axis_enu, inner_axis_enu: Shape (3,). Unit vectors of the two axes with both angles at zero;
@@ -100,14 +97,9 @@ class TwoAxisTable:
     def turn(self, from_angles: Angles, angle_deg: float) -> Angles:
         """Axis angles after a turn about Up.
 
-        Where one axis is vertical it alone moves, by exactly the turn and in the sense asked.
-        Where both are level a turn of 180 deg moves both; the inner axis then takes the sign of
-        ``angle_deg`` if the limits allow.
-
-        Raises
-        ------
-        DocumentError
-            The attitude after the turn can't be reached, or not within the limits.
+        Where one axis is vertical it alone moves, by exactly the turn and in the sense asked. Where both are
+        level a turn of 180 deg moves both; the inner axis then takes the sign of ``angle_deg`` if the limits
+        allow. Raises DocumentError if the attitude after the turn can't be reached, or not within the limits.
         """
         target = self._turned(from_angles, angle_deg)
         if target is None:

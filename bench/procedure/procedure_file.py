@@ -271,10 +271,7 @@ class ResolvedStep:
 def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
     """Unroll the loops of a procedure and put the values in place of the variables.
 
-    Raises
-    ------
-    DocumentError
-        The loops give too many steps, or a variable has a value that its step can't take.
+    Raises DocumentError if the loops give too many steps, or a variable has a value that its step can't take.
     """
     _refuse_too_many(document, procedure.steps)
     problems: list[Problem] = []

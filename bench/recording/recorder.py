@@ -98,17 +98,10 @@ class Recorder:
     def record(self, instrument: Instrument, path: Path, duration_s: float | None) -> None:
         """Record the replies to queries that move nothing; of the INS, ``duration_s`` of CAN frames.
 
-        Raises
-        ------
-        BenchInUseError
-            Another process holds the bench.
-        DocumentError
-            The file exists, or a CAN log can't have that suffix.
-        InstrumentError
-            The instrument can't be reached, or gave no reply that lets the driver continue; what it
-            sent until then is recorded.
-        RunFolderError
-            The file can't be written.
+        Raises BenchInUseError if another process holds the bench. Raises DocumentError if the file exists, or
+        a CAN log can't have that suffix. Raises InstrumentError if the instrument can't be reached, or gave
+        no reply that lets the driver continue; what it sent until then is recorded. Raises RunFolderError if
+        the file can't be written.
         """
         _check_absent(path)
         clock = self._station.new_clock()
@@ -220,10 +213,7 @@ class Proxy:
     def run(self, duration_s: float | None = None) -> None:
         """Pass bytes for a time, or without end.
 
-        Raises
-        ------
-        OSError
-            The instrument's port went away; pyserial's SerialException is an OSError.
+        Raises OSError if the instrument's port went away; pyserial's SerialException is an OSError.
         """
         self._instrument.timeout = 0
         end_s = None if duration_s is None else self._clock.now() + duration_s

@@ -70,10 +70,7 @@ def call_driver(driver: RateTable | Chamber, calls: Iterable[Call]) -> Iterator[
 def checked_calls(recording: Recording) -> list[Call]:
     """Calls of a recording, which may be written by hand, with arguments of the methods' types.
 
-    Raises
-    ------
-    DocumentError
-        A call can't be made; lists all such calls with their places.
+    Raises DocumentError if a call can't be made; lists all such calls with their places.
     """
     header = recording.header
     if header.instrument == "ins":

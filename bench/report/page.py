@@ -142,10 +142,7 @@ def render_page(page: Section, source: str, title: str = "", sign_off: str | Non
 def with_figure_files(folder: Path, sections: Iterable[Section]) -> list[Section]:
     """Draw the figures of sections into an existing folder; gives the sections with PNG files.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     return [
         replace(section, figures=[_as_file(folder, each) for each in section.figures]) for section in sections
@@ -155,10 +152,7 @@ def with_figure_files(folder: Path, sections: Iterable[Section]) -> list[Section
 def write_findings(path: Path, findings: Findings) -> Path:
     """Write the page, its figures into ``figures/`` and ``findings.json`` beside it; its folder exists.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     folder = path.parent
     make_folder(folder / "figures")
@@ -171,10 +165,7 @@ def write_findings(path: Path, findings: Findings) -> Path:
 def read_findings_file(folder: Path) -> Findings:
     """Read the findings of a page; missing pictures are left out.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read or is invalid.
+    Raises DocumentError if the file can't be read or is invalid.
     """
     path = folder / FINDINGS_FILE
     text = read_text(path)

@@ -321,16 +321,11 @@ _LACKING = (
 
 
 def write_pdf(page: Path, pdf: Path) -> Path:
-    """Convert a page of :func:`write_report` to PDF.
+    """Convert a self-contained HTML page to PDF.
 
-    Raises
-    ------
-    GyrobenchError
-        A system library is missing.
-    MissingPackageError
-        Weasyprint is not installed.
-    RunFolderError
-        The file can't be written.
+    ``page``: a page of :func:`write_report`. ``pdf``: output file. Raises GyrobenchError if a system library
+    is missing. Raises MissingPackageError if weasyprint is not installed. Raises RunFolderError if the file
+    can't be written.
     """
     try:
         html, urls = require("weasyprint"), require("weasyprint.urls")

@@ -43,12 +43,10 @@ _MAX_UNPACKED_BYTES = 16 * 1024 * 1024
 
 
 class CanLog:
-    """Writes the raw CAN log of a run; existing parts are kept and numbering continues.
+    """Writes the raw CAN log of a run.
 
-    Raises
-    ------
-    RunFolderError
-        A part can't be written. It ends there; the next frame begins a new one.
+    ``folder``: made if absent; existing parts are kept and numbering continues. Raises RunFolderError if a
+    part can't be written. It ends there; the next frame begins a new one.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -125,13 +123,9 @@ def read_can_log(
 ) -> Iterator[tuple[int, list[can.Message]]]:
     """Frames of a run's log in the order received, part by part: its number and its frames.
 
-    A part that was never ended, or is damaged, gives the frames before its first container that is
-    not whole; it may give none. ``numbers`` selects parts; by default all are read.
-
-    Raises
-    ------
-    RunFolderError
-        There is no log, or a part can't be read from the disk.
+    A part that was never ended, or is damaged, gives the frames before its first container that is not whole;
+    it may give none. ``numbers`` selects parts; by default all are read. Raises RunFolderError if there is no
+    log, or a part can't be read from the disk.
     """
     parts = find_parts(folder, _SUFFIX)
     if not parts:

@@ -64,10 +64,7 @@ class CompensationFile(StrictModel):
 def write_compensation(path: Path, compensation: Compensation) -> None:
     """Write a compensation file; numbers that are zero for all gyros are left out where they may be.
 
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
+    Raises RunFolderError if the file can't be written.
     """
     values = {each.name: getattr(compensation, each.name) for each in fields(compensation)}
     required = {name for name, field in CompensationFile.model_fields.items() if field.is_required()}
@@ -76,11 +73,5 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
 
 
 def read_compensation(path: Path) -> Compensation:
-    """Read a compensation file.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything wrong with it, with places.
-    """
+    """Read a compensation file. Raises DocumentError, which lists everything wrong with it, with places."""
     return validate(read_document(path), CompensationFile).compensation()

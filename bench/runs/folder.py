@@ -19,10 +19,7 @@ def part_path(folder: Path, number: int, suffix: str) -> Path:
 def find_parts(folder: Path, suffix: str) -> dict[int, Path]:
     """Find the parts in a folder, number to path, in the order of their numbers.
 
-    Raises
-    ------
-    RunFolderError
-        The folder can't be read.
+    Raises RunFolderError if the folder can't be read.
     """
     name = re.compile(rf"part-(\d{{5,9}}){re.escape(suffix)}")
     try:
@@ -109,13 +106,9 @@ class RunFolder:
 def create_run_folder(out: Path | None, name: str) -> RunFolder:
     """Make a run folder; when this returns, it is on the disk.
 
-    ``out`` must be absent or empty, or contain no more than a run interrupted before its journal began; None
-    for a new folder under ``runs/`` by the name of the procedure.
-
-    Raises
-    ------
-    RunFolderError
-        The folder can't be made, or is not empty.
+    ``out``: the folder, which must be absent or empty, or contain no more than a run interrupted before its
+    journal began; None for a new folder under ``runs/``. ``name``: name of the procedure, for a folder under
+    ``runs/``. Raises RunFolderError if the folder can't be made, or is not empty.
     """
     if out is not None:
         make_folder(out)
@@ -135,10 +128,7 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
 def open_run_folder(path: Path) -> RunFolder:
     """Find an existing run folder.
 
-    Raises
-    ------
-    RunFolderError
-        There is none at that path, or one of its folders is a link to elsewhere.
+    Raises RunFolderError if there is none at that path, or one of its folders is a link to elsewhere.
     """
     folder = RunFolder(path)
     for name in (

@@ -27,13 +27,10 @@ _SHOWN_CHARACTERS = 60
 class Journal:
     """Append-only JSON lines; each is on the disk when :meth:`record` returns.
 
-    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. An existing journal is continued.
-    If its last line was cut off, that line is removed and an entry ``journal_repaired`` added.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written, another process writes it, or it is damaged before its last line.
+    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. An existing journal is continued. If
+    its last line was cut off, that line is removed and an entry ``journal_repaired`` added. Raises
+    RunFolderError if the file can't be written, another process writes it, or it is damaged before its last
+    line.
     """
 
     def __init__(self, path: Path, clock: Clock) -> None:
@@ -69,10 +66,7 @@ class Journal:
     def record(self, event: str, **details: Any) -> None:
         """Add one entry; numbers that are not finite become null.
 
-        Raises
-        ------
-        RunFolderError
-            It can't be written; the journal is as it was before.
+        Raises RunFolderError if it can't be written; the journal is as it was before.
         """
         with self._writing:
             self._write({"event": event} | details)
@@ -119,10 +113,7 @@ class Journal:
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
     """Entries of a journal in order; a last line that was cut off is left out.
 
-    Raises
-    ------
-    RunFolderError
-        The file can't be read, or a line before the last one is damaged.
+    Raises RunFolderError if the file can't be read, or a line before the last one is damaged.
     """
     yield from parse_journal(read_limited(path, MAX_JOURNAL_BYTES, RunFolderError), path)
 

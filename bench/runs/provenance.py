@@ -60,10 +60,7 @@ def note_preparer(folder: RunFolder, name: str) -> None:
 def read_provenance(folder: RunFolder) -> dict[str, Any]:
     """Content of provenance.json; empty where there is none.
 
-    Raises
-    ------
-    RunFolderError
-        It can't be read, or is damaged.
+    Raises RunFolderError if it can't be read, or is damaged.
     """
     if not folder.provenance.exists():
         return {}
@@ -80,13 +77,7 @@ def read_provenance(folder: RunFolder) -> dict[str, Any]:
 
 
 def started_utc(folder: RunFolder) -> datetime:
-    """Calendar time at which a run began.
-
-    Raises
-    ------
-    RunFolderError
-        It is not known.
-    """
+    """Calendar time at which a run began. Raises RunFolderError if it is not known."""
     try:
         return datetime.fromisoformat(read_provenance(folder)["started_utc"])
     except (KeyError, TypeError, ValueError) as error:
@@ -136,10 +127,7 @@ class DataHash:
 def data_hashes(folder: RunFolder) -> list[DataHash]:
     """Hash the dwell table, the journal, and the raw logs; what is missing is left out.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be read.
+    Raises RunFolderError if a file can't be read.
     """
     hashes = [
         DataHash(path.name, 1, file_sha256(path))

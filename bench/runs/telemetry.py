@@ -50,14 +50,9 @@ _MAX_PART_BYTES, _MAX_PART_ROWS = 10_000_000, 100_000
 class Telemetry:
     """Writes the readings, part by part.
 
-    The present part is rewritten as a whole with every flush until it is full: a run of weeks has few
-    parts, and each is readable at any instant. Existing parts are kept; the readings continue in a new
-    part, after a gap.
-
-    Raises
-    ------
-    RunFolderError
-        A part can't be written.
+    The present part is rewritten as a whole with every flush until it is full: a run of weeks has few parts,
+    and each is readable at any instant. Existing parts are kept; the readings continue in a new part, after a
+    gap. Raises RunFolderError if a part can't be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -97,10 +92,7 @@ class Telemetry:
 def read_telemetry(folder: Path) -> dict[str, FloatArray]:
     """All readings of a run, column name to values, in the order of time.
 
-    Raises
-    ------
-    RunFolderError
-        A part can't be read.
+    Raises RunFolderError if a part can't be read.
     """
     parts = [_read_part(path) for path in find_parts(folder, _SUFFIX).values()]
     return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in COLUMNS}
@@ -109,10 +101,7 @@ def read_telemetry(folder: Path) -> dict[str, FloatArray]:
 def last_reading_s(folder: Path) -> float:
     """Time of the last reading of a run, zero where there is none; may be later than its last journal entry.
 
-    Raises
-    ------
-    RunFolderError
-        The last part can't be read.
+    Raises RunFolderError if the last part can't be read.
     """
     parts = find_parts(folder, _SUFFIX)
     return float(_read_part(parts[max(parts)])["time_s"].max(initial=0.0)) if parts else 0.0

@@ -120,10 +120,7 @@ class DialectSection(StrictModel):
 def section_of(section: type[DialectSection], name: str) -> type[DialectSection]:
     """Class of a section with the keys of one dialect added.
 
-    Raises
-    ------
-    DocumentError
-        There is no such dialect, or its keys can't be added.
+    Raises DocumentError if there is no such dialect, or its keys can't be added.
     """
     options: type[StrictModel] = load(section.group, name, section.kind).options
     taken = sorted(options.model_fields.keys() & section.model_fields.keys())

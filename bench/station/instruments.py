@@ -107,18 +107,11 @@ DriverT = TypeVar("DriverT", bound=_Closable)
 
 @dataclass(frozen=True)
 class Emulation:
-    """Simulated world behind emulated instruments, which alone read it; real ones ignore it.
+    """Simulated world behind emulated instruments, which alone read it; real ones ignore it."""
 
-    Attributes
-    ----------
-    world, faults : str
-        World file and list of faults (empty: none), by path or shipped name.
-    seed : int
-        Seed of everything random in the world.
-    """
-
+    #: world, faults: World file and list of faults (empty: none), by path or shipped name.
     world: str = "gyro_a"
-    seed: int = 0
+    seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
 
     def options(self) -> dict[str, str | int]:
@@ -172,10 +165,7 @@ class Outputs:
     def reopen(self, instrument: str) -> None:
         """Close and reopen the port of one instrument, named as in errors; after a failure it stays closed.
 
-        Raises
-        ------
-        ConnectionFailedError
-            It can't be opened, or does not answer.
+        Raises ConnectionFailedError if it can't be opened, or does not answer.
         """
         if instrument == RATE_TABLE:
             self._table = _reopened(self.clock, RATE_TABLE, self._table, self._open_table)
@@ -200,10 +190,7 @@ class Outputs:
 class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
 
-    Raises
-    ------
-    ConnectionFailedError
-        One can't be opened; the others are closed again.
+    Raises ConnectionFailedError if one can't be opened; the others are closed again.
     """
 
     def __init__(self, station: Station, clock: Clock, emulation: Emulation) -> None:
@@ -270,12 +257,8 @@ def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chambe
 def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
     """Open the INS on its bus.
 
-    Raises
-    ------
-    ConnectionFailedError
-        It can't be opened.
-    DocumentError
-        The maps of the station file do not fit the DBC file.
+    Raises ConnectionFailedError if it can't be opened. Raises DocumentError if the maps of the station file
+    do not fit the DBC file.
     """
     section, database = station.file.ins, load_dbc(station.dbc_path)
     bus = open_ins_bus(station, clock, emulation)

@@ -39,23 +39,13 @@ _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
 
 
 class Station:
-    """A bench as its file describes it.
-
-    Attributes
-    ----------
-    file : StationFile
-        The file's content.
-    path : Path
-        Where it was read from; file names in it are relative to its folder.
-    table : TwoAxisTable
-        Kinematics of the table with the unit on it.
-    """
+    """A bench as its file describes it."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._document, self.file = load_station_file(path)
+        self.path = path  #: Where it was read from; file names in it are relative to its folder.
+        self._document, self.file = load_station_file(path)  #: The file's content.
         try:
-            self.table = self._table()
+            self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:
             raise self._document.error([Problem(("rate_table", "mounting"), str(error))]) from error
 
@@ -103,10 +93,7 @@ class Station:
     def dbc_path(self) -> Path:
         """The DBC file: beside the station file, or shipped with the INS driver.
 
-        Raises
-        ------
-        DocumentError
-            There is no such file.
+        Raises DocumentError if there is no such file.
         """
         name = self.file.ins.dbc
         for folder in (self.path.parent, Path(ins.__file__).parent):

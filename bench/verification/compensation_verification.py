@@ -126,13 +126,7 @@ def table_records(results: Iterable[CompensationResult]) -> list[dict[str, str |
 
 
 def write_verification_table(path: Path, results: Iterable[CompensationResult]) -> None:
-    """Write the table.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write the table. Raises RunFolderError if the file can't be written."""
     rows = [map(format_cell, record.values()) for record in table_records(results)]
     write_text(path, format_csv(COLUMNS, map(list, rows)))
 

@@ -31,10 +31,7 @@ class Chamber(Protocol):
     def read(self) -> ChamberReading:
         """Measure the air; read set point and on or off back from the controller.
 
-        Raises
-        ------
-        FaultError
-            The controller's temperature sensor is faulty.
+        Raises FaultError if the controller's temperature sensor is faulty.
         """
         ...
 
@@ -49,23 +46,16 @@ class Chamber(Protocol):
     def limits_c(self) -> tuple[float, float]:
         """Lowest and highest set point that the controller accepts.
 
-        Raises
-        ------
-        RefusedError
-            They can't be read.
+        Raises RefusedError if they can't be read.
         """
         ...
 
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
         """Command a temperature, approached at that rate, or as fast as possible with None.
 
-        Both are rounded to the controller's resolution.
-
-        Raises
-        ------
-        RefusedError
-            A value is not finite or outside the controller's limits (nothing is sent then), or the
-            controller does not keep what was written.
+        Both are rounded to the controller's resolution. Raises RefusedError if a value is not finite or
+        outside the controller's limits (nothing is sent then), or the controller does not keep what was
+        written.
         """
         ...
 

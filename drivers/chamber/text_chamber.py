@@ -23,25 +23,14 @@ _MAX_RAMP_ERROR = 0.05
 
 
 class TextChamber(ABC):
-    """A chamber whose controller has text commands ``NAME value`` and queries ``NAME?``.
+    """A chamber whose controller has text commands ``NAME value`` and queries ``NAME?``."""
 
-    Attributes
-    ----------
-    set_point_name : str
-        Name of the set point in commands and queries.
-    prefix, separator : str
-        Before the name, and between name and value.
-    event_name : str
-        What the controller calls its event outputs.
-    max_events : int
-        Number of its event outputs.
-    """
-
-    set_point_name: str
+    set_point_name: str  #: Name of the set point in commands and queries.
+    #: prefix, separator: Before the name, and between name and value.
     prefix = ""
     separator: str
-    event_name: str
-    max_events: int
+    event_name: str  #: What the controller calls its event outputs.
+    max_events: int  #: Number of its event outputs.
 
     def __init__(self, line: SerialLine, text: TextLine) -> None:
         self._line = line

@@ -103,8 +103,6 @@ class AclAxis:
 
     Attributes
     ----------
-    state : AxisState
-        Encoder reading of this frame.
     limits, trip_rates_dps : dict by Mode
         Limits, and the rate at which the axis trips, of each mode.
     """
@@ -114,7 +112,7 @@ class AclAxis:
         self.absolute_limits = physics.parameters.limits
         self.open_interlocks = 0
         self._now_s = 0.0
-        self.state: AxisState = physics.encoder(0.0)
+        self.state: AxisState = physics.encoder(0.0)  #: Encoder reading of this frame.
         self._set_defaults()
 
     def _set_defaults(self) -> None:

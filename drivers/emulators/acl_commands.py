@@ -60,13 +60,7 @@ class Unit(NamedTuple):
 
 @lru_cache(maxsize=512)
 def parse_message(text: str) -> tuple[Unit, ...]:
-    """Split a message into its units.
-
-    Raises
-    ------
-    AclError
-        The text is not valid ACL.
-    """
+    """Split a message into its units. Raises AclError if the text is not valid ACL."""
     units = []
     node: tuple[str, ...] = ()
     for part in text.split(";"):

@@ -63,17 +63,6 @@ class EmulatedBench:
     table, chamber : str
         Dialects of these two.
 
-    Attributes
-    ----------
-    table, chamber, ins
-        The emulated instruments.
-    serial, bus
-        ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
-    connections : dict of str to Connection
-        The plugs of ``table``, ``chamber`` and ``ins``.
-    injected : InjectionLog
-        The faults injected so far.
-
     Raises
     ------
     DocumentError
@@ -97,13 +86,16 @@ class EmulatedBench:
         start_s = math.floor(clock.now())
         self.world = World(load_world(world), seed, start_s)
         self.dialects = {"table": table, "chamber": chamber}
+        #: table, chamber, ins: The emulated instruments.
         self.table = load(EMULATORS, table, TableEmulation).make(self.world.axes)
         self.chamber = load(EMULATORS, chamber, ChamberEmulation).make(self.world.air, self._chamber_event)
         self.ins = CanInsEmulator(self.world, clock.epoch.timestamp())
+        #: serial, bus: ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
         self.bus: CanNode = self.ins
+        #: The plugs of ``table``, ``chamber`` and ``ins``.
         self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
-        self.injected = InjectionLog()
+        self.injected = InjectionLog()  #: The faults injected so far.
         self._injector: Injector | None = None
         if faults is not None:
             listed = load_faults(faults)
@@ -139,11 +131,8 @@ _wall_clocks: dict[str, WallClock] = {}
 def emulated_bench(address: BenchAddress) -> EmulatedBench:
     """Find the bench of that address, or create it.
 
-    Raises
-    ------
-    DocumentError
-        The world file or the list of faults is wrong or missing, the seed is negative, no clock has
-        that name, or the bench has other dialects.
+    Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, no
+    clock has that name, or the bench has other dialects.
     """
     clock: Clock
     try:
@@ -174,10 +163,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
 def parse_address(url: str) -> tuple[str, BenchAddress]:
     """Instrument name and bench of ``emulator://instrument?clock=..&world=..`` and so on.
 
-    Raises
-    ------
-    DocumentError
-        The address has an unknown key, a seed that is not an integer, or is not a URL.
+    Raises DocumentError if the address has an unknown key, a seed that is not an integer, or is not a URL.
     """
     try:
         parts = urlsplit(url)

@@ -35,12 +35,8 @@ class CanNode(Protocol):
 class CanInsEmulator:
     """The INS at its CAN connector; a :class:`CanNode`.
 
-    Parameters
-    ----------
-    world : World
-        Its unit is this INS; clients that wait for frames must advance the world.
-    epoch_unix_s : float
-        Calendar time at world time zero, for the frames' time stamps.
+    ``world``: its unit is this INS; clients that wait for frames must advance the world. ``epoch_unix_s``:
+    calendar time at world time zero, for the frames' time stamps.
     """
 
     def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:
@@ -53,10 +49,7 @@ class CanInsEmulator:
     def use_format(self, name: str) -> None:
         """Send and receive the frames of the DBC file of that name.
 
-        Raises
-        ------
-        DocumentError
-            There is no such set of frames.
+        Raises DocumentError if there is no such set of frames.
         """
         if name not in CAN_FORMATS:
             raise DocumentError(

@@ -30,18 +30,11 @@ class SerialInstrument(Protocol):
 
 
 class Connection:
-    """The plug between an instrument and its clients.
-
-    Attributes
-    ----------
-    broken : bool
-        Whether nothing is transmitted at present.
-    generation : int
-        Changes with every disconnect and reconnect: a client that opened an earlier one must reopen.
-    """
+    """The plug between an instrument and its clients."""
 
     def __init__(self) -> None:
-        self.broken = False
+        self.broken = False  #: Whether nothing is transmitted at present.
+        #: Changes with every disconnect and reconnect: a client that opened an earlier one must reopen.
         self.generation = 0
 
     def disconnect(self) -> None:

@@ -48,11 +48,6 @@ class Server:
         Makes a port from the name of its instrument and a function that returns a client's greeting.
     socketcand : bool
         The INS uses socketcand, which needs a TCP port, instead of slcan.
-
-    Attributes
-    ----------
-    urls : dict of str to str
-        Addresses of ``table``, ``chamber`` and ``ins``.
     """
 
     def __init__(
@@ -63,7 +58,7 @@ class Server:
     ) -> None:
         self._bench = bench
         self._lines: dict[str, _Line] = {}
-        self.urls: dict[str, str] = {}
+        self.urls: dict[str, str] = {}  #: Addresses of ``table``, ``chamber`` and ``ins``.
         for name, instrument in bench.serial.items():
             self._add(name, make_port(name, bytes), instrument, bench.connections[name])
         # Faults of the bus act on the adapter's channel; the adapter itself stays plugged in.

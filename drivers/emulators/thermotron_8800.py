@@ -72,11 +72,6 @@ class Thermotron8800Emulator(TextInstrument):
         Whether it repeats each request: never, before each reply, or in place of a command's code.
     auxiliaries_need_run : bool
         Whether auxiliaries can be switched, and keep their state, only while the chamber runs.
-
-    Attributes
-    ----------
-    stop_code : Stop
-        Answer to ``SCOD?``.
     """
 
     def __init__(
@@ -90,7 +85,7 @@ class Thermotron8800Emulator(TextInstrument):
     ) -> None:
         super().__init__(latency_s)
         self.air = air
-        self.stop_code = Stop.RUNNING if air.running else Stop.COLD_BOOT
+        self.stop_code = Stop.RUNNING if air.running else Stop.COLD_BOOT  #: Answer to ``SCOD?``.
         self._on_event = on_event
         self._echo = echo
         self._auxiliaries_need_run = auxiliaries_need_run

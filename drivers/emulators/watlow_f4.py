@@ -50,18 +50,9 @@ class WatlowF4Emulator:
         Only the F4P ramps to its set point.
     decimals : int
         Places after the implied decimal point, 0 to 3.
-
-    Attributes
-    ----------
-    latency_s : float
-        Time that the controller takes to answer.
-    sensor_error : int
-        Error of input 1; zero for none.
-    alarm_1, alarm_2 : int
-        Latched state of the alarms, zero for none. Alarm 1 monitors the air at each exchange.
     """
 
-    latency_s = 0.02
+    latency_s = 0.02  #: Time that the controller takes to answer.
 
     def __init__(
         self,
@@ -76,7 +67,9 @@ class WatlowF4Emulator:
         self._address = address
         self._sensor_fault = 0
         self._alarm_conditions = {1: _NO_ALARM, 2: _NO_ALARM}
-        self.sensor_error = 0
+        self.sensor_error = 0  #: Error of input 1; zero for none.
+        #: alarm_1, alarm_2: Latched state of the alarms, zero for none. Alarm 1 monitors the air at each
+        #: exchange.
         self.alarm_1 = self.alarm_2 = _NO_ALARM
         self._decimals = decimals
         self._loop = WatlowLoop(air, on_event, _DEFAULT_RAMP)

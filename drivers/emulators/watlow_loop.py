@@ -22,27 +22,16 @@ class RampAction(IntEnum):
 
 
 class WatlowLoop:
-    """Control loop 1 over the air of an emulated chamber.
-
-    Attributes
-    ----------
-    outputs : dict of int to bool
-        State of each output.
-    action : RampAction
-        When the set point ramps.
-    ramp_rate : float
-        Ramp rate in degrees per minute, or per hour with ``per_hour``.
-    degrees_per_kelvin : float
-        1 for degC, 1.8 for degF.
-    """
+    """Control loop 1 over the air of an emulated chamber."""
 
     def __init__(self, air: ChamberAir, on_event: OnEvent | None, ramp_rate: float) -> None:
         self.air = air
+        #: State of each output.
         self.outputs = {number: air.running and number == CHAMBER_OUTPUT for number in OUTPUTS}
-        self.action = RampAction.OFF
-        self.ramp_rate = ramp_rate
+        self.action = RampAction.OFF  #: When the set point ramps.
+        self.ramp_rate = ramp_rate  #: Ramp rate in degrees per minute, or per hour with ``per_hour``.
         self.per_hour = False
-        self.degrees_per_kelvin = 1.0
+        self.degrees_per_kelvin = 1.0  #: 1 for degC, 1.8 for degF.
         self._on_event = on_event
 
     def switch(self, number: int, on: bool) -> None:

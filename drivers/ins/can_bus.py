@@ -29,10 +29,7 @@ def open_bus(
 ) -> can.BusABC:
     """Open a CAN bus by its python-can interface name, without python-can's configuration files.
 
-    Raises
-    ------
-    ConnectionFailedError
-        The interface or channel does not exist or can't be opened.
+    Raises ConnectionFailedError if the interface or channel does not exist or can't be opened.
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
@@ -76,10 +73,7 @@ def stamp_in_time_of(clock: Clock, bus: can.BusABC, messages: list[can.Message])
 def drop_half_line(bus: can.BusABC) -> None:
     """Discard the beginning of an invalid line, which would make the next one invalid too.
 
-    Raises
-    ------
-    CanError
-        The bus is gone.
+    Raises CanError if the bus is gone.
     """
     if isinstance(bus, slcanBus):
         bus.flush()

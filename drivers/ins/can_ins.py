@@ -49,17 +49,9 @@ class InsHealth:
 class CanIns:
     """An INS that a DBC file, a signal map and a command map describe.
 
-    Parameters
-    ----------
-    bus : can.BusABC
-        An open bus, from :func:`~gyrobench.drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
-    on_frames : callable, optional
-        Receives every batch of frames that is polled, also while a command waits.
-
-    Raises
-    ------
-    DocumentError
-        A map does not fit the DBC.
+    ``bus``: an open bus, from :func:`~gyrobench.drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
+    ``on_frames``: receives every batch of frames that is polled, also while a command waits. Raises
+    DocumentError if a map does not fit the DBC.
     """
 
     def __init__(
@@ -97,12 +89,8 @@ class CanIns:
     def poll(self) -> list[can.Message]:
         """Take the frames that have arrived, in order, up to a limit a call.
 
-        Raises
-        ------
-        ConnectionFailedError
-            The bus is gone. Frames that arrived before were passed to ``on_frames``.
-        ReplyError
-            The adapter sent bytes that are no frame.
+        Raises ConnectionFailedError if the bus is gone. Frames that arrived before were passed to
+        ``on_frames``. Raises ReplyError if the adapter sent bytes that are no frame.
         """
         messages: list[can.Message] = []
         try:
@@ -165,18 +153,9 @@ class CanIns:
     def align(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Begin self-alignment, and wait until the INS confirms it.
 
-        Where the map has no signal that confirms it, the command is sent without confirmation.
-
-        Raises
-        ------
-        RefusedError
-            The INS has no such command.
-        NoReplyError
-            The INS did not confirm in time.
-        FaultError
-            The INS reports a fault.
-        ConnectionFailedError
-            The bus is gone.
+        Where the map has no signal that confirms it, the command is sent without confirmation. Raises
+        RefusedError if the INS has no such command. Raises NoReplyError if the INS did not confirm in time.
+        Raises FaultError if the INS reports a fault. Raises ConnectionFailedError if the bus is gone.
         """
         self._command("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
 
@@ -206,17 +185,10 @@ class CanIns:
     def load_compensation(self, compensation: Compensation, timeout_s: float = REPLY_TIMEOUT_S) -> int:
         """Load a compensation, for :meth:`apply_compensation` to put into use; returns its checksum.
 
-        Sends all numbers, also zeros, in the units of the DBC. Waits until the INS reports the
-        checksum, if the map has a signal for it.
-
-        Raises
-        ------
-        RefusedError
-            The INS has no such command, or does not support a term of the compensation.
-        NoReplyError
-            The INS did not confirm in time: numbers were lost or differ.
-        ConnectionFailedError
-            The bus is gone.
+        Sends all numbers, also zeros, in the units of the DBC. Waits until the INS reports the checksum, if
+        the map has a signal for it. Raises RefusedError if the INS has no such command, or does not support a
+        term of the compensation. Raises NoReplyError if the INS did not confirm in time: numbers were lost or
+        differ. Raises ConnectionFailedError if the bus is gone.
         """
         command = self._commands.load_compensation
         if command is None:

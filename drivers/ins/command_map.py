@@ -76,11 +76,8 @@ def _zero_vectors() -> FloatArray:
 class Compensation:
     """Numbers of a compensation, by gyro (first dimension: x, y, z), in the formula of this module.
 
-    Raises
-    ------
-    MeasurementError
-        A number is not finite, an array has another shape, limits are in the wrong order, or a
-        term that is used has no width, time constant or limits.
+    Raises MeasurementError if a number is not finite, an array has another shape, limits are in the wrong
+    order, or a term that is used has no width, time constant or limits.
     """
 
     polynomial_dph: FloatArray  #: Shape (3, k). Coefficients from degree 0 up, T in degrees Celsius.

@@ -53,10 +53,7 @@ _DBC_ERRORS = (
 def load_dbc(path: Path) -> Database:
     """Read a DBC file in UTF-8 or Windows-1252.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, is too large, or is not a valid DBC.
+    Raises DocumentError if the file can't be read, is too large, or is not a valid DBC.
     """
     content = read_limited(path, MAX_DBC_BYTES, DocumentError)
     database = Database()
@@ -110,10 +107,7 @@ class DbcCodec:
     def signal(self, message_name: str, signal_name: str) -> Signal:
         """Find the description of a signal.
 
-        Raises
-        ------
-        DocumentError
-            There is no such message or signal; the message has similar names.
+        Raises DocumentError if there is no such message or signal; the message has similar names.
         """
         layout = self._layout(message_name)
         if signal_name not in layout.fields:

@@ -81,18 +81,12 @@ def _key(arbitration_id: int) -> int:
 
 
 class InsStatus:
-    """State of the INS at one moment; quantities not mapped or stale are NaN, None or ``UNKNOWN``.
-
-    Attributes
-    ----------
-    age_s : float
-        Time since the last frame; infinite before the first.
-    """
+    """State of the INS at one moment; quantities not mapped or stale are NaN, None or ``UNKNOWN``."""
 
     def __init__(
         self, snapshot: Snapshot, age_s: float, signal_map: SignalMap, signals: Mapping[str, BoundSignal]
     ) -> None:
-        self.age_s = age_s
+        self.age_s = age_s  #: Time since the last frame; infinite before the first.
         self._readout = Readout(snapshot, signal_map, signals)
 
     @cached_property

@@ -62,13 +62,7 @@ class NavigationData:
 
 
 def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
-    """Decode one uninterrupted block.
-
-    Raises
-    ------
-    DocumentError
-        The signal map does not fit the DBC.
-    """
+    """Decode one uninterrupted block. Raises DocumentError if the signal map does not fit the DBC."""
     reader = BlockReader(block, codec)
     readout = Readout(reader, signal_map, bind_signals(signal_map, codec))
     epochs = find_epochs(reader, readout)

@@ -68,10 +68,7 @@ def resolution_report(
 ) -> list[ResolutionLimit]:
     """Compute the limits that the mapped velocity and azimuth set with two windows of ``window_s``.
 
-    Raises
-    ------
-    DocumentError
-        The signal map does not fit the DBC.
+    Raises DocumentError if the signal map does not fit the DBC.
     """
     signals = bind_signals(signal_map, codec)
     samples = window_s / signal_map.epoch_period_s

@@ -354,10 +354,8 @@ class BoundSignal:
 def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSignal]:
     """Find each mapped quantity's signal, by the path of :meth:`SignalMap.quantities`.
 
-    Raises
-    ------
-    DocumentError
-        A message or signal does not exist, or its unit can't be converted; lists all of them.
+    Raises DocumentError if a message or signal does not exist, or its unit can't be converted; lists all of
+    them.
     """
     bound, problems = _bind(signal_map, codec)
     if problems:

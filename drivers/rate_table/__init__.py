@@ -57,10 +57,7 @@ class RateTable(Protocol):
     def prepare(self) -> None:
         """Clear latched faults, close the servos and set the limits given before, if any.
 
-        Raises
-        ------
-        FaultError
-            A servo does not close.
+        Raises FaultError if a servo does not close.
         """
         ...
 
@@ -71,10 +68,7 @@ class RateTable(Protocol):
     def limits(self) -> tuple[AxisLimits, ...]:
         """Read the controller's limits of each axis, in ascending order of their numbers.
 
-        Raises
-        ------
-        RefusedError
-            They can't be read.
+        Raises RefusedError if they can't be read.
         """
         ...
 
@@ -89,10 +83,7 @@ class RateTable(Protocol):
     def in_position(self) -> bool:
         """Whether all axes of the last move have reached their angles.
 
-        Raises
-        ------
-        FaultError
-            An axis is not under servo control and will not reach its angle.
+        Raises FaultError if an axis is not under servo control and will not reach its angle.
         """
         ...
 

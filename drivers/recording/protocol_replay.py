@@ -75,10 +75,7 @@ class ReplayScript:
 
     A reply arrives as long after its request as recorded.
 
-    Parameters
-    ----------
-    now_s : float
-        Time at which the line is opened, on the same clock as the times of the methods.
+    ``now_s``: time at which the line is opened, on the same clock as the times of the methods.
     """
 
     def __init__(self, recording: Recording, now_s: float) -> None:
@@ -104,10 +101,7 @@ class ReplayScript:
     def send(self, data: bytes, now_s: float) -> None:
         """Compare what the driver sends with the recording.
 
-        Raises
-        ------
-        ReplayError
-            They differ; the message has the place in the recording and both byte strings.
+        Raises ReplayError if they differ; the message has the place in the recording and both byte strings.
         """
         # Drop a reply that the driver did not wait for, within the accuracy of recorded times.
         while (due_s := self.next_due_s) is not None and due_s <= now_s + _TOLERANCE_S:

@@ -33,7 +33,7 @@ class Watcher(LinesView):
         self.estimates, self.true_bias_dph = [], []
         self._emulation = job.emulation if job.is_virtual else None
         self._navigates = False
-        self._told, self._true = [], []
+        self._estimated, self._true = [], []
 
     def step_started(self, planned, bench):
         super().step_started(planned, bench)
@@ -48,13 +48,13 @@ class Watcher(LinesView):
 
     def estimated(self, estimate):
         super().estimated(estimate)
-        self._told.append(estimate)
+        self._estimated.append(estimate)
 
     def dwell_measured(self, row):
         super().dwell_measured(row)
-        self.estimates.append(self._told)
+        self.estimates.append(self._estimated)
         self.true_bias_dph.append(np.mean(self._true, axis=0) if self._true else None)
-        self._told, self._true = [], []
+        self._estimated, self._true = [], []
 
 
 def watched_run(procedure, out, world="ideal", seed=0, station="emulated"):

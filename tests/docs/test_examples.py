@@ -1,4 +1,4 @@
-"""What the pages tell a reader to type works, in the order in which it stands."""
+"""What a reader types from the pages works, in the order in which it stands."""
 
 import pytest
 

@@ -99,12 +99,12 @@ def _inputs(kinds: Mapping[str, Target], work: Work) -> list[tuple[str, int]]:
 def _warm_up(target: Target, home: Path) -> None:
     """What is read for the first time is imported and compiled; that is no work of an input's."""
     for data in {target.base[0], target.base[-1]}:
-        _made_anew(home)
+        _remade(home)
         with contextlib.suppress(GyrobenchError):
             target.use(home, data)
 
 
-def _made_anew(folder: Path) -> None:
+def _remade(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 
@@ -115,7 +115,7 @@ def _report(what: Mapping[str, object]) -> None:
 
 
 def _outcome(target: Target, home: Path, data: bytes, sandbox: Sandbox) -> dict[str, str]:
-    _made_anew(home)
+    _remade(home)
     unraised: list[str] = []
     try:
         with _strictly(unraised), sandbox.inside(home, WORK_S, WAIT_S):

@@ -43,7 +43,7 @@ _EVERY_S = 180.0
 #: Two of them wait in real time for a while.
 _WORKERS = 4
 #: So often a run is resumed before it counts as lost.
-_MOST_RESUMES = 40
+_MAX_RESUMES = 40
 SAFE_C = 23.0
 
 #: Each kind of the emulators with the ways in which it comes; ``docs/faults.md`` says what they do.
@@ -185,7 +185,7 @@ class FaultyRun:
         resumes = 0
         while outcome is None or outcome.ended != "finished":
             resumes += 1
-            if resumes > _MOST_RESUMES:
+            if resumes > _MAX_RESUMES:
                 self.tally.problems.append(f"{self.tally.kind}: never finished: {outcome and outcome.reason}")
                 break
             if most is not None and len(self._injections()) >= most:

@@ -46,7 +46,7 @@ _LOOK_PERIOD_S = 0.0005
 _KILLS_PER_RUN = 12
 #: One kill in so many, the folder is looked at by a separate process as well.
 _LOOKS_BY_PROCESS = 5
-_LONGEST_S = 600.0
+_MAX_DURATION_S = 600.0
 #: So far ahead it is aimed, and so near the end at what comes after it.
 _NEXT_STEPS, _LAST_STEPS = 20, 8
 START, RESULTS, BETWEEN, BACK = "start-up", "results and report", "between two steps", "way back: "
@@ -197,7 +197,9 @@ class KilledRun:
         self, process: subprocess.Popen[bytes], tail: _Tail, aim: str | None, begin_s: float
     ) -> Iterator[str]:
         """New lines of the journal until it is time to kill the process, or until it ends by itself."""
-        due_s = begin_s + (self._random.uniform(0.0, 1.2 * self._start_s) if aim == START else _LONGEST_S)
+        due_s = begin_s + (
+            self._random.uniform(0.0, 1.2 * self._start_s) if aim == START else _MAX_DURATION_S
+        )
         left = self._random.randint(1, max(1, min(2, self._ahead().count(aim or ""))))
         is_begun = False
         while process.poll() is None and time.monotonic() < due_s:
@@ -211,7 +213,7 @@ class KilledRun:
                         due_s = time.monotonic() + self._delay_s(aim)
             time.sleep(_LOOK_PERIOD_S)
         if process.poll() is None and aim is None:
-            self._problem(f"was not over after {_LONGEST_S:g} s")
+            self._problem(f"was not over after {_MAX_DURATION_S:g} s")
 
     def _delay_s(self, aim: str) -> float:
         if aim == RESULTS:

@@ -21,7 +21,7 @@ from tests.soak.truth import TruthWatcher
 PROCEDURE = Path(__file__).with_name("long.yaml")
 #: A cycle of the procedure lasts so long with soaks of this length; a run that is shorter has shorter soaks.
 _CYCLE_H, _SOAK_S = 9.2, 7200.0
-_LONGEST_PERIOD_S, _FEWEST_SAMPLES = 3600.0, 20
+_MAX_PERIOD_S, _MIN_SAMPLES = 3600.0, 20
 #: Share of the run in which the program still grows to its size.
 _WARM_UP = 0.1
 _SAMPLES_SHOWN = 10
@@ -110,7 +110,7 @@ def long_run(folder: Path, hours: float, seed: int) -> PartResult:
         .replace("instruments_period_s: 20.0", "instruments_period_s: 28.0")
     )
     run = FaultyRun(folder, "long", "repeat", FAULTS, procedure, str(station), seed)
-    run.watcher = sampler = Sampler(run.job, min(_LONGEST_PERIOD_S, 3600.0 * hours / _FEWEST_SAMPLES))
+    run.watcher = sampler = Sampler(run.job, min(_MAX_PERIOD_S, 3600.0 * hours / _MIN_SAMPLES))
     tally = run.go(ConsentingOperator(patience=1_000_000))
     samples = np.array(sampler.samples)
     growth_mb, spread_mb = slope(samples)

@@ -54,10 +54,7 @@ def failed(subject: str, what: str, error: InstrumentError) -> Check:
 def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[Check]:
     """Check whether the table answers, has no faults, and allows the station's limits.
 
-    Parameters
-    ----------
-    table : callable
-        Returns the driver, or raises where it can't be opened.
+    ``table`` returns the driver, or raises where it can't be opened.
     """
     checks = (("no faults", _table_faults), (_LIMITS, _table_limits))
     yield from _checks(_TABLE, station, table, station.file.rate_table.identity, checks)
@@ -66,10 +63,7 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
     """Check whether the chamber answers, has no alarms, and accepts the station's set points.
 
-    Parameters
-    ----------
-    chamber : callable
-        Returns the driver, or raises where it can't be opened.
+    ``chamber`` returns the driver, or raises where it can't be opened.
     """
     checks = (("no alarms", _chamber_alarms), ("air temperature", _chamber_air), (_LIMITS, _chamber_limits))
     yield from _checks(_CHAMBER, station, chamber, station.file.chamber.identity, checks)

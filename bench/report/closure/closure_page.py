@@ -177,13 +177,8 @@ def _paragraphs(*sentences: str) -> list[str]:
 def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder.
 
-    ``source`` is displayed; ``dwells`` is the table searched: the report of its run includes only a page
-    with its hash.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    ``source`` is displayed; ``dwells`` is the table searched: the report of its run includes only a page with
+    its hash. Raises RunFolderError if a file can't be written.
     """
     findings = Findings(
         title="Search for effects",

@@ -122,11 +122,5 @@ def png_bytes(figure: Figure) -> bytes:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG file.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write a figure as a PNG file. Raises RunFolderError if the file can't be written."""
     write_whole(path, png_bytes(figure))

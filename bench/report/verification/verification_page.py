@@ -176,13 +176,8 @@ _COLOURS = {CONFIRMED: "finished", IMPROVED: "stopped", NOT_CONFIRMED: "failed",
 def write_verification_page(folder: Path, result: VerificationResult, dwells: Path | None = None) -> Path:
     """Write figures and page into an existing folder, with at least one compensation measured.
 
-    ``dwells`` is the table that the model was fitted to: the report of its run includes only a page with
-    its hash.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    ``dwells`` is the table that the model was fitted to: the report of its run includes only a page with its
+    hash. Raises RunFolderError if a file can't be written.
     """
     judgement = outcome(result)
     findings = Findings(

@@ -95,14 +95,9 @@ class RunIndex:
     def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> Changes:
         """Bring the index up to date, or read all runs again.
 
-        ``progress`` is called with the number of changed runs read so far and in total.
-
-        Raises
-        ------
-        RunFolderError
-            The runs can't be found or the index can't be written.
-        DocumentError
-            The table of units is wrong.
+        ``rebuild``: whether to read all runs again. ``progress``: called with the number of changed runs read
+        so far and in total. Raises RunFolderError if the runs can't be found or the index can't be written.
+        Raises DocumentError if the table of units is wrong.
         """
         found = {run.path: run for run in self._store.runs()}
         units_tag = self._store.tag(UNITS)
@@ -123,10 +118,7 @@ class RunIndex:
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
         """Query the index, read-only and without access to other files.
 
-        Raises
-        ------
-        DocumentError
-            The query is invalid.
+        Raises DocumentError if the query is invalid.
         """
         with self._connect(read_only=True) as connection:
             try:
@@ -345,10 +337,7 @@ def group_runs(index: RunIndex, by: Grouping, selection: Selection) -> list[dict
 def runs_in_index(root: str, index: RunIndex, selection: Selection) -> list[Path]:
     """Absolute paths of the selected runs of an index.
 
-    Raises
-    ------
-    RunFolderError
-        No run is selected, or the store is an object store, which can't be written.
+    Raises RunFolderError if no run is selected, or the store is an object store, which can't be written.
     """
     store = open_store(root)
     if not store.is_local:

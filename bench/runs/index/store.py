@@ -71,10 +71,7 @@ class RunStore:
     def runs(self) -> Iterator[RunFiles]:
         """Find run folders in order of their paths; folders inside a run are not searched.
 
-        Raises
-        ------
-        RunFolderError
-            The root does not exist or can't be read.
+        Raises RunFolderError if the root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
             if JOURNAL in files:
@@ -90,13 +87,7 @@ class RunStore:
                 inner.update(ordered)
 
     def read(self, path: str) -> bytes:
-        """Content of a file.
-
-        Raises
-        ------
-        RunFolderError
-            It can't be read, or is too large.
-        """
+        """Content of a file. Raises RunFolderError if it can't be read, or is too large."""
         whole = f"{self.root.rstrip('/')}/{path}"
         try:
             size = self.file_system.size(whole)
@@ -136,13 +127,7 @@ class RunStore:
 
 
 def open_store(url: str) -> RunStore:
-    """Open a folder or an object store by path or URL.
-
-    Raises
-    ------
-    RunFolderError
-        The URL is not supported.
-    """
+    """Open a folder or an object store by path or URL. Raises RunFolderError if the URL is not supported."""
     url_to_fs = require("fsspec.core").url_to_fs
     try:
         file_system, root = url_to_fs(url)
@@ -163,12 +148,8 @@ def _tag(info: Mapping[str, Any]) -> str:
 def runs_named(names: Sequence[str]) -> list[Path]:
     """Absolute paths of run folders, each once.
 
-    A name is a run folder, a folder that holds some at any depth, or a pattern with ``*``, ``?`` or ``[]``.
-
-    Raises
-    ------
-    RunFolderError
-        A name matches no run folder.
+    ``names``: run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
+    Raises RunFolderError if a name matches no run folder.
     """
     paths = [path for name in names for path in _named(name)]
     return list(dict.fromkeys(paths))

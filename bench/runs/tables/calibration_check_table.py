@@ -75,23 +75,14 @@ _INTEGERS = ("dwell", "cycle")
 
 
 def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> None:
-    """Write the table of a calibration check.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write the table of a calibration check. Raises RunFolderError if the file can't be written."""
     write_text(path, format_csv(COLUMNS, (_cells(row) for row in rows)))
 
 
 def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
     """Read the table of a calibration check.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
     """
     table = CsvTable(read_text(path), str(path), required=COLUMNS)
     rows = [_row(table, index) for index in range(len(table))]

@@ -117,13 +117,7 @@ def columns(kind: type[Row]) -> list[str]:
 
 
 def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
-    """Write rows of one kind as CSV.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write rows of one kind as CSV. Raises RunFolderError if the file can't be written."""
     cells = ([format_cell(value) for value in astuple(row)] for row in rows)
     write_text(path, format_csv(columns(kind), cells))
 
@@ -131,10 +125,7 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
     """Read ``joint_biases.csv``.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
     """
     return _read(path, JointBiasRow)
 

@@ -30,26 +30,14 @@ _ARRAY = re.compile(r"\[[^][{}]*\]")
 
 
 def write_noise(path: Path, noise: NoiseEstimate) -> None:
-    """Write a noise estimate.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be written.
-    """
+    """Write a noise estimate. Raises RunFolderError if the file can't be written."""
     data = {"units": _UNITS, "summary": _summary(noise), **asdict(noise, dict_factory=_in_file)}
     text = json.dumps(data, indent=1, default=lambda array: array.tolist())
     write_text(path, _ARRAY.sub(lambda array: " ".join(array[0].split()), text) + "\n")
 
 
 def read_noise(path: Path) -> NoiseEstimate:
-    """Read a noise estimate.
-
-    Raises
-    ------
-    DocumentError
-        The file can't be read or holds something else.
-    """
+    """Read a noise estimate. Raises DocumentError if the file can't be read or holds something else."""
     text = read_text(path)
     try:
         data = _NoiseFile.model_validate(parse_json(text))

@@ -103,10 +103,7 @@ class BenchParts:
     def capable(self, name: str, capability: type[CapabilityT]) -> CapabilityT:
         """Table or chamber as an instrument with the capability that a fault needs.
 
-        Raises
-        ------
-        UnsupportedFaultError
-            The emulator of this dialect lacks it.
+        Raises UnsupportedFaultError if the emulator of this dialect lacks it.
         """
         instrument = self.table if name == "table" else self.chamber
         if not isinstance(instrument, capability):

@@ -46,10 +46,7 @@ class FaultList(StrictModel):
 def load_faults(path: Path) -> FaultList:
     """Read a list of faults.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read, or is wrong; the message lists all problems.
+    Raises DocumentError if the file can't be read, or is wrong; the message lists all problems.
     """
     return validate(read_document(path), FaultList)
 
@@ -57,10 +54,7 @@ def load_faults(path: Path) -> FaultList:
 def check_faults(path: Path, listed: FaultList, bench: BenchParts) -> None:
     """Refuse faults that the dialects of this bench do not support.
 
-    Raises
-    ------
-    DocumentError
-        Lists them, each with its place in the file.
+    Raises DocumentError, which lists them, each with its place in the file.
     """
     problems = []
     for index, fault in enumerate(listed.faults):

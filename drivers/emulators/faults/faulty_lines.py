@@ -41,26 +41,14 @@ FrameFilter = Callable[[list[can.Message]], list[can.Message]]
 
 
 class FaultySerial:
-    """An emulated instrument with disturbances of its exchanges.
-
-    Attributes
-    ----------
-    latency_s : float
-        Latency of the reply that :meth:`feed` last returned.
-    powered : bool
-        Whether the instrument receives and answers at all.
-    connection : Connection
-        The plug.
-    disturbances : list of callable
-        Only the first one that acts on an exchange is applied.
-    """
+    """An emulated instrument with disturbances of its exchanges."""
 
     def __init__(self, instrument: SerialInstrument) -> None:
         self._instrument = instrument
-        self.latency_s = instrument.latency_s
-        self.connection = Connection()
-        self.powered = True
-        self.disturbances: list[Disturbance] = []
+        self.latency_s = instrument.latency_s  #: Latency of the reply that :meth:`feed` last returned.
+        self.connection = Connection()  #: The plug.
+        self.powered = True  #: Whether the instrument receives and answers at all.
+        self.disturbances: list[Disturbance] = []  #: Only the first one that acts on an exchange is applied.
         self._earlier_reply = b""
 
     def feed(self, data: bytes, now_s: float) -> bytes:
@@ -82,21 +70,13 @@ class FaultySerial:
 
 
 class FaultyCan:
-    """The emulated INS behind filters of its frames; a CanNode.
-
-    Attributes
-    ----------
-    connection : Connection
-        Broken while the controller is bus-off.
-    filters : list of callable
-        Filters of the frames, applied in this order.
-    """
+    """The emulated INS behind filters of its frames; a CanNode."""
 
     def __init__(self, ins: CanInsEmulator) -> None:
         self._ins = ins
         self.listeners: list[Callable[[list[can.Message]], None]] = []
-        self.connection = Connection()
-        self.filters: list[FrameFilter] = []
+        self.connection = Connection()  #: Broken while the controller is bus-off.
+        self.filters: list[FrameFilter] = []  #: Filters of the frames, applied in this order.
         ins.listeners.append(self._forward)
 
     def receive(self, message: can.Message) -> None:

@@ -29,10 +29,7 @@ class Injection(NamedTuple):
 class InjectionLog(list[Injection]):
     """The injections so far, each also appended to a file of JSON lines, if a path is given.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be written.
+    Raises DocumentError if the file can't be written.
     """
 
     def __init__(self, path: Path | None = None) -> None:

@@ -41,31 +41,19 @@ class AirFaults:
 
 
 class ChamberAir:
-    """Air temperature of a chamber, controlled or drifting.
-
-    Attributes
-    ----------
-    air_c, set_point_c, working_set_point_c : float
-        Temperature of the air, final set point, ramped set point.
-    ramp_rate_c_per_min : float or None
-        Rate of the ramped set point; None for a step.
-    running : bool
-        Whether the air is controlled; otherwise it drifts to the room's temperature.
-    power : float
-        Share of full power: 1 heats, -1 cools.
-    faults : AirFaults
-        Active faults.
-    """
+    """Air temperature of a chamber, controlled or drifting."""
 
     def __init__(self, parameters: ChamberParameters | None = None) -> None:
         self.parameters = parameters or ChamberParameters()
+        #: air_c, set_point_c, working_set_point_c: Temperature of the air, final set point, ramped set point.
         self.air_c = self.parameters.ambient_c
         self.set_point_c = self.air_c
-        self.ramp_rate_c_per_min: float | None = None
+        self.ramp_rate_c_per_min: float | None = None  #: Rate of the ramped set point; None for a step.
+        #: Whether the air is controlled; otherwise it drifts to the room's temperature.
         self.running = False
         self.working_set_point_c = self.air_c
-        self.power = 0.0
-        self.faults = AirFaults()
+        self.power = 0.0  #: Share of full power: 1 heats, -1 cools.
+        self.faults = AirFaults()  #: Active faults.
 
     @property
     def compressor_duty(self) -> float:

@@ -73,8 +73,6 @@ class InertialUnit:
         The compensation table as loaded so far.
     compensation : InsCompensation or None
         The applied compensation, subtracted from the gyros' output.
-    never_aligns : bool
-        Alignment never reaches a result.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
@@ -93,7 +91,7 @@ class InertialUnit:
         self.mode = Mode.OFF
         self.alignment = Alignment.INVALID
         self.pitch_first = False
-        self.never_aligns = False
+        self.never_aligns = False  #: Alignment never reaches a result.
         self.clear_compensation()
         self._reset_state()
 

@@ -70,20 +70,13 @@ def checksum(table: FloatArray) -> int:
 
 
 class TemperatureHistory:
-    """The INS's readings of its gyros' temperatures since power-on.
-
-    Attributes
-    ----------
-    optics_c, electronics_c : ndarray, shape (3,)
-        The last readings, one a second.
-    record_c : list of ndarray, each of shape (3,)
-        Optics every ten seconds.
-    """
+    """The INS's readings of its gyros' temperatures since power-on."""
 
     def __init__(self) -> None:
+        #: optics_c, electronics_c: Shape (3,). The last readings, one a second.
         self.optics_c = np.zeros(3)
         self.electronics_c = np.zeros(3)
-        self.record_c: list[FloatArray] = []
+        self.record_c: list[FloatArray] = []  #: Optics every ten seconds, each of shape (3,).
         self.seconds = 0
         self._filtered_c = np.zeros((2, 3))
 
@@ -117,12 +110,10 @@ class InsCompensation:
     ----------
     bias_dph : ndarray, shape (3,)
         Bias subtracted from each gyro at present.
-    checksum : int
-        Checksum of the table.
     """
 
     def __init__(self, table: FloatArray, history: TemperatureHistory, up_body: FloatArray) -> None:
-        self.checksum = checksum(table)
+        self.checksum = checksum(table)  #: Checksum of the table.
         self._table = table.copy()
         first_c = history.record_c[0] if history.record_c else history.optics_c
         self._play_c = np.clip(first_c, table[:, Coefficient.LOW_C], table[:, Coefficient.HIGH_C])

@@ -157,11 +157,6 @@ class Motion:
         Overshoot after the last piece.
     target_deg : float, optional
         Position of rest, free of the rounding of the pieces.
-
-    Attributes
-    ----------
-    end_s, still_from_s : float
-        End of the pieces; end of settling, after which the position is constant.
     """
 
     def __init__(
@@ -179,6 +174,7 @@ class Motion:
         self._states = states
         self._jerks_dps3 = [*(piece.jerk_dps3 for piece in finite), 0.0]
         self._settling = settling
+        #: end_s, still_from_s: End of the pieces; end of settling, after which the position is constant.
         self.end_s = math.inf if endless else self._times_s[-1]
         self.still_from_s = self.end_s + settling.duration_s
 

@@ -59,21 +59,15 @@ class TableAxis:
 
     Commands come in order of time. Position and rate are available from one second before the last
     command on.
-
-    Attributes
-    ----------
-    limits : AxisLimits
-        Limits of later commands; a motion under way keeps its own.
-    friction_deg : float
-        Distance from the target at which a move ends, because the servo is too weak.
     """
 
     def __init__(self, parameters: AxisParameters, position_deg: float = 0.0) -> None:
         self.parameters = parameters
-        self.limits = parameters.limits
+        self.limits = parameters.limits  #: Limits of later commands; a motion under way keeps its own.
         rest = Motion(0.0, AxisState(position_deg), [], Settling(0.0, 1.0))
         self._motions = [rest]
         self._commanded: Motion | None = None
+        #: Distance from the target at which a move ends, because the servo is too weak.
         self._missed_deg = self.friction_deg = 0.0
         self._complete_from_s, self._complete_until_s = 0.0, math.inf
         self._rest_angle_deg = self._true_angle(np.asarray(position_deg))

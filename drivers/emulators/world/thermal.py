@@ -14,29 +14,19 @@ from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 
 
 class ThermalNetwork:
-    """Temperatures of the unit over time.
-
-    Attributes
-    ----------
-    nodes_c : ndarray, shape (7,)
-        All temperatures: case, then optics and electronics of the x, y and z gyro.
-    optics_rate_c_per_h : ndarray, shape (3,)
-        Change of each gyro's optics in the last step.
-    convected_w : ndarray, shape (3,)
-        The part of the heat flow from electronics to optics that depends on attitude.
-    powered : bool
-        Whether the unit's electronics dissipate.
-    """
+    """Temperatures of the unit over time."""
 
     def __init__(self, thermal: Thermal, start_c: float) -> None:
         gyros = (thermal.x, thermal.y, thermal.z)
-        self.powered = False
+        self.powered = False  #: Whether the unit's electronics dissipate.
         self._case = np.array([thermal.case_j_per_k, thermal.case_to_air_w_per_k])
         self._gyro = np.array([_row(gyro) for gyro in gyros])
         paths = np.array([gyro.heat_path for gyro in gyros])
         self._paths = paths / np.linalg.norm(paths, axis=1, keepdims=True)
+        #: Shape (7,). All temperatures: case, then optics and electronics of the x, y and z gyro.
         self.nodes_c = np.full(7, float(start_c))
-        self.optics_rate_c_per_h = np.zeros(3)
+        self.optics_rate_c_per_h = np.zeros(3)  #: Shape (3,). Change of each gyro's optics in the last step.
+        #: Shape (3,). The part of the heat flow from electronics to optics that depends on attitude.
         self.convected_w = np.zeros(3)
 
     @property

@@ -42,19 +42,6 @@ class World:
     start_s : int
         Whole second at which this world starts: at room temperature, the unit off, the table at
         zero. Effects that depend on time count it from zero.
-
-    Attributes
-    ----------
-    axes : dict of int to TableAxis
-        The table's axes: 1 outer, 2 inner.
-    air : ChamberAir
-        The chamber.
-    unit : InertialUnit
-        The INS.
-    on_epochs : callable
-        Called with the navigation epochs in order of time.
-    broken_sensors : dict of int to float
-        Readings of faulty temperature sensors, by their index in :meth:`temperatures_c`.
     """
 
     def __init__(self, file: WorldFile, seed: int, start_s: int = 0) -> None:
@@ -66,11 +53,14 @@ class World:
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _Geometry(file.table)
         axis = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
+        #: The table's axes: 1 outer, 2 inner.
         self.axes = {number: TableAxis(axis) for number in (OUTER, INNER)}
-        self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))
+        self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
-        self.unit = InertialUnit(file.ins, self._latitude, file.height_m)
+        self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
+        #: Called with the navigation epochs in order of time.
         self.on_epochs: Callable[[Epochs], None] | None = None
+        #: Readings of faulty temperature sensors, by their index in :meth:`temperatures_c`.
         self.broken_sensors: dict[int, float] = {}
         self._gyro = gyro_errors(file.gyro)
         self._accelerometer = accelerometer_errors(file.accelerometer)

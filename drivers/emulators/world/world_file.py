@@ -188,9 +188,6 @@ class WorldFile(StrictModel):
 def load_world(path: Path) -> WorldFile:
     """Read and check a world file.
 
-    Raises
-    ------
-    DocumentError
-        The message lists all problems, each with its place in the file.
+    Raises DocumentError: the message lists all problems, each with its place in the file.
     """
     return validate(read_document(path), WorldFile)

@@ -47,5 +47,5 @@ def navigation_rate(position: str, rate_enu_dph: Any, turn_middle_s: float = 612
 
 
 def warming(slope_dph_per_c: Any, warmth_c: Callable[[FloatArray], FloatArray]) -> Change:
-    """The biases follow a temperature (n,) that is told for each time (n,)."""
+    """The biases follow a temperature (n,) that is known for each time (n,)."""
     return lambda time_s: np.multiply.outer(warmth_c(time_s), np.asarray(slope_dph_per_c) * DPH)

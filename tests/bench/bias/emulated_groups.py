@@ -21,7 +21,7 @@ ALL = tuple(POSITIONS)
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """An INS and what nobody declared of it; biases in deg/h by position, accelerometers in ug."""
+    """An INS and its undeclared errors; biases in deg/h by position, accelerometers in ug."""
 
     bias_dph: dict[str, FloatArray]
     accelerometer_ug: FloatArray = field(default_factory=lambda: np.array([70.0, -60.0, 80.0]))

@@ -165,7 +165,7 @@ def test_a_dwell_too_far_in_temperature_from_its_plateau_is_not_compared():
     assert {each.position for each in result.not_measured if each.chamber_set_c == PLATEAUS_C[0]} >= {"y_up"}
 
 
-def test_a_dwell_that_one_cycle_lacks_is_told_although_another_has_it():
+def test_a_dwell_that_one_cycle_lacks_is_reported_although_another_has_it():
     rows = campaign()
     again = [replace(row, dwell=row.dwell + len(rows), cycle=2) for row in rows]
     planned = plan_of([*rows, *again])

@@ -117,7 +117,7 @@ def test_a_slope_over_temperature_does_not_hide_a_difference():
     assert found == {"rejected": DRAWS}
 
 
-def test_a_slope_that_the_run_does_not_tell_leaves_the_verdict_open():
+def test_a_slope_that_the_run_does_not_show_leaves_the_verdict_open():
     found = verdicts(sloping(equal), drift=drifting, plateaus_c=PLATEAUS_C[:1])
     assert found == {"marginal": DRAWS}
 

@@ -83,8 +83,8 @@ def test_terms_scatter_about_the_truth_as_their_uncertainty_says(noise):
     ]
     errors = np.array([fit.unbounded for fit in fits]) - truth
     assert (np.abs(errors.mean(axis=0)) < 4.0 * errors.std(axis=0) / np.sqrt(150)).all()
-    told = np.sqrt(np.mean([fit.sigmas**2 for fit in fits], axis=0))
-    np.testing.assert_allclose(errors.std(axis=0) / told, 1.0, atol=0.25)
+    stated = np.sqrt(np.mean([fit.sigmas**2 for fit in fits], axis=0))
+    np.testing.assert_allclose(errors.std(axis=0) / stated, 1.0, atol=0.25)
     assert all((fit.terms >= 0.0).all() for fit in fits)
 
 
@@ -128,7 +128,7 @@ def test_a_line_of_a_dither_is_no_noise_term_and_widens_the_uncertainty():
     assert shaken.sigmas[RANDOM_WALK] > 5.0 * plain.sigmas[RANDOM_WALK]
 
 
-def test_each_term_is_told_from_the_others():
+def test_each_term_is_distinguished_from_the_others():
     random = np.random.default_rng(9)
     for term, name in ((WHITE_ANGLE, "white"), (RANDOM_WALK, "walk"), (RATE_WALK, "rate_walk")):
         fit = fit_rate_noise(allan_variance([simulated(random, 6000, **{name: 2.0})], STEP))

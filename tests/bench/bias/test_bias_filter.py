@@ -196,7 +196,7 @@ def test_refuses_an_estimate_before_there_is_navigation_after_the_turn():
         bias_filter.estimate()
 
 
-def test_a_turn_that_tells_nothing_leaves_the_level_gyros_unknown():
+def test_a_turn_that_determines_nothing_leaves_the_level_gyros_unknown():
     """Back to where it started: only the prior parts biases from initial errors, and it says so."""
     table = [rotation_matrix(UP, 0.0)] * 2
     dwell = replace(emulate(ins=sensors(BIAS_DPH), stops_deg=(0.0, 0.0)), C_nb_table=tuple(table))

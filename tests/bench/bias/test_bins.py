@@ -62,7 +62,7 @@ def test_width_is_a_choice():
     assert (each.bin_low_c, each.bin_high_c) == (20.0, 30.0)
 
 
-def test_a_bin_that_nobody_measured_is_there_and_empty():
+def test_a_bin_that_no_dwell_measured_is_there_and_empty():
     bins = bin_biases([row(gyro_c=(11.0,) * 3), row(gyro_c=(26.0,) * 3), row("y_up", gyro_c=(16.0,) * 3)])
     assert [each.count for each in only(bins, "x")] == [1, 0, 0, 1]
     assert [each.count for each in only(bins, "x", "y_up")] == [0, 1, 0, 0]

@@ -113,12 +113,12 @@ def soak(time_s):
     return 4.0 * (1.0 - np.exp(-np.maximum(time_s, 0.0) / 300.0))
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("is_known", [True, False])
 @pytest.mark.parametrize("rate_c_per_h", [10.0, -60.0])
-def test_a_bias_that_follows_a_ramp_is_given_at_the_mean_temperature(rate_c_per_h, told):
+def test_a_bias_that_follows_a_ramp_is_given_at_the_mean_temperature(rate_c_per_h, is_known):
     warmth = ramp(rate_c_per_h)
     change = disturbances.warming((0.001, -0.001, 0.0005), warmth)
-    gyro_c = (lambda time_s: 40.0 + np.multiply.outer(warmth(time_s), np.ones(3))) if told else None
+    gyro_c = (lambda time_s: 40.0 + np.multiply.outer(warmth(time_s), np.ones(3))) if is_known else None
     dwell = emulate("y_down", sensors(BIAS_DPH, gyro_bias_change=change), gyro_c=gyro_c)
     assert np.abs(error_dph(dwell, BIAS_DPH)).max() < EXACT_DPH
 

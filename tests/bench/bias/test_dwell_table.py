@@ -111,7 +111,7 @@ def test_a_row_survives_the_file(tmp_path):
 def test_columns_may_come_in_any_order_with_others_among_them():
     text = "\n".join(
         ",".join([*reversed(line.split(",")), extra])
-        for line, extra in zip(format_dwells([ROW]).splitlines(), ["operator", "somebody"], strict=True)
+        for line, extra in zip(format_dwells([ROW]).splitlines(), ["operator", "name"], strict=True)
     )
     assert format_dwells(parse_dwells(text, "x")) == format_dwells([ROW])
 

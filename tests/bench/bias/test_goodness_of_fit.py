@@ -94,7 +94,7 @@ def random_problem(unknowns=5, sums=30, prior=1e3):
     return random, responses, flat, covariance
 
 
-def test_residuals_of_least_squares_have_the_distribution_that_it_tells():
+def test_residuals_of_least_squares_have_the_distribution_that_it_shows():
     random, responses, flat, covariance = random_problem()
     results = []
     for _ in range(500):

@@ -174,7 +174,9 @@ def test_accelerometer_biases_that_changed_between_dwells_are_noticed():
     assert solve_jointly(dwells, PRIOR).fit.p_value < 1e-4
 
 
-def test_latitude_that_is_wrong_by_more_than_declared_is_noticed_and_told_from_other_trouble(solutions):
+def test_latitude_that_is_wrong_by_more_than_declared_is_noticed_and_distinguished_from_other_faults(
+    solutions,
+):
     assert np.median([each.fit.p_value for each in solutions]) < 0.01
     assert np.median([each.north_free_fit.p_value for each in solutions]) > 0.05
 
@@ -332,7 +334,7 @@ def test_a_plateau_ends_where_the_gyros_are_warmer_than_before(right_latitude):
     assert groups == [[0, 1, 2, 3], [4], [5], [6]]
 
 
-def test_dwells_that_do_not_agree_in_any_way_tell_no_rate_up(solutions):
+def test_dwells_that_do_not_agree_in_any_way_show_no_rate_up(solutions):
     wrong_in_both = [
         dataclasses.replace(
             each,
@@ -348,6 +350,6 @@ def test_dwells_that_do_not_agree_in_any_way_tell_no_rate_up(solutions):
     assert pooled_up_rate([]) is None
 
 
-def test_dwells_that_only_a_wrong_latitude_parts_tell_the_rate_up(solutions):
+def test_dwells_that_only_a_wrong_latitude_parts_show_the_rate_up(solutions):
     parted = dataclasses.replace(solutions[0], fit=dataclasses.replace(solutions[0].fit, p_value=0.0))
     assert {dwell.number for dwell in parted.dwells} <= set(pooled_up_rate([parted]).weights)

@@ -131,7 +131,7 @@ def test_angle_random_walk_is_the_true_one_within_its_uncertainty(many_dwells):
     )
 
 
-def test_one_dwell_tells_the_angle_random_walk_to_a_hundredth(many_dwells):
+def test_one_dwell_shows_the_angle_random_walk_to_a_hundredth(many_dwells):
     for _, estimate in many_dwells:
         assert estimate.angle_random_walk.sigma < 0.01 * estimate.angle_random_walk.value
         for walk in estimate.angle_random_walks:
@@ -145,7 +145,7 @@ def test_velocity_random_walk_is_the_true_one_within_its_uncertainty(many_dwells
     assert all(e.velocity_random_walk.sigma < 0.07 * e.velocity_random_walk.value for _, e in many_dwells)
 
 
-def test_velocities_tell_the_angle_random_walk_too(many_dwells):
+def test_velocities_show_the_angle_random_walk_too(many_dwells):
     errors = [
         (estimate.angle_random_walk_of_tilt.square / truth.angle_random_walk**2 - 1.0)
         for truth, estimate in many_dwells
@@ -155,7 +155,7 @@ def test_velocities_tell_the_angle_random_walk_too(many_dwells):
     assert np.std(errors) < 0.7
 
 
-def test_rounding_of_the_output_is_told_as_its_noise(many_dwells):
+def test_rounding_of_the_output_is_reported_as_its_noise(many_dwells):
     velocity = [estimate.velocity_white.square for _, estimate in many_dwells]
     assert np.mean(velocity) == pytest.approx(1e-8 / 12.0, rel=0.1)
 
@@ -185,10 +185,10 @@ def test_slow_epochs_and_short_windows_give_a_wider_uncertainty(window_s, epoch_
     estimates = [estimated(seed, window_s=window_s, epoch_s=epoch_s) for seed in range(20)]
     truth = 0.0006 * DEG_PER_SQRT_H_TO_SI
     errors = np.array([estimate.angle_random_walk.square / truth**2 - 1.0 for estimate in estimates])
-    told = np.array([estimate.angle_random_walk.square_sigma / truth**2 for estimate in estimates])
-    assert told.min() > 0.03
-    assert abs(errors.mean()) < 4.0 * told.mean() / np.sqrt(20)
-    assert 0.6 < errors.std() / told.mean() < 1.5
+    stated = np.array([estimate.angle_random_walk.square_sigma / truth**2 for estimate in estimates])
+    assert stated.min() > 0.03
+    assert abs(errors.mean()) < 4.0 * stated.mean() / np.sqrt(20)
+    assert 0.6 < errors.std() / stated.mean() < 1.5
 
 
 def test_dwells_are_pooled():
@@ -227,7 +227,7 @@ def test_an_attitude_too_coarse_hides_the_angle_random_walk_below_a_limit():
         estimate.noise_model()
 
 
-def test_an_attitude_that_never_changes_tells_nothing():
+def test_an_attitude_that_never_changes_determines_nothing():
     estimate = estimated(attitude_step_deg=1.0)
     assert estimate.angle_random_walk.value is None
     assert estimate.angle_random_walk.limit is None
@@ -237,10 +237,10 @@ def test_a_coarse_attitude_is_used_at_the_epochs_between_which_it_moves():
     estimates = [estimated(seed, attitude_step_deg=3e-5) for seed in range(15)]
     truth = 0.0006 * DEG_PER_SQRT_H_TO_SI
     errors = np.array([estimate.angle_random_walk.square / truth**2 - 1.0 for estimate in estimates])
-    told = np.array([estimate.angle_random_walk.square_sigma / truth**2 for estimate in estimates])
-    assert 0.05 < told.mean() < 0.3
-    assert abs(errors.mean()) < 4.0 * told.mean() / np.sqrt(15)
-    assert 0.5 < errors.std() / told.mean() < 1.6
+    stated = np.array([estimate.angle_random_walk.square_sigma / truth**2 for estimate in estimates])
+    assert 0.05 < stated.mean() < 0.3
+    assert abs(errors.mean()) < 4.0 * stated.mean() / np.sqrt(15)
+    assert 0.5 < errors.std() / stated.mean() < 1.6
 
 
 def test_a_velocity_too_coarse_hides_the_velocity_random_walk_below_a_limit():
@@ -325,7 +325,7 @@ def test_the_clock_of_the_ins_may_start_anywhere():
 
 @pytest.fixture(scope="module")
 def own_noise():
-    """Dwells of an epoch a second, each with the noise that it tells of itself."""
+    """Dwells of an epoch a second, each with the noise that it shows itself."""
     result = []
     for seed in range(60):
         random = np.random.default_rng(2000 + seed)
@@ -335,7 +335,7 @@ def own_noise():
     return result
 
 
-def test_good_dwells_pass_the_test_of_fit_with_the_noise_that_they_tell(own_noise):
+def test_good_dwells_pass_the_test_of_fit_with_the_noise_that_they_show(own_noise):
     p_values = np.array(
         [
             estimate_state_space(one, site(), noise.noise_model(), CLEAN).fit.p_value

@@ -59,7 +59,7 @@ def test_scatter_about_the_curve_makes_it_less_certain():
     assert (noisy > 20.0 * quiet).all()
 
 
-def test_a_slope_that_the_run_does_not_tell_goes_into_the_uncertainty():
+def test_a_slope_that_the_run_does_not_show_goes_into_the_uncertainty():
     plateau = pair(30.0)
     found = difference(position_differences([plateau], 0, fit_bias_curve([plateau], 0)))
     assert found.sigma_dph == pytest.approx(

@@ -74,7 +74,7 @@ def test_rate_lies_within_its_uncertainty_as_often_as_it_should(name):
     assert np.mean(np.abs(pulls) < 2.0) > 0.88
 
 
-def test_uncertainty_is_no_larger_than_need_be_where_the_noise_can_be_told():
+def test_uncertainty_is_no_larger_than_need_be_where_the_noise_can_be_reported():
     random = np.random.default_rng(2)
     sigmas = [estimate_rate(recorded(random, np.eye(3), arw=0.003)[0]).sigma_radps for _ in range(5)]
     least = 0.003 * DEG_PER_SQRT_H_TO_SI / np.sqrt(300.0)

@@ -52,10 +52,10 @@ def test_correlated_half_differences_are_weighted_by_their_covariance():
     values = SIGMA * random.standard_normal(3)
     rate = up_rate([pairs(values, covariance=root @ root.T)], EARTH_RATE)
     whitened = np.linalg.solve(root, np.column_stack([np.ones(3), values]))
-    (best,), (misfit,), *_ = np.linalg.lstsq(whitened[:, :1], whitened[:, 1], rcond=None)
+    (best,), (chi2,), *_ = np.linalg.lstsq(whitened[:, :1], whitened[:, 1], rcond=None)
     assert rate.rate == pytest.approx(best)
     assert rate.sigma == pytest.approx(1.0 / np.linalg.norm(whitened[:, 0]))
-    assert rate.chi2 == pytest.approx(misfit)
+    assert rate.chi2 == pytest.approx(chi2)
 
 
 def test_rate_is_the_weighted_sum_of_the_vertical_biases_of_all_dwells():
@@ -104,7 +104,7 @@ def test_rate_up_without_rate_north_is_no_latitude_error():
     assert not rate.applies
 
 
-def test_at_the_equator_the_rate_north_tells_nothing():
+def test_at_the_equator_the_rate_north_determines_nothing():
     rate = up_rate([pairs([8.0 * SIGMA] * 3)], EQUATOR)
     assert rate.finding is Finding.NOT_CONTRADICTED
     assert rate.applies
@@ -154,7 +154,7 @@ def test_temperature_without_a_pair_counts_for_nothing():
     assert up_rate([empty, full], EARTH_RATE).rate == up_rate([full], EARTH_RATE).rate
 
 
-def test_nothing_is_told_without_any_pair():
+def test_nothing_is_reported_without_any_pair():
     rate = up_rate([], EARTH_RATE)
     assert rate.finding is Finding.NO_PAIR
     assert math.isnan(rate.rate)

@@ -132,7 +132,7 @@ def site(tmp_path_factory):
     (package / "__init__.py").touch()
     (package / "chamber.py").write_text(DIALECT)
     (package / "emulator.py").write_text(EMULATOR)
-    (package / "broken.py").write_text("import a_library_that_nobody_has\n")
+    (package / "broken.py").write_text("import a_library_that_is_not_installed\n")
     (metadata / "METADATA").write_text(METADATA)
     (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
     return folder
@@ -194,7 +194,7 @@ def test_a_broken_package_is_named_without_a_traceback(acme_station, installed, 
     assert re.search(
         r"acme\.yaml:\d+:3: the dialect 'acme_broken' of acme-frost 1\.2 can't be imported", done.stderr
     )
-    assert "ModuleNotFoundError: No module named 'a_library_that_nobody_has'" in done.stderr
+    assert "ModuleNotFoundError: No module named 'a_library_that_is_not_installed'" in done.stderr
     assert "Traceback" not in done.stderr
 
 

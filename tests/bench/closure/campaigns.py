@@ -95,13 +95,13 @@ def write_procedure(folder: Path, power_on_each_cycle=False, cycles=3) -> Path:
         step for step in data["steps"] if "repeat" not in step or step["repeat"]["over"]["cycle"][0] <= cycles
     ]
     if power_on_each_cycle:
-        data["steps"] = [*_powered_on_anew(data["steps"])]
+        data["steps"] = [*_powered_on_again(data["steps"])]
     path = folder / "campaign.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
 
 
-def _powered_on_anew(steps):
+def _powered_on_again(steps):
     [power_on], cycle = [step for step in steps if "power_on" in step], 1
     for step in steps:
         if "repeat" in step and step["repeat"]["over"]["cycle"] != [cycle]:

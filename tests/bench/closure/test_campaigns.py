@@ -78,8 +78,8 @@ def test_biases_are_as_far_from_the_truth_as_their_uncertainties_say(campaign):
 def test_the_plan_predicts_the_uncertainty_of_the_vertical_gyro_without_accelerometers(dwells):
     """They increase the uncertainty of the level gyros, most in windows of a minute."""
     _, plan = shipped(PROCEDURE, STATION)
-    told_dph = planned_campaign(plan, planned_unit(station(STATION))).sigma_dph
-    ratios = np.array([row.sigma_dph for row in dwells]) / told_dph
+    planned_dph = planned_campaign(plan, planned_unit(station(STATION))).sigma_dph
+    ratios = np.array([row.sigma_dph for row in dwells]) / planned_dph
     vertical = np.array([np.abs(POSITIONS[row.position].C_nb()[2]) > 0.5 for row in dwells])
     assert np.median(ratios[vertical]) == pytest.approx(1.0, abs=0.01)
     assert 1.0 < np.median(ratios[~vertical]) < 1.7

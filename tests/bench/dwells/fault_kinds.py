@@ -149,7 +149,7 @@ def temperature_noise(kelvin):
 
 
 def output_step(velocity_lsb, heading_lsb):
-    """As of an INS that began anew without saying so."""
+    """As of an INS that restarted without a status."""
 
     def make(r, rng):
         begin = somewhere(r, rng)

@@ -72,7 +72,7 @@ def test_two_navigations_are_no_verification(recorded):
 def test_an_ins_that_is_silent_while_it_aligns_has_the_temperatures_of_the_navigation(recorded):
     marks, frames, setup, _ = recorded
     first, end = marks.windows[0].first_frame, marks.windows[0].end_frame
-    # The last frames of the alignment tell the Euler sequence and the mode.
+    # The last frames of the alignment show the Euler sequence and the mode.
     silent = frames.take(slice(first - 40, None))
     shifted = replace(marks, windows=(replace(marks.windows[0], first_frame=40, end_frame=end - first + 40),))
     verified = measure_check_dwell(shifted, silent, setup)

@@ -64,12 +64,12 @@ def test_a_long_run_has_a_record_of_bounded_size():
     assert len(record.time_s) <= 20_001
 
 
-def test_a_folder_that_is_no_run_is_told(tmp_path):
+def test_a_folder_that_is_no_run_is_reported(tmp_path):
     with pytest.raises(RunFolderError, match="is not a run folder"):
         read_campaign(tmp_path)
 
 
-def test_a_table_that_is_not_there_is_told(tmp_path):
+def test_a_table_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"nothing\.csv"):
         read_campaign(tmp_path / "nothing.csv")
 

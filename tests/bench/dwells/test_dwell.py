@@ -93,7 +93,7 @@ def test_three_windows_give_a_bias_that_is_not_the_papers(recorded):
     assert (np.abs(measured.estimate.bias_dph - whole.bias_dph) < measured.estimate.sigma_dph).all()
 
 
-def test_one_window_can_not_tell_the_biases(recorded):
+def test_one_window_can_not_show_the_biases(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(replace(marks, windows=marks.windows[:1]), frames, setup).row
     assert has_no_numbers(row)

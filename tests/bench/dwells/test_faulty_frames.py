@@ -56,7 +56,7 @@ def measured(recorded):
 
 
 def is_slow_turn(fault):
-    """A steady turn through a whole window looks like a bias; only the table's own reading tells more."""
+    """A steady turn through a whole window looks like a bias; only the table's own reading shows more."""
     kind, size = fault
     return kind == "turned by hand" and size.endswith("window s")
 

@@ -28,7 +28,7 @@ class Replayed:
         return self.frames.take(slice(first, self.now))
 
     def estimate_at(self, now):
-        """What is told when that many frames have come."""
+        """What is estimated when that many frames have come."""
         self.now = now
         begun = [mark for mark in self.windows if mark.first_frame < now]
         return self.live.update([*begun[:-1], replace(begun[-1], end_frame=min(now, begun[-1].end_frame))])
@@ -78,15 +78,15 @@ def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed)
 
 def test_uncertainties_fall_as_the_second_window_goes_on(recorded, replayed):
     begin = recorded[0].windows[1].first_frame + 37 * 10
-    told = [replayed.estimate_at(now) for now in range(begin, end_of(recorded), 37 * 10)]
-    assert (np.diff([each.sigma_dph for each in told], axis=0) < 0.0).all()
-    assert (told[0].sigma_dph > 5.0 * told[-1].sigma_dph).any()
+    estimates = [replayed.estimate_at(now) for now in range(begin, end_of(recorded), 37 * 10)]
+    assert (np.diff([each.sigma_dph for each in estimates], axis=0) < 0.0).all()
+    assert (estimates[0].sigma_dph > 5.0 * estimates[-1].sigma_dph).any()
 
 
-def test_nothing_is_told_or_decoded_before_the_first_turn(recorded, replayed):
+def test_nothing_is_reported_or_decoded_before_the_first_turn(recorded, replayed):
     first = recorded[0].windows[0]
-    told = {replayed.estimate_at(now) for now in range(first.first_frame + 1, first.end_frame, 1000)}
-    assert told == {None}
+    estimates = {replayed.estimate_at(now) for now in range(first.first_frame + 1, first.end_frame, 1000)}
+    assert estimates == {None}
     assert replayed.asked_from == []
 
 
@@ -110,7 +110,7 @@ def test_windows_beyond_two_are_taken_as_they_come(recorded):
     np.testing.assert_allclose(last.sigma_dph, whole.sigma_dph, rtol=1e-3)
 
 
-def test_an_ins_that_left_navigation_tells_nothing_more(recorded):
+def test_an_ins_that_left_navigation_determines_nothing_more(recorded):
     marks, frames, setup = recorded
     left_at = marks.windows[1].first_frame + 2000
     data = frames.data.copy()
@@ -134,13 +134,13 @@ def test_noise_that_is_not_declared_is_that_of_all_windows_so_far(recorded):
     np.testing.assert_allclose(last.sigma_dph, whole.sigma_dph, rtol=1e-3)
 
 
-def test_a_window_that_has_just_begun_tells_no_noise_and_spoils_none(recorded):
+def test_a_window_that_has_just_begun_shows_no_noise_and_disturbs_none(recorded):
     marks, frames, setup = recorded
     replayed = Replayed(marks, frames, replace(setup, noise=None))
     assert replayed.estimate_at(marks.windows[1].first_frame + 37 * 10) is not None
 
 
-def test_noise_that_the_first_window_does_not_tell_leaves_the_biases_untold(recorded):
+def test_noise_that_the_first_window_does_not_show_leaves_the_biases_unknown(recorded):
     marks, frames, setup = recorded
     first, second = marks.windows
     short = replace(marks, windows=(replace(first, end_frame=first.first_frame + 37 * 20), second))

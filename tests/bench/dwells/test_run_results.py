@@ -137,12 +137,12 @@ def test_dwells_without_a_set_point_are_one_stop(measured):
     assert len(plateau.dwells) == 4
 
 
-def test_noise_is_told_by_dwells_that_the_declared_one_does_not_explain(measured, results):
+def test_noise_is_estimated_from_dwells_that_the_declared_one_does_not_explain(measured, results):
     dwells, setup = measured
-    misfits = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
+    flags = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
-        replace(dwell, row=replace(dwell.row, flags=misfit), doubts=(misfit,))
-        for dwell, misfit in zip(dwells, misfits, strict=True)
+        replace(dwell, row=replace(dwell.row, flags=flag), doubts=(flag,))
+        for dwell, flag in zip(dwells, flags, strict=True)
     ]
     found = evaluate(unexplained, setup, 5.0)
     assert (found.bins, found.joint, found.up_rate) == ([], [], None)

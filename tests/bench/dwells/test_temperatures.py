@@ -66,7 +66,7 @@ def test_means_and_slopes_are_those_between_two_frames(navigation):
     assert found.case_c == pytest.approx(optics_c(297.5)[0] - 5.0)
 
 
-def test_what_the_ins_does_not_tell_is_not_a_number():
+def test_what_the_ins_does_not_show_is_not_a_number():
     time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
     unknown = np.full((len(time_s), 3), np.nan)
     found = dwell_temperatures(
@@ -127,22 +127,22 @@ def with_gaps(time_s, share, axis=1):
 
 def test_a_few_temperatures_that_are_no_numbers_do_not_matter():
     time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
-    told = series(time_s, optics_c=with_gaps(time_s, 0.05))
-    found = dwell_temperatures(recording(told), 300, 900)
+    reported = series(time_s, optics_c=with_gaps(time_s, 0.05))
+    found = dwell_temperatures(recording(reported), 300, 900)
     np.testing.assert_allclose(found.gyro_c, optics_c(297.5), atol=0.01)
     np.testing.assert_allclose(found.gyro_rate_c_per_h, SLOPE_C_PER_H, atol=1e-9)
     at_s = np.array([12.0, 100.0, 400.0])
-    np.testing.assert_allclose(gyro_temperatures_at(at_s, told), optics_c(at_s))
+    np.testing.assert_allclose(gyro_temperatures_at(at_s, reported), optics_c(at_s))
 
 
-def test_a_gyro_that_often_tells_no_number_is_not_measured_and_the_others_are():
+def test_a_gyro_that_often_shows_no_number_is_not_measured_and_the_others_are():
     time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
-    told = series(time_s, optics_c=with_gaps(time_s, 0.2))
-    found = dwell_temperatures(recording(told), 300, 900)
+    reported = series(time_s, optics_c=with_gaps(time_s, 0.2))
+    found = dwell_temperatures(recording(reported), 300, 900)
     assert np.isnan([found.gyro_c[1], found.gyro_rate_c_per_h[1]]).all()
     np.testing.assert_allclose(np.array(found.gyro_c)[[0, 2]], optics_c(297.5)[[0, 2]])
     np.testing.assert_allclose(np.array(found.gyro_rate_c_per_h)[[0, 2]], SLOPE_C_PER_H[[0, 2]], atol=1e-9)
-    assert gyro_temperatures_at(time_s, told) is None
+    assert gyro_temperatures_at(time_s, reported) is None
 
 
 def dwell(number, chamber_c, **changed):
@@ -183,25 +183,25 @@ def test_gyros_that_follow_the_chamber_are_believed():
     assert found(rows) == {}
 
 
-def test_a_sensor_that_got_stuck_in_the_ramp_is_told_in_the_next_dwell():
+def test_a_sensor_that_got_stuck_in_the_ramp_is_reported_in_the_next_dwell():
     rows = [dwell(1, 20.0), with_stuck_x(dwell(2, 60.0), 50.0)]
     assert list(found(rows)) == [1]
     assert "x gyro is constant to the last bit at 50.00 degC" in found(rows)[1]
 
 
 def test_a_dwell_without_its_temperature_in_between_hides_no_stuck_sensor():
-    told, stuck = dwell(1, 60.0), [with_stuck_x(dwell(number, 20.0), 50.0) for number in (3, 4)]
-    rows = [told, with_stuck_x(dwell(2, 40.0), math.nan), *stuck]
+    reported, stuck = dwell(1, 60.0), [with_stuck_x(dwell(number, 20.0), 50.0) for number in (3, 4)]
+    rows = [reported, with_stuck_x(dwell(2, 40.0), math.nan), *stuck]
     assert list(found(rows)) == [2, 3]
 
 
-def test_one_that_got_stuck_at_a_stop_is_told_of_all_its_dwells_once_the_chamber_moves():
+def test_one_that_got_stuck_at_a_stop_is_reported_of_all_its_dwells_once_the_chamber_moves():
     stop = [dwell(1, 20.0), *(with_stuck_x(dwell(number, 20.0), 32.0) for number in (2, 3))]
     assert found(stop) == {}
     assert list(found([*stop, with_stuck_x(dwell(4, 60.0), 32.0)])) == [1, 2, 3]
 
 
-def test_when_all_of_the_ins_is_stuck_the_chamber_tells():
+def test_when_all_of_the_ins_is_stuck_the_chamber_shows():
     def stuck(number, chamber_c):
         return replace(dwell(number, 20.0), chamber_c=chamber_c, gyro_rate_c_per_h=(0.0, 0.0, 0.0))
 
@@ -211,7 +211,7 @@ def test_when_all_of_the_ins_is_stuck_the_chamber_tells():
 @pytest.mark.parametrize(
     "lacking", [{"board_c": (math.nan,) * 3}, {"case_c": math.nan}, {"chamber_c": math.nan}]
 )
-def test_what_the_bench_does_not_tell_is_no_evidence(lacking):
+def test_what_the_bench_does_not_show_is_no_evidence(lacking):
     still = {"gyro_rate_c_per_h": (0.0, 0.0, 0.0)}
     rows = [replace(dwell(number, 20.0), **lacking, **still) for number in (1, 2)]
     assert found(rows) == {}

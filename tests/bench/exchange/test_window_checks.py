@@ -50,11 +50,11 @@ def white(seed=0, count=COUNT):
     return np.random.default_rng(seed).standard_normal((count, 3))
 
 
-def test_rates_with_white_noise_are_known_as_their_number_tells():
+def test_rates_with_white_noise_are_known_as_their_number_shows():
     np.testing.assert_allclose(noise_of_means([windows(white())]), 1.0 / np.sqrt(SAMPLES), rtol=0.25)
 
 
-def test_angles_with_white_noise_are_known_as_their_ends_tell():
+def test_angles_with_white_noise_are_known_as_their_ends_show():
     rates = np.diff(white(count=COUNT + 1), axis=0)
     np.testing.assert_allclose(noise_of_means([windows(rates)]), np.sqrt(2.0) / SAMPLES, rtol=0.8)
 

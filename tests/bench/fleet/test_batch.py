@@ -70,7 +70,7 @@ def test_the_spread_of_units_and_runs_is_recovered_within_its_uncertainty():
     )
 
 
-def test_a_unit_that_its_runs_tell_badly_is_drawn_to_the_batch():
+def test_a_unit_that_its_runs_show_badly_is_drawn_to_the_batch():
     values = batch(np.random.default_rng(5))
     quantity, runs = next(iter(values.items()))
     values[quantity] = [*runs, RunBias("n", "noisy", datetime(2026, 1, 1), 0.014, 0.01)]
@@ -82,7 +82,7 @@ def test_a_unit_that_its_runs_tell_badly_is_drawn_to_the_batch():
     assert best.shrunken_dph == pytest.approx(best.bias_dph, abs=0.0005)
 
 
-def test_without_repeated_runs_there_is_no_scatter_between_them_to_tell():
+def test_without_repeated_runs_there_is_no_scatter_between_them_to_show():
     values = {
         key: list({run.unit: run for run in runs}.values())
         for key, runs in batch(np.random.default_rng(6)).items()

@@ -1,4 +1,4 @@
-"""What runs tell of the units of a batch: biases, and effects that searches could see."""
+"""What runs show of the units of a batch: biases, and effects that searches could see."""
 
 from gyrobench.bench.fleet.batch import EffectSize, read_batch
 from gyrobench.bench.runs.index.run_index import RunIndex, Selection, find_runs
@@ -6,7 +6,7 @@ from gyrobench.bench.runs.index.store import open_store
 from tests.bench.runs.index.sample_runs import copy_run, write_verdict
 
 
-def test_effects_count_as_absent_only_where_a_search_could_tell(sample, tmp_path):
+def test_effects_count_as_absent_only_where_a_search_could_show(sample, tmp_path):
     verdicts = {
         "a": ("explained", [("thermal_lag", 0.004)]),
         "b": ("clean", []),

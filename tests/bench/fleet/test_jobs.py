@@ -36,12 +36,12 @@ def test_report_writes_the_report(run):
     assert RunFolder(run).report.exists()
 
 
-def test_a_run_that_somebody_holds_is_left_out_with_the_reason(run):
+def test_a_run_that_another_process_holds_is_left_out_with_the_reason(run):
     before = (run / "dwells.csv").read_bytes()
-    with RunLock(run, WallClock(), command="somebody else"):
+    with RunLock(run, WallClock(), command="another command"):
         result = do_job(JobKind.BINS, str(run))
     assert result.state == JobState.SKIPPED
-    assert "somebody else" in result.text
+    assert "another command" in result.text
     assert (run / "dwells.csv").read_bytes() == before
 
 

@@ -1,4 +1,4 @@
-"""The record tells what is left to do."""
+"""The record shows what is left to do."""
 
 import pytest
 

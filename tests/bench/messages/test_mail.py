@@ -25,7 +25,7 @@ class Mailbox:
         self.mails = []
 
     async def handle_RCPT(self, server, session, envelope, address, options):  # noqa: N802 - aiosmtpd's name
-        if address.startswith("nobody"):
+        if address.startswith("unknown"):
             return "550 no such mailbox"
         if address.startswith("full"):
             return "452 mailbox full"
@@ -115,7 +115,7 @@ def test_a_server_without_starttls_gets_nothing(serve_mail, mailbox):
     assert not box.mails
 
 
-@pytest.mark.parametrize(("name", "code", "is_final"), [("nobody", 550, True), ("full", 452, False)])
+@pytest.mark.parametrize(("name", "code", "is_final"), [("unknown", 550, True), ("full", 452, False)])
 def test_what_the_server_refuses_is_reported(serve_mail, mailbox, name, code, is_final):
     _, port = serve_mail()
     with pytest.raises(UndeliveredError, match=str(code)) as caught:

@@ -129,7 +129,7 @@ def test_a_run_whose_procedure_is_damaged_has_its_dwells_still(folder):
     assert not math.isnan(snapshot.now_s)
 
 
-def test_messages_are_those_that_the_journal_tells(folder):
+def test_messages_are_those_that_the_journal_shows(folder):
     folder.live.unlink()
     add(folder, event="note", text="look here")
     assert snapshot_of(folder.path).messages[-1].text == "look here"

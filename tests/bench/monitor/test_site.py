@@ -185,7 +185,7 @@ def test_a_folder_that_holds_nothing_to_read_is_shown_with_its_file(tmp_path):
     assert "can&#39;t be read" in text_of(Site(tmp_path, now), "/")
 
 
-def test_whoever_looks_while_the_snapshot_is_written_sees_a_whole_one(tmp_path):
+def test_a_reader_while_the_snapshot_is_written_sees_a_whole_one(tmp_path):
     done = threading.Event()
     seen = []
     with run_under_way(tmp_path / "mine") as run, served(run) as server:

@@ -100,7 +100,7 @@ def test_the_table_holds_every_bias_beside_the_calibrated_one():
     assert {len(row) for row in table.rows} == {len(table.header)}
 
 
-def test_azimuths_tell_dwells_of_one_position_apart():
+def test_azimuths_distinguish_dwells_of_one_position():
     opposite = replace(ROW, dwell=2, azimuth_deg=180.0)
     pair = replace(ALIGNMENT, azimuth_deg=270.0)
     assert [line[0] for line in verification_rows([ROW, opposite, pair])] == [

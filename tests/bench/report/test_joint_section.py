@@ -130,7 +130,7 @@ def test_table_of_plateaus_has_values_with_uncertainties_and_a_row_of_all() -> N
     assert len(table.header) == len(table.rows[0])
 
 
-def test_accelerometers_that_the_dwells_do_not_tell_are_empty() -> None:
+def test_accelerometers_that_the_dwells_do_not_show_are_empty() -> None:
     unknown = plateau_row(accelerometer_y_sigma_ug=100.0, accelerometer_z_sigma_ug=99.0)
     _, table = section_of([unknown]).tables
     assert table.rows[0][3:6] == ["+2.4 ± 1.8", "", "+1.5 ± 99.0"]

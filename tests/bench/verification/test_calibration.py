@@ -271,7 +271,7 @@ def test_a_table_without_accelerometers_will_do(table):
     assert math.isnan(read_calibration(table)[0].accelerometer_ug[0])
 
 
-def test_what_is_not_there_is_told(tmp_path):
+def test_what_is_not_there_is_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"nowhere: does not exist\. Give a run folder"):
         read_calibration(tmp_path / "nowhere")
     with pytest.raises(DocumentError, match=r"holds no dwells\.csv, so it is no calibration"):
@@ -285,7 +285,7 @@ def test_a_table_without_a_good_dwell_is_no_calibration(table):
             read_calibration(table.parent)
 
 
-def test_a_wrong_table_is_told_with_its_place(table):
+def test_a_wrong_table_is_reported_with_its_place(table):
     table.write_text(table.read_text().replace("z_up", "Z_UP"))
     with pytest.raises(DocumentError, match=r"dwells\.csv:2: column position"):
         read_calibration(table.parent)

@@ -181,7 +181,7 @@ def test_between_two_temperatures_the_calibration_is_interpolated():
     warm = calibrated(bias_dph=(0.0, -0.01, 0.0), gyro_c=(42.0,) * 3, dwell=2)
     (row,) = (row for row in rows_of([verified()], [cold, warm]) if row.method == "velocity")
     assert row.calibrated_dph == pytest.approx(-0.02)
-    assert row.calibrated_sigma_dph > 0.004  # two temperatures do not tell how the curve bends
+    assert row.calibrated_sigma_dph > 0.004  # two temperatures do not show how the curve bends
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_what_was_not_calibrated_is_shown_without_comparison(calibration):
     ],
     ids=["quarter turn", "position", "stop", "cycle", "power-on", "temperature"],
 )
-def test_an_alignment_without_its_half_turn_is_told(other):
+def test_an_alignment_without_its_half_turn_is_reported(other):
     alone = [row for row in rows_of([verified(), other], [calibrated()]) if row.method == "alignment"]
     assert [row.dwell for row in alone] == [1, 2]
     assert "no alignment at azimuth 180 deg" in alone[0].flags
@@ -234,7 +234,7 @@ def test_azimuths_that_differ_by_a_full_circle_are_the_same():
     assert [row.flags for row in rows if row.method == "alignment"] == [""]
 
 
-def test_a_dwell_that_gave_nothing_is_told_in_both_rows_that_miss_it():
+def test_a_dwell_that_gave_nothing_is_reported_in_both_rows_that_miss_it():
     failed = verified(azimuth_deg=180.0, dwell=2, fails=True, flags="the INS left navigation")
     alignment, velocity, missing = rows_of([verified(), failed], [calibrated()])
     assert alignment.flags == "dwell 2: the INS left navigation"
@@ -255,7 +255,7 @@ def test_a_disturbed_dwell_is_shown_and_not_judged():
     assert rows[2].is_compared
 
 
-def test_at_an_oblique_azimuth_no_gyro_is_told():
+def test_at_an_oblique_azimuth_no_gyro_is_reported():
     for row in rows_of([verified(azimuth_deg=30.0), verified(azimuth_deg=210.0, dwell=2)], [calibrated()]):
         assert "30 deg off: check at azimuth 0, 90, 180 or 270 deg" in row.flags
         assert math.isnan(row.bias_dph)

@@ -186,7 +186,7 @@ def test_a_navigation_that_was_disturbed_does_not_fit(step_mps, rows):
     assert navigation_fit(disturbed, site(), NOISE, PRIOR).p_value < 1e-9
 
 
-def test_alignments_that_are_not_half_a_turn_apart_tell_nothing():
+def test_alignments_that_are_not_half_a_turn_apart_determine_nothing():
     with pytest.raises(MeasurementError, match=r"z_up: two alignments .* half a turn apart"):
         alignments(dwell_at("z_up", 0.0), dwell_at("z_up", 90.0))
     with pytest.raises(MeasurementError, match="half a turn apart"):

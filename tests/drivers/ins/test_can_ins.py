@@ -46,13 +46,13 @@ EVERY_TERM = Compensation(
 
 
 class ScriptedIns:
-    """An INS at the other end of a virtual bus: obeys commands, sends its status once a second."""
+    """An INS at the other end of a virtual bus: executes commands, sends its status once a second."""
 
     def __init__(self, bus, codec, frames_of, to_messages):
         self.bus, self.codec = bus, codec
         self._frames_of, self._to_messages = frames_of, to_messages
         self.state = {"MODE": 1, "EULER_SEQUENCE": 0, "COMPENSATION": 0}
-        self.obeys = True
+        self.executes = True
         self.silent = False
         self.fails = False
         self.coefficients = {}
@@ -86,10 +86,10 @@ class ScriptedIns:
                 self.coefficients[number] = decoded["VALUE"]
         elif self.fails:
             self.state["MODE"] = 4
-        elif self.obeys:
-            self._obey(decoded["COMMAND"], decoded["ARGUMENT"])
+        elif self.executes:
+            self._execute(decoded["COMMAND"], decoded["ARGUMENT"])
 
-    def _obey(self, command, argument):
+    def _execute(self, command, argument):
         if command <= 3:
             self.state["MODE"] = command
         elif command == 4:
@@ -258,7 +258,7 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
 
 
 def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
-    unit.obeys = False
+    unit.executes = False
     with pytest.raises(NoReplyError, match=r"INS: no confirmation of 'align' within 3 s.*STANDBY"):
         driver.align(timeout_s=3.0)
     assert clock.now() == pytest.approx(3.0, abs=0.1)
@@ -361,7 +361,7 @@ def test_terms_that_the_ins_does_not_take_are_refused_and_nothing_is_sent(
     assert driver.health().commands == 0
 
 
-def test_a_compensation_in_use_is_told_with_its_checksum(driver, unit, clock):
+def test_a_compensation_in_use_is_reported_with_its_checksum(driver, unit, clock):
     clock.sleep(1.0)
     driver.poll()
     assert (driver.status().compensation, driver.status().compensation_in_use) == (False, 0)

@@ -187,7 +187,7 @@ def test_epochs_after_a_restart_without_a_time_are_dropped(recording, signal_map
     assert len(found.ins_time_s) == 100
 
 
-def test_a_clock_set_anew_between_two_times_leaves_the_epochs_between_them_without_time(
+def test_a_clock_set_again_between_two_times_leaves_the_epochs_between_them_without_time(
     recording, frames_of, signal_map, codec
 ):
     block = recording(0, 100)

@@ -107,7 +107,7 @@ def test_it_jogs_until_it_is_stopped(bench):
     assert bench.until_in_position(table)
 
 
-def test_a_table_that_somebody_left_jogging_is_taken_over(bench):
+def test_a_table_that_was_left_jogging_is_taken_over(bench):
     bench.controller.feed(b"SRV1\rJOG5\r", 0.0)
     table = bench.driver()
     table.stop()

@@ -46,7 +46,7 @@ def test_no_number_is_missing(written):
     assert not re.search(r"\bnan\b", text)
 
 
-def test_the_dwells_searched_are_told_beside_those_of_the_table(tmp_path):
+def test_the_dwells_searched_are_reported_beside_those_of_the_table(tmp_path):
     rows = made_up_rows()
     rows[5] = replace(rows[5], flags="vibration")
     rows[6] = replace(rows[6], gyro_c=(np.nan,) * 3)

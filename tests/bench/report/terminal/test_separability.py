@@ -1,4 +1,4 @@
-"""What a planned campaign could tell, in a terminal of 80 columns without colour."""
+"""What a planned campaign could distinguish, in a terminal of 80 columns without colour."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def index_of(root):
     return RunIndex(open_store(str(root)))
 
 
-def test_a_run_stands_in_the_index_as_its_folder_tells_it(runs, sample):
+def test_a_run_stands_in_the_index_as_its_folder_shows_it(runs, sample):
     index = index_of(runs)
     assert index.update() == Changes(read=3, gone=0, unchanged=0)
     newest = find_runs(index, Selection())[0]
@@ -59,8 +59,8 @@ def test_only_runs_whose_files_changed_are_read_again(runs, sample):
     changes = index.update()
     assert changes == Changes(read=2, gone=1, unchanged=1)
     assert changes.text == "2 of 3 runs read, 1 run removed"
-    told = {run["path"]: (run["ended"], run["verdict"]) for run in find_runs(index, Selection())}
-    assert told == {"a": ("not ended", ""), "b": ("finished", ""), "d": ("finished", "explained")}
+    found = {run["path"]: (run["ended"], run["verdict"]) for run in find_runs(index, Selection())}
+    assert found == {"a": ("not ended", ""), "b": ("finished", ""), "d": ("finished", "explained")}
     assert index.query("SELECT effect, rms_dph FROM effects").rows == [("thermal_lag", 0.004)]
     assert index.query("SELECT count(*) FROM dwells WHERE path LIKE 'deep%'").rows == [(0,)]
 

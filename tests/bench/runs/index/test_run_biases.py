@@ -48,6 +48,6 @@ def test_runs_are_compared_by_the_positions_that_most_have():
     assert [(run.path, run.bias_dph) for run in result[level]] == [("a", 2.0), ("b", 2.0)]
 
 
-def test_of_two_positions_one_difference_tells_all():
+def test_of_two_positions_one_difference_determines_all():
     names = [quantity.name for quantity in run_biases(rows("a", {"z_up": 1.0, "y_up": 3.0}))]
     assert names == [LEVEL, "y_up"]

@@ -48,14 +48,14 @@ def test_a_drift_is_proven_in_the_gyro_that_has_it():
 
 
 @pytest.mark.parametrize("biases", [[1.0], [1.0, 2.0]])
-def test_too_few_runs_tell_a_mean_and_no_slope(biases):
+def test_too_few_runs_show_a_mean_and_no_slope(biases):
     (trend,) = trends({QUANTITIES[0]: runs(biases)})
     assert trend.bias_dph == pytest.approx(np.mean(biases), abs=1e-6)
     assert np.isnan(trend.slope_dph_per_month)
     assert not trend.is_proven
 
 
-def test_runs_of_one_day_tell_no_slope():
+def test_runs_of_one_day_show_no_slope():
     (trend,) = trends({QUANTITIES[0]: runs([1.0, 2.0, 3.0, 4.0], months=0.0)})
     assert np.isnan(trend.p_value)
 

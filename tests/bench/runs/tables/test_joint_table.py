@@ -109,7 +109,7 @@ def test_nothing_is_corrected_where_biases_part_up_and_down(parting):
     assert {row.finding for row in joint_plateau_rows(solutions, rate)} == {"different"}
 
 
-def test_plateaus_tell_what_their_dwells_share(wrong_latitude, plateaus):
+def test_plateaus_show_what_their_dwells_share(wrong_latitude, plateaus):
     unit, _, _ = wrong_latitude
     assert [(row.plateau, row.cycle, row.dwells) for row in plateaus] == [(1, 1, 6), (2, 1, 6), (0, 0, 12)]
     assert [row.chamber_set_c for row in plateaus[:2]] == list(SET_POINTS_C)
@@ -179,7 +179,7 @@ def test_tables_without_rows_have_their_header(tmp_path):
     assert read_joint_plateaus(tmp_path / "joint.csv") == []
 
 
-def test_every_mistake_is_told_with_line_and_column(biases, tmp_path):
+def test_every_mistake_is_reported_with_line_and_column(biases, tmp_path):
     path = tmp_path / "joint_biases.csv"
     write_joint(path, biases[:3], JointBiasRow)
     lines = path.read_text().splitlines()
@@ -196,7 +196,7 @@ def test_every_mistake_is_told_with_line_and_column(biases, tmp_path):
     assert "joint_biases.csv:4: column joint_dph: expected a number; found 'much'" in message
 
 
-def test_a_finding_that_is_none_is_told(plateaus, tmp_path):
+def test_a_finding_that_is_none_is_reported(plateaus, tmp_path):
     path = tmp_path / "joint.csv"
     write_joint(path, plateaus, JointPlateauRow)
     path.write_text(path.read_text().replace(",latitude,", ",longitude,"))
@@ -204,7 +204,7 @@ def test_a_finding_that_is_none_is_told(plateaus, tmp_path):
         read_joint_plateaus(path)
 
 
-def test_missing_columns_are_told(tmp_path):
+def test_missing_columns_are_reported(tmp_path):
     path = tmp_path / "joint.csv"
     path.write_text("stop,cycle\n1,1\n")
     with pytest.raises(DocumentError, match="lacks the columns dwells, chamber_set_c"):

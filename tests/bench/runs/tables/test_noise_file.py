@@ -150,9 +150,9 @@ def test_the_file_begins_with_units_and_a_summary_and_has_an_array_in_a_line(tmp
 def test_what_the_resolution_hides_is_summed_up_as_a_limit(tmp_path):
     noise = noise_of(5e-6, 0.01)
     write_noise(tmp_path / "noise.json", noise)
-    told = json.loads((tmp_path / "noise.json").read_text())["summary"]["angle_random_walk_deg_per_sqrt_h"]
+    summary = json.loads((tmp_path / "noise.json").read_text())["summary"]["angle_random_walk_deg_per_sqrt_h"]
     limit = noise.angle_random_walk.limit / DEG_PER_SQRT_H_TO_SI
-    assert told == {"below": pytest.approx(limit, rel=1e-3), "hidden_by_resolution": True}
+    assert summary == {"below": pytest.approx(limit, rel=1e-3), "hidden_by_resolution": True}
 
 
 @pytest.mark.parametrize("key", ["variance", "counts"])
