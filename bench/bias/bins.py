@@ -125,7 +125,7 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
 def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
     """Write ``bias_bins.csv``. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_csv(_COLUMNS, (_cells(each) for each in bins)))
+    write_text(path, format_csv(_COLUMNS, ([format_cell(value) for value in astuple(each)] for each in bins)))
 
 
 def read_bins(path: Path) -> list[BiasBin]:
@@ -186,10 +186,6 @@ def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> dict[str, float]:
     values, sigmas = zip(*known, strict=True)
     mean = weighted_mean(values, sigmas)
     return {"paper_bias_dph": mean.value, "paper_sigma_dph": mean.sigma}
-
-
-def _cells(each: BiasBin) -> list[str]:
-    return [format_cell(value) for value in astuple(each)]
 
 
 def _parsed(table: CsvTable, index: int) -> BiasBin:

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobResult, JobState, do_job
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.foundations.packages import require
 
 if TYPE_CHECKING:
     from distributed import Client, Future

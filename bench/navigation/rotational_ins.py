@@ -125,16 +125,6 @@ class PositionError:
         """Largest distance from the true position."""
         return float(self.distance_nmi.max())
 
-    @property
-    def final_nmi(self) -> float:
-        """Distance from the true position at the end."""
-        return float(self.distance_nmi[-1])
-
-    @property
-    def velocity_east_max_mps(self) -> float:
-        """Largest error of the velocity East, of either sign."""
-        return float(np.abs(self.velocity_east_mps).max())
-
 
 def rotate_for(
     duration_s: float, scheme: RotationScheme, residual_bias: ResidualBias, site: Site

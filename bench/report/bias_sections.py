@@ -247,7 +247,7 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
     limits = acceptance.limits
     paragraphs = [
         _limits_sentence(limits),
-        _how(limits),
+        _HOW.format(100.0 * limits.confidence, round(100.0 * (1.0 - limits.confidence), 6)),
         _disagreeing_sentence(acceptance),
         _lacking_sentence(acceptance),
     ]
@@ -269,10 +269,6 @@ def _limits_sentence(limits: AcceptanceLimits) -> str:
             "not measured."
         )
     return sentence
-
-
-def _how(limits: AcceptanceLimits) -> str:
-    return _HOW.format(100.0 * limits.confidence, round(100.0 * (1.0 - limits.confidence), 6))
 
 
 def _disagreeing_sentence(acceptance: Acceptance) -> str:

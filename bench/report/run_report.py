@@ -15,8 +15,8 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.timeline import hours_minutes

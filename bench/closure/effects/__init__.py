@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from gyrobench.bench.closure.effects.effect import Effect, checked
-from gyrobench.bench.foundations.entry_points import EFFECTS, installed, load
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.packages import EFFECTS, installed, load
 
 
 def all_effects() -> tuple[Effect, ...]:

@@ -33,7 +33,7 @@ from gyrobench.bench.report.statements import (
     scatter_sentence,
     verdict_sentence,
 )
-from gyrobench.bench.station.check import Check, Verdict
+from gyrobench.bench.station.preflight_check import Check, Verdict
 
 
 def plain_table(

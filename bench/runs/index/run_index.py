@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.runs.index.selection import Selection
 from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, InsTerms
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.foundations import entry_points
+from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from tests.bench.closure.thermal_bench import STEP_S, measure
 from tests.bench.command_line import gyrobench
@@ -38,9 +38,9 @@ def installed(tmp_path, monkeypatch):
     (site / "acme_effects-1.2.dist-info" / "METADATA").write_text(METADATA)
     (site / "acme_effects-1.2.dist-info" / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(site)
-    entry_points._entries.cache_clear()
+    packages._entries.cache_clear()
     yield
-    entry_points._entries.cache_clear()
+    packages._entries.cache_clear()
 
 
 @pytest.fixture
@@ -49,8 +49,8 @@ def offered(monkeypatch):
 
     def offer(name, effect):
         monkeypatch.setitem(globals(), "OFFERED", effect)
-        entries = (EntryPoint(name, f"{__name__}:OFFERED", entry_points.EFFECTS),)
-        monkeypatch.setattr(entry_points, "_entries", lambda group: entries)
+        entries = (EntryPoint(name, f"{__name__}:OFFERED", packages.EFFECTS),)
+        monkeypatch.setattr(packages, "_entries", lambda group: entries)
 
     return offer
 
