@@ -47,14 +47,9 @@ Batch = dict[Column, NDArray[Any]]
 
 
 class TextLog:
-    """A text log.
+    """A text log; its columns without a header are ``column 1``, ...
 
-    Attributes
-    ----------
-    columns : list of str
-        Names from the header; ``column 1``, ... without a header.
-    truncated : bool
-        Whether the last line was cut off and left out; known once all batches are read.
+    ``truncated`` states whether the last line was cut off and left out, once all batches are read.
 
     Raises
     ------

@@ -158,10 +158,7 @@ def _result(future: Future[JobResult], path: str) -> JobResult:
 
 
 class FleetProgress:
-    """Shows results as they arrive: a bar on a terminal, lines elsewhere; a context manager.
-
-    ``total``: number of runs.
-    """
+    """Shows results as they arrive: a bar on a terminal, lines elsewhere; a context manager."""
 
     def __init__(self, console: Console, total: int) -> None:
         self._console = console
