@@ -110,14 +110,14 @@ steps:
 """
 
 
-def test_a_verification_is_printed_by_run_and_by_bins(tmp_path):
+def test_a_calibration_check_is_printed_by_run_and_by_bins(tmp_path):
     (tmp_path / "short.yaml").write_text(VERIFICATION)
     result = gyrobench("run", "short.yaml", "--world", "ideal", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     again = gyrobench("bins", "runs/short_verification-001", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     for text in (result.stdout, again.stdout):
-        assert "Verification: bias ± 1 sigma" in text
+        assert "Calibration check: bias ± 1 sigma" in text
         assert "Z-Up 180°" in text
         assert "No dwell gave a bias" not in text
         assert "bias x" not in text
