@@ -172,8 +172,8 @@ def _alarm_name(bit: int) -> str:
 class Thermotron8800Options(StrictModel):
     """Additional keys in the station file."""
 
-    channel: int = Field(default=1, ge=1, le=4, description="the controller's channel of the air temperature")
-    line_ending: Literal["cr", "crlf", "lf"] = Field(default="cr", description="what ends each command")
+    channel: int = Field(1, ge=1, le=4, description="the controller's channel of the air temperature")
+    line_ending: Literal["cr", "crlf", "lf"] = Field("cr", description="what ends each command")
 
 
 def _open(line: SerialLine, options: Thermotron8800Options) -> Thermotron8800:

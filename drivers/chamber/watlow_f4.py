@@ -237,9 +237,9 @@ def _sensor_error(code: int) -> str:
 class WatlowF4Options(StrictModel):
     """Additional keys in the station file."""
 
-    address: int = Field(default=1, ge=1, le=247, description="Modbus address")
+    address: int = Field(1, ge=1, le=247, description="Modbus address")
     chamber_event: int = Field(
-        default=1, ge=1, le=8, description="event output that switches the chamber's machinery"
+        1, ge=1, le=8, description="event output that switches the chamber's machinery"
     )
 
 

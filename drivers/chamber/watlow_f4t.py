@@ -136,9 +136,9 @@ class WatlowF4T(TextChamber):
 class WatlowF4TOptions(StrictModel):
     """Additional keys in the station file."""
 
-    loop: int = Field(default=1, ge=1, le=4, description="control loop of the air temperature")
+    loop: int = Field(1, ge=1, le=4, description="control loop of the air temperature")
     chamber_output: int = Field(
-        default=1, ge=1, le=_OUTPUTS, description="output that switches the chamber's machinery"
+        1, ge=1, le=_OUTPUTS, description="output that switches the chamber's machinery"
     )
 
 
