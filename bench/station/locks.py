@@ -145,7 +145,8 @@ class _Lock:
         while not file.take():
             if deadline.expired():
                 holder = file.holder()
-                raise BenchInUseError(f"{what} is in use by {_described(holder)}. {self._advice(holder)}")
+                by = "an unidentified process" if holder is None else holder.describe()
+                raise BenchInUseError(f"{what} is in use by {by}. {self._advice(holder)}")
             self._clock.sleep(_POLL_S)
 
     def _advice(self, holder: Holder | None) -> str:
@@ -356,12 +357,5 @@ def _parsed(data: bytes) -> Holder | None:
     pid = values.pop("pid")
     if type(pid) is not int or not all(isinstance(value, str) for value in values.values()):
         return None
-    return Holder(pid, **{name: _printable(value) for name, value in values.items()})
-
-
-def _printable(text: str) -> str:
-    return "".join(character if character.isprintable() else "?" for character in text)
-
-
-def _described(holder: Holder | None) -> str:
-    return "an unidentified process" if holder is None else holder.describe()
+    printable = {name: "".join(c if c.isprintable() else "?" for c in text) for name, text in values.items()}
+    return Holder(pid, **printable)

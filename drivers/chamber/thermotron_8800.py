@@ -30,7 +30,7 @@ _CODE_AFTER_ECHO_S = 0.25
 _MASK = re.compile(rb"[0-9]{1,5}(?:\.0*)?")
 _DONE = 0
 
-_ALARMS = ("low deviation", "high deviation", "", "", "low process", "high process")
+_ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high process"}
 _OPEN_INPUT = 6
 _FAULT_STOPS = {
     4: "an external input",
@@ -90,7 +90,7 @@ class Thermotron8800(TextChamber):
         """Alarms of the channel (``ALRM``), and the fault that stopped the chamber last (``SCOD``)."""
         mask, code = self._mask(f"ALRM{self._channel}?"), self._mask("SCOD?")
         active = [
-            f"{_alarm_name(bit)} alarm (bit {bit} of ALRM{self._channel}?)"
+            f"{_ALARMS.get(bit, 'unknown')} alarm (bit {bit} of ALRM{self._channel}?)"
             for bit in range(mask.bit_length())
             if mask >> bit & 1
         ]
@@ -165,10 +165,6 @@ class Thermotron8800(TextChamber):
         return int(float(reply))
 
 
-def _alarm_name(bit: int) -> str:
-    return (_ALARMS[bit] if bit < len(_ALARMS) else "") or "unknown"
-
-
 class Thermotron8800Options(StrictModel):
     """Additional keys in the station file."""
 
@@ -176,8 +172,8 @@ class Thermotron8800Options(StrictModel):
     line_ending: Literal["cr", "crlf", "lf"] = Field("cr", description="what ends each command")
 
 
-def _open(line: SerialLine, options: Thermotron8800Options) -> Thermotron8800:
-    return Thermotron8800(line, options.channel, LINE_ENDINGS[options.line_ending])
-
-
-DIALECT = ChamberDialect(_open, Thermotron8800Options, LineDefaults(baudrate=9600, tcp_port=8888))
+DIALECT = ChamberDialect[Thermotron8800Options](
+    lambda line, options: Thermotron8800(line, options.channel, LINE_ENDINGS[options.line_ending]),
+    Thermotron8800Options,
+    LineDefaults(baudrate=9600, tcp_port=8888),
+)

@@ -243,8 +243,6 @@ class WatlowF4Options(StrictModel):
     )
 
 
-def _open(line: SerialLine, options: WatlowF4Options) -> WatlowF4:
-    return WatlowF4(line, options.address, options.chamber_event)
-
-
-DIALECT = ChamberDialect(_open, WatlowF4Options)
+DIALECT = ChamberDialect[WatlowF4Options](
+    lambda line, options: WatlowF4(line, options.address, options.chamber_event), WatlowF4Options
+)

@@ -12,7 +12,7 @@ ones may omit them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
@@ -34,7 +34,6 @@ UNIT_POWER_EVENT = 2
 
 _DEFAULT_WORLD = "gyro_a"
 _DEFAULT_TABLE, _DEFAULT_CHAMBER = "acutrol3000", "watlow_f4"
-_KEYS = ("clock", "world", "seed", "faults", "table", "chamber")
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,9 @@ class BenchAddress:
     faults: str = ""
     table: str = ""
     chamber: str = ""
+
+
+ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
 
 
 class EmulatedBench:
@@ -170,9 +172,9 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     except ValueError as error:
         raise DocumentError(f"{url}: not a valid address: {error}") from error
     values = dict(parse_qsl(parts.query, keep_blank_values=True))
-    unknown = values.keys() - _KEYS
+    unknown = values.keys() - ADDRESS_KEYS
     if unknown:
-        raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(_KEYS)}")
+        raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(ADDRESS_KEYS)}")
     seed = values.get("seed", "0")
     if not seed.isdecimal():
         raise DocumentError(f"{url}: seed must be a non-negative integer; found {seed!r}")

@@ -11,7 +11,7 @@ relative moves give their prompt at once; motions need the motor switched on.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -187,8 +187,4 @@ class IdealAerosmithEmulator(TextInstrument):
         return str(self._done if is_done else 1 - self._done).encode("ascii")
 
 
-def _make(axes: Mapping[int, TableAxis]) -> IdealAerosmithEmulator:
-    return IdealAerosmithEmulator(axes[AXIS])
-
-
-DIALECT = TableEmulation(_make)
+DIALECT = TableEmulation(lambda axes: IdealAerosmithEmulator(axes[AXIS]))

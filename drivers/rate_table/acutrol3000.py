@@ -339,8 +339,4 @@ def set_bits(register: int, names: Mapping[int, str], other: str) -> list[str]:
     return [names.get(bit, f"{other} {bit}") for bit in range(register.bit_length()) if register >> bit & 1]
 
 
-def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> Acutrol3000:  # noqa: ARG001
-    return Acutrol3000(line, axes)
-
-
-DIALECT = TableDialect(_open, NoOptions, LineDefaults(tcp_port=9878))
+DIALECT = TableDialect(lambda line, axes, _: Acutrol3000(line, axes), NoOptions, LineDefaults(tcp_port=9878))

@@ -14,7 +14,7 @@ no public manual. So the driver relies on little:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
 from gyrobench.drivers.rate_table import (
@@ -193,9 +193,6 @@ def _plain(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> IdealAerosmith:  # noqa: ARG001
-    (axis,) = axes
-    return IdealAerosmith(line, axis)
-
-
-DIALECT = TableDialect(_open, NoOptions, LineDefaults(baudrate=9600), max_axes=1)
+DIALECT = TableDialect(
+    lambda line, axes, _: IdealAerosmith(line, *axes), NoOptions, LineDefaults(baudrate=9600), max_axes=1
+)
