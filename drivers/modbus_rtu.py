@@ -52,13 +52,7 @@ def framed(content: bytes) -> bytes:
 
 
 class ModbusRtu:
-    """Exchanges with the device at one address of a line.
-
-    Parameters
-    ----------
-    address : int
-        1 to 247.
-    """
+    """Exchanges with the device at one address of a line."""
 
     def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
         self._line = line

@@ -13,16 +13,8 @@ _CHUNK = 4096
 class PseudoTerminal:
     """A pseudo-terminal; clients open ``url`` like a serial device.
 
-    Parameters
-    ----------
-    link : Path, optional
-        A symbolic link for ``url`` that stays the same when the terminal's name changes. A dangling
-        link of a killed program is replaced.
-
-    Raises
-    ------
-    OSError
-        The link can't be made.
+    ``link`` is a symbolic link for ``url`` that stays the same when the terminal's name changes; a dangling
+    link of a killed program is replaced. Raises OSError if the link can't be made.
     """
 
     def __init__(self, link: Path | None = None) -> None:
@@ -72,17 +64,8 @@ class PseudoTerminal:
 class TcpPort:
     """A TCP port of the loopback with one client at a time; a new client replaces the old one.
 
-    Parameters
-    ----------
-    number : int
-        Number of the port; 0 for any free port.
-    greet : callable, optional
-        Returns bytes to send to each new client.
-
-    Raises
-    ------
-    OSError
-        The port is taken.
+    ``number`` 0 stands for any free port; ``greet`` returns bytes to send to each new client. Raises OSError
+    if the port is taken.
     """
 
     def __init__(self, number: int = 0, greet: Callable[[], bytes] = bytes) -> None:

@@ -136,7 +136,7 @@ class Engine:
 
     def _retained_for_repeat(self, dwell: int) -> RetainedState:
         """The INS may cause the invalid data: after some repeats it is switched off and on if possible."""
-        can_switch = self._bench.station.unit.power == "chamber_event"
+        can_switch = self._bench.station.file.unit.power == "chamber_event"
         is_ins_on = self._run.state.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
         return self._retained(is_ins_on, is_at_temperature=True)
 
@@ -297,7 +297,7 @@ class Engine:
         if given.command is RunCommand.SKIP:
             return self._skip(index), self._retained(is_ins_on, is_at_temperature)
         self._dwells.discard(dwell, f"paused by {given.by}", counts=False)
-        is_safe = self._bench.station.safe_state.on_pause == "safe"
+        is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:
             self._make_safe()
         try:

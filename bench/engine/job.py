@@ -68,17 +68,9 @@ def prepare_job(
 ) -> Job:
     """Read procedure and station and check the one against the other.
 
-    Parameters
-    ----------
-    calibration : Path, optional
-        Run folder or dwell table that calibration checks are compared with.
-    compensation : Compensation, optional
-        Loaded into the INS after each power-on.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything wrong with them, with places; or the INS does not accept the compensation.
+    Calibration checks are compared with ``calibration``, a run folder or dwell table. ``compensation`` is
+    loaded into the INS after each power-on. Raises DocumentError with everything wrong with
+    them and its places, or if the INS does not accept the compensation.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()

@@ -134,11 +134,8 @@ class Operator(Protocol):
 class ConsentingOperator:
     """Gives the first answer at once, for emulated benches without an operator.
 
-    Parameters
-    ----------
-    patience : int
-        How often it gives the first answer to one question in a row before it gives the last answer instead:
-        a fault of an emulated bench passes by itself or never.
+    After ``patience`` first answers to one question in a row it gives the last answer instead: a fault of an
+    emulated bench passes by itself or never.
     """
 
     def __init__(self, patience: int = 30) -> None:

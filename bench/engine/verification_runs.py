@@ -44,29 +44,11 @@ _Measured = tuple[Sequence[MeasuredDwell], Sequence[CheckDwell]]
 class VerificationRuns:
     """Measures with each compensation of a closed campaign, and compares the remaining errors.
 
-    Each compensation has a separate run, in a folder with its name. A run that is finished is not
-    repeated.
-
-    Parameters
-    ----------
-    run : RunFolder
-        The campaign.
-    closure : Closure
-        Outcome of the search in it.
-    procedure, station : str
-        What to run, and on which station.
-    emulation : Emulation
-        World and seed behind emulated instruments, the same for each compensation.
-    folder : Path
-        Holds the runs.
-    only : sequence of str, optional
-        Compensations to measure with; all if none is given.
-
-    Raises
-    ------
-    DocumentError
-        Procedure or station are wrong; the INS does not accept a compensation; a selected one does not
-        exist; the campaign was measured with a compensation, or with the same seed.
+    Each compensation has a separate run, in a folder with its name. A run that is finished is not repeated.
+    ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed,
+    and ``only`` limits the compensations to measure with. Raises DocumentError if procedure or station are
+    wrong; the INS does not accept a compensation; a selected one does not exist; the campaign was measured
+    with a compensation, or with the same seed.
     """
 
     def __init__(
@@ -186,10 +168,7 @@ class VerificationRuns:
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
     """World of a run with the next seed: the same unit with new noise and power-ons, without faults.
 
-    Parameters
-    ----------
-    world, seed : str or None, int or None
-        Replacements.
+    ``world`` and ``seed`` replace those.
     """
     known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)

@@ -44,22 +44,10 @@ def within(
 ) -> ResultT:
     """Call ``action`` with a time limit and return its result.
 
-    On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing
-    can hang, and the call is direct.
-
-    Parameters
-    ----------
-    limit_s : float
-        On the run's clock.
-    discard : callable
-        Receives a result that comes too late, for instance to close a port.
-    meanwhile : callable
-        Called repeatedly while waiting.
-
-    Raises
-    ------
-    ConnectionFailedError
-        The time is over. Errors of ``action`` are raised as they are.
+    On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing can
+    hang, and the call is direct. ``limit_s`` is on the run's clock. ``discard`` receives a result that comes
+    too late, for instance to close a port; ``meanwhile`` is called repeatedly while waiting. Raises
+    ConnectionFailedError if the time is over. Errors of ``action`` are raised as they are.
     """
     if clock.is_virtual:
         return action()
@@ -152,7 +140,7 @@ class Outputs:
 
     def power_unit(self, on: bool) -> None:
         """Switch the supply of the unit, if the bench can."""
-        unit = self._station.unit
+        unit = self._station.file.unit
         if unit.power == "chamber_event":
             self.chamber.switch_event(unit.power_event, on)
 

@@ -116,6 +116,7 @@ class _Lock:
         self._files: list[_LockFile] = []
         self._patience_s = max(patience_s, _MAX_CHECK_S)
         self._taken = ExitStack()
+        #: One note for each holder that ended without releasing its locks.
         self.taken_over: list[str] = []
 
     def __enter__(self) -> Self:
@@ -156,33 +157,11 @@ class _Lock:
 class BenchLock(_Lock):
     """Holds every port of a bench; a context manager.
 
-    Emulated ports live inside one process and need no lock. Names of one device, such as a link
-    under ``/dev/serial/by-id``, lead to the same lock.
-
-    Parameters
-    ----------
-    station : Station
-        The bench.
-    run_path : Path
-        Run folder, or where it will be; named to other processes that want the bench.
-    clock : Clock
-        The run's clock, to wait on.
-    command : str, optional
-        Command of the holder; by default the command line.
-    patience_s : float
-        How long to wait for another holder's release.
-
-    Attributes
-    ----------
-    taken_over : list of str
-        One note for each holder that ended without releasing its locks.
-
-    Raises
-    ------
-    BenchInUseError
-        Another process holds a port (when entered).
-    GyrobenchError
-        A lock file can't be opened.
+    Emulated ports live inside one process and need no lock. Names of one device, such as a link under
+    ``/dev/serial/by-id``, lead to the same lock. ``run_path`` is the run folder, or where it will be.
+    ``command`` is by default the command line, and ``patience_s`` how long to wait for another holder's
+    release. Raises BenchInUseError when entered if another process holds a port, and GyrobenchError if a lock
+    file can't be opened.
     """
 
     def __init__(

@@ -45,14 +45,7 @@ _FAULT_STOPS = {
 class Thermotron8800(TextChamber):
     """A chamber behind a Thermotron 8800; raises InstrumentError where it can't be reached.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    channel : int
-        The controller's channel of the air temperature, 1 to 4.
-    ending : bytes
-        Ends each command.
+    ``channel`` is the controller's channel of the air temperature, 1 to 4; ``ending`` ends each command.
     """
 
     separator = ","

@@ -68,19 +68,8 @@ def from_register(number: int, decimals: int) -> float:
 class WatlowF4:
     """A chamber behind a Watlow F4; raises InstrumentError where it can't be reached.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    address : int
-        The controller's Modbus address.
-    chamber_event : int
-        Event output that switches the chamber's machinery on.
-
-    Raises
-    ------
-    RefusedError
-        The controller works in degrees Fahrenheit.
+    ``address`` is its Modbus address; ``chamber_event`` is the event output that switches the chamber's
+    machinery on. Raises RefusedError if the controller works in degrees Fahrenheit.
     """
 
     def __init__(

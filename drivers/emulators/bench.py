@@ -54,22 +54,10 @@ ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
 class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
-    It starts at the clock's present time, everything switched off and at room temperature.
-
-    Parameters
-    ----------
-    clock, world, seed
-        Its time, world file, and seed of all random numbers.
-    faults, faults_log : Path, optional
-        List of faults to inject, and log file in place of the list's own ``log``.
-    table, chamber : str
-        Dialects of these two.
-
-    Raises
-    ------
-    DocumentError
-        The world file or the list of faults is wrong, the seed is negative, or no emulator of a
-        dialect is installed.
+    It starts at the clock's present time, everything switched off and at room temperature. ``faults`` are
+    injected, and logged in ``faults_log`` in place of the list's own ``log``; ``table`` and ``chamber`` are
+    the dialects of these two. Raises DocumentError if the world file or the list of faults is wrong, the seed
+    is negative, or no emulator of a dialect is installed.
     """
 
     def __init__(

@@ -35,12 +35,8 @@ class CanNode(Protocol):
 class CanInsEmulator:
     """The INS at its CAN connector; a :class:`CanNode`.
 
-    Parameters
-    ----------
-    world : World
-        Its unit is this INS; clients that wait for frames must advance the world.
-    epoch_unix_s : float
-        Calendar time at world time zero, for the frames' time stamps.
+    Clients that wait for frames must advance the world. ``epoch_unix_s`` is the calendar time at world time
+    zero.
     """
 
     def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:

@@ -15,19 +15,9 @@ from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulat
 class EmulatorBus(can.BusABC):
     """A bus with the emulated INS on it, on the bench's clock.
 
-    Parameters
-    ----------
-    channel : str
-        ``ins``.
-    clock, world, seed, faults, table, chamber
-        Address of the emulated bench; see :mod:`gyrobench.drivers.emulators.bench`.
-    frames : str
-        Set of frames that the INS sends: a name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`.
-
-    Raises
-    ------
-    can.CanInitializationError
-        There is no such channel, clock, world or list of faults.
+    The options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and ``frames``: a
+    name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`. Raises can.CanInitializationError if
+    there is no such channel, clock, world or list of faults.
     """
 
     def __init__(self, channel: str = "ins", frames: str = "", **options: Any) -> None:

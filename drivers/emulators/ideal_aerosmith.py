@@ -31,16 +31,8 @@ _STANDSTILL_DPS = 1e-3
 class IdealAerosmithEmulator(TextInstrument):
     """The controller over its one axis.
 
-    Parameters
-    ----------
-    axis : TableAxis
-        Its physics.
-    done : {0, 1}
-        Answer to ``MCO`` when a motion is complete: programs in the field disagree.
-    jog_prompt : {"late", "at_once"}
-        Time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
-    decimals : int
-        Decimals of the numbers that are read.
+    ``done`` is the answer to ``MCO`` when a motion is complete: programs in the field disagree.
+    ``jog_prompt`` is the time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
     """
 
     def __init__(

@@ -57,12 +57,7 @@ def exception_frame(address: int, function: int, code: int) -> bytes:
 class ModbusRtuDevice:
     """Answers requests for holding registers: functions 03, 06 and 16.
 
-    Parameters
-    ----------
-    registers : mapping of int to HoldingRegister
-        The registers by their address.
-    address : int
-        The device's address on the line, 1 to 247.
+    ``address`` is the device's address on the line, 1 to 247.
     """
 
     def __init__(self, registers: Mapping[int, HoldingRegister], address: int) -> None:

@@ -81,17 +81,7 @@ INTERLOCKS = {
 
 
 class Acutrol3000:
-    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`.
-
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    axes : sequence of int
-        Numbers of the axes in use.
-    reply_timeout_s : float
-        Time allowed from a command to the end of its reply.
-    """
+    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`."""
 
     def __init__(self, line: SerialLine, axes: Sequence[int] = (1, 2), reply_timeout_s: float = 2.0) -> None:
         self._line = line

@@ -42,14 +42,7 @@ _PROMPT_TIME_S = 0.2
 class IdealAerosmith:
     """A table with one axis; implements :class:`gyrobench.drivers.rate_table.RateTable`.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    axis : int
-        Number of the axis for the bench; the controller has none.
-    reply_timeout_s : float
-        Time allowed from a command to the end of its reply.
+    ``axis`` is the bench's number of the axis; the controller has none.
     """
 
     def __init__(self, line: SerialLine, axis: int = 1, reply_timeout_s: float = 1.0) -> None:

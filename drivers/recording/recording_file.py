@@ -151,17 +151,8 @@ def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:
 class RecordingFile:
     """A recording that is being written; each transfer is in the file at once.
 
-    Parameters
-    ----------
-    path : Path
-        Must not exist.
-    clock : Clock
-        Gives the times; the recording begins now.
-
-    Raises
-    ------
-    RunFolderError
-        The file can't be created.
+    ``path`` must not exist. The recording begins now, on ``clock``. Raises RunFolderError if the file can't
+    be created.
     """
 
     def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
@@ -196,18 +187,9 @@ _recordings: list[tuple[Path, Mapping[str, RecordingHeader]]] = []
 def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Iterator[None]:
     """Record every line that is opened meanwhile, into a new file at each opening.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if absent. Files are named after the instrument and numbered.
-    headers : mapping of str to RecordingHeader
-        By the instrument's name in errors: "rate table", "chamber". Lines of other instruments are
-        not recorded.
-
-    Raises
-    ------
-    RunFolderError
-        The folder can't be created; opening a line raises it if its file can't be.
+    ``folder`` is created if absent; files are named after the instrument and numbered. ``headers`` are by the
+    instrument's name in errors ("rate table", "chamber"); lines of other instruments are not recorded. Raises
+    RunFolderError if the folder can't be created; opening a line raises it if its file can't be.
     """
     make_folder(folder)
     recording = (folder, headers)

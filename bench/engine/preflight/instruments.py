@@ -23,26 +23,16 @@ DriverT = TypeVar("DriverT", RateTable, Chamber)
 
 def answered(subject: str, identification: str, expected: str) -> Check:
     """Check whether an instrument that answered is the one in the station file."""
-    return Check.of(
-        subject,
-        ANSWERS,
-        expected in identification,
-        identification
-        if expected in identification
-        else f"identifies as {identification}, which lacks {expected!r}",
-        "Connect the right instrument, or correct `identity` in the station file.",
-    )
+    is_right = expected in identification
+    found = identification if is_right else f"identifies as {identification}, which lacks {expected!r}"
+    advice = "Connect the right instrument, or correct `identity` in the station file."
+    return Check.of(subject, ANSWERS, is_right, found, advice)
 
 
 def unanswered(subject: str, error: InstrumentError) -> Check:
     """Report why an instrument does not answer."""
-    return Check.of(
-        subject,
-        ANSWERS,
-        False,
-        str(error).removeprefix(f"{subject}: "),
-        "Nothing else is checked until it answers.",
-    )
+    found = str(error).removeprefix(f"{subject}: ")
+    return Check.of(subject, ANSWERS, False, found, "Nothing else is checked until it answers.")
 
 
 def failed(subject: str, what: str, error: InstrumentError) -> Check:
@@ -54,10 +44,7 @@ def failed(subject: str, what: str, error: InstrumentError) -> Check:
 def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[Check]:
     """Check whether the table answers, has no faults, and allows the station's limits.
 
-    Parameters
-    ----------
-    table : callable
-        Returns the driver, or raises where it can't be opened.
+    ``table`` returns the driver, or raises where it can't be opened.
     """
     checks = (("no faults", _table_faults), (_LIMITS, _table_limits))
     yield from _checks(_TABLE, station, table, station.file.rate_table.identity, checks)
@@ -66,10 +53,7 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
     """Check whether the chamber answers, has no alarms, and accepts the station's set points.
 
-    Parameters
-    ----------
-    chamber : callable
-        Returns the driver, or raises where it can't be opened.
+    ``chamber`` returns the driver, or raises where it can't be opened.
     """
     checks = (("no alarms", _chamber_alarms), ("air temperature", _chamber_air), (_LIMITS, _chamber_limits))
     yield from _checks(_CHAMBER, station, chamber, station.file.chamber.identity, checks)

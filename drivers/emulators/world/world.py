@@ -33,15 +33,9 @@ _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
 class World:
     """The simulated physics behind the emulated instruments.
 
-    Parameters
-    ----------
-    file : WorldFile
-        Properties of the bench.
-    seed : int
-        Seed of all random numbers, together with the start.
-    start_s : int
-        Whole second at which this world starts: at room temperature, the unit off, the table at
-        zero. Effects that depend on time count it from zero.
+    ``seed`` is that of all random numbers, together with ``start_s``: the whole second at which this world
+    starts, at room temperature, the unit off, the table at zero. Effects that depend on time count it from
+    zero.
     """
 
     def __init__(self, file: WorldFile, seed: int, start_s: int = 0) -> None:
