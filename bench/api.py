@@ -23,7 +23,7 @@ from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
-from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder

@@ -21,7 +21,6 @@ from scipy.linalg import block_diag
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import DwellInformation
-from gyrobench.bench.bias.dwell import BiasEstimate
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import chi2_test, compress, solve
 from gyrobench.bench.bias.vertical_pairs import UpRate, VerticalPairs, up_rate
@@ -185,11 +184,6 @@ class JointBiases:
     def sigma_radps(self) -> FloatArray:
         """Standard uncertainties, shape (m, 3)."""
         return np.sqrt(np.diagonal(self.covariance)).reshape(-1, 3)
-
-    def of_dwell(self, index: int) -> BiasEstimate:
-        """Biases of one dwell, by its place among the m."""
-        own = slice(3 * index, 3 * index + 3)
-        return BiasEstimate(self.bias_radps[index], self.covariance[own, own])
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,7 +140,7 @@ class ManualControl:
         self._retry(lambda: self.bench.instruments.table.stop())
         self.bench.read_instruments()
         for _ in range(_STOP_TICKS):
-            if self._is_at_rest():
+            if all(abs(rate) < _REST_DPS for rate in self.bench.readings.table.rate_dps):
                 break
             self.bench.tick()
             self.bench.read_instruments()
@@ -329,9 +329,6 @@ class ManualControl:
 
     def _angles_text(self) -> str:
         return ", ".join(f"{axis} {self._angle_deg(axis):.4f} deg" for axis in self.limits.axes)
-
-    def _is_at_rest(self) -> bool:
-        return all(abs(rate) < _REST_DPS for rate in self.bench.readings.table.rate_dps)
 
 
 def _sends_frames(bench: LiveBench) -> bool:

@@ -125,16 +125,6 @@ class PositionError:
         """Largest distance from the true position."""
         return float(self.distance_nmi.max())
 
-    @property
-    def final_nmi(self) -> float:
-        """Distance from the true position at the end."""
-        return float(self.distance_nmi[-1])
-
-    @property
-    def velocity_east_max_mps(self) -> float:
-        """Largest error of the velocity East, of either sign."""
-        return float(np.abs(self.velocity_east_mps).max())
-
 
 def rotate_for(
     duration_s: float, scheme: RotationScheme, residual_bias: ResidualBias, site: Site
@@ -208,7 +198,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     Raises
     ------
     MeasurementError
-        A name is no position.
+        A name is not that of a position.
     """
     unknown = biases_dph.keys() - POSITIONS.keys()
     if unknown:

@@ -15,8 +15,8 @@ from urllib.parse import urlencode, urlsplit
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
@@ -199,7 +199,7 @@ class Instruments(Outputs):
             opened.callback(super().close)
             self.table  # noqa: B018 - opens it
             self.chamber  # noqa: B018
-            self.ins = _opened(clock, INS, self._open_ins)
+            self.ins = _opened(clock, INS, lambda: open_ins(self._station, self.clock, self._emulation))
             opened.pop_all()
 
     def reopen(self, instrument: str) -> None:
@@ -223,9 +223,6 @@ class Instruments(Outputs):
         """Close all ports; the instruments keep their state."""
         self.ins.close()
         super().close()
-
-    def _open_ins(self) -> CanIns:
-        return open_ins(self._station, self.clock, self._emulation)
 
 
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:

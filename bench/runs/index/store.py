@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
     BIAS_BINS,
