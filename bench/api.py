@@ -262,8 +262,8 @@ def estimate_bias(
     )
     if C_nb.shape != (time.size, 3, 3) or velocity.shape != (time.size, 3) or time.ndim != 1:
         raise MeasurementError(
-            f"times {time.shape}, velocities {velocity.shape} and attitudes {C_nb.shape} do not fit together; "
-            "each epoch needs a time, three velocities and a 3 by 3 attitude"
+            f"times {time.shape}, velocities {velocity.shape} and attitudes {C_nb.shape} "
+            "do not fit together; each epoch needs a time, three velocities and a 3 by 3 attitude"
         )
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
         raise MeasurementError("times_s must be finite and increase from epoch to epoch")
