@@ -52,7 +52,7 @@ def framed(content: bytes) -> bytes:
 
 
 class ModbusRtu:
-    """Exchanges with the device at one address of a line."""
+    """Exchanges with the device at one address of a line. ``address``: 1 to 247."""
 
     def __init__(self, line: SerialLine, address: int, reply_timeout_s: float) -> None:
         self._line = line

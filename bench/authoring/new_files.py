@@ -40,13 +40,7 @@ _BOUNDS = (
 
 
 class StartingFile:
-    """Writes files of one schema.
-
-    Parameters
-    ----------
-    schema : dict
-        With ``$defs`` for what it refers to.
-    """
+    """Writes files of one schema. The schema holds all it refers to in ``$defs``."""
 
     def __init__(self, schema: Schema) -> None:
         self._schema = schema
@@ -56,10 +50,7 @@ class StartingFile:
     def lines(self, values: Mapping[str, Any]) -> Iterator[str]:
         """Lines of a file with these values.
 
-        Parameters
-        ----------
-        values : mapping
-            Of the file; a missing required key gets a permitted value.
+        A missing required key gets a permitted value.
         """
         self._explained_once.clear()
         return self._section(self._schema, values, "")

@@ -163,15 +163,7 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
     weights and the covariance get a common relative error that does (Paule and Mandel, J. Res. NBS
     87, 1982).
 
-    Parameters
-    ----------
-    allan : AllanVariance
-        Measured.
-
-    Raises
-    ------
-    MeasurementError
-        Too few averaging times have enough degrees of freedom.
+    Raises MeasurementError if too few averaging times have enough degrees of freedom.
     """
     information = _Information.of(allan)
     candidates = allan.variance > 0.0

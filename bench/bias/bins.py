@@ -26,7 +26,7 @@ _MIN_WIDTH_C = 0.01
 
 @dataclass(frozen=True)
 class BiasBin:
-    """Bias of one gyro in one position and range of its own temperature."""
+    """Bias of one gyro in one position and range of the gyro temperature."""
 
     gyro: str  #: "x", "y" or "z".
     position: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
@@ -125,13 +125,13 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
 def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
     """Write ``bias_bins.csv``. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_csv(_COLUMNS, (_cells(each) for each in bins)))
+    write_text(path, format_csv(_COLUMNS, ([format_cell(value) for value in astuple(each)] for each in bins)))
 
 
 def read_bins(path: Path) -> list[BiasBin]:
     """Read ``bias_bins.csv``; the paper's columns may be missing.
 
-    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     return parse_bins(read_text(path), str(path))
 
@@ -186,10 +186,6 @@ def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> dict[str, float]:
     values, sigmas = zip(*known, strict=True)
     mean = weighted_mean(values, sigmas)
     return {"paper_bias_dph": mean.value, "paper_sigma_dph": mean.sigma}
-
-
-def _cells(each: BiasBin) -> list[str]:
-    return [format_cell(value) for value in astuple(each)]
 
 
 def _parsed(table: CsvTable, index: int) -> BiasBin:

@@ -129,17 +129,8 @@ def parse_dwells(text: str, name: str) -> list[DwellRow]:
     be missing.
     Values of the gyros may be empty in a row with flags, which say why.
 
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-    name : str
-        What to call the file in messages.
-
-    Raises
-    ------
-    DocumentError
-        Lists everything that is wrong with the table, each with file, line and column.
+    ``name``: what to call the file in messages. Raises DocumentError, which
+    lists everything that is wrong with the table, each with file, line and column.
     """
     table = CsvTable(text, name, required=_REQUIRED)
     rows = [_row(table, index) for index in range(len(table))]
@@ -155,7 +146,7 @@ def parse_dwells(text: str, name: str) -> list[DwellRow]:
 def read_dwells(path: Path) -> list[DwellRow]:
     """Read a dwell table; see :func:`parse_dwells`.
 
-    Raises DocumentError if the file can't be read or is no dwell table.
+    Raises DocumentError if the file can't be read or is not a dwell table.
     """
     return parse_dwells(read_text(path), str(path))
 

@@ -21,7 +21,6 @@ from scipy.linalg import block_diag
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import DwellInformation
-from gyrobench.bench.bias.dwell import BiasEstimate
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import chi2_test, compress, solve
 from gyrobench.bench.bias.vertical_pairs import UpRate, VerticalPairs, up_rate
@@ -186,11 +185,6 @@ class JointBiases:
         """Standard uncertainties, shape (m, 3)."""
         return np.sqrt(np.diagonal(self.covariance)).reshape(-1, 3)
 
-    def of_dwell(self, index: int) -> BiasEstimate:
-        """Biases of one dwell, by its place among the m."""
-        own = slice(3 * index, 3 * index + 3)
-        return BiasEstimate(self.bias_radps[index], self.covariance[own, own])
-
 
 @dataclass(frozen=True, eq=False)
 class JointSolution:
@@ -251,10 +245,7 @@ class JointSolution:
         Meant for a rate that ``applies``. One of several temperatures is much the safer: three biases
         that differ up and down by little more than the noise often pass for a rate.
 
-        Parameters
-        ----------
-        rate : UpRate, optional
-            Of several temperatures together, these dwells among them; otherwise that of these dwells.
+        ``rate``: of several temperatures together, these dwells among them; otherwise that of these dwells.
         """
         rate = rate or self.up_rate
         if not rate.weights:
@@ -278,17 +269,8 @@ class JointSolution:
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """Solve the dwells of one plateau together.
 
-    Parameters
-    ----------
-    dwells : sequence of JointDwell
-        Of one plateau, in any positions.
-    prior : PriorKnowledge
-        What is known beforehand, as for each dwell by itself.
-
-    Raises
-    ------
-    MeasurementError
-        There is no dwell.
+    ``dwells``: of one plateau, in any positions. ``prior``: what is known beforehand, as for each dwell by
+    itself. Raises MeasurementError if there is no dwell.
     """
     if not dwells:
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")

@@ -112,12 +112,9 @@ def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
 
 
 def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve) -> PositionDifferences:
-    """Differences between positions over the passes of one plateau, each with a constant of its own.
+    """Differences between positions over the passes of one plateau, each with a separate constant.
 
-    Parameters
-    ----------
-    passes : sequence of sequences of DwellRow
-        With a result for this gyro in each dwell, linked by common positions; two positions or more.
+    ``passes``: with a result for this gyro in each dwell, linked by common positions; two positions or more.
     """
     rows = [row for each in passes for row in each]
     index = [number for number, each in enumerate(passes) for _ in each]

@@ -44,8 +44,8 @@ def check(
     """
     from gyrobench.bench.engine.preflight.bench_check import check_bench, no_instrument_answers
     from gyrobench.bench.report.terminal.tables import preflight_report
-    from gyrobench.bench.station.check import Verdict
     from gyrobench.bench.station.instruments import Emulation
+    from gyrobench.bench.station.preflight_check import Verdict
 
     checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
     is_fit = all(each.verdict is not Verdict.FAIL for each in checks)

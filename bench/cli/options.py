@@ -38,14 +38,14 @@ def complete_template(incomplete: str) -> list[str]:
 
 def complete_table(incomplete: str) -> list[str]:
     """Installed dialects of rate tables."""
-    from gyrobench.bench.foundations.entry_points import RATE_TABLES, installed
+    from gyrobench.bench.foundations.packages import RATE_TABLES, installed
 
     return _beginning_with(incomplete, installed(RATE_TABLES))
 
 
 def complete_chamber(incomplete: str) -> list[str]:
     """Installed dialects of chambers."""
-    from gyrobench.bench.foundations.entry_points import CHAMBERS, installed
+    from gyrobench.bench.foundations.packages import CHAMBERS, installed
 
     return _beginning_with(incomplete, installed(CHAMBERS))
 

@@ -143,17 +143,9 @@ class Campaign:
 def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = None) -> Campaign:
     """Collect the dwells that have a result and no flags; of the others only temperatures are used.
 
-    Parameters
-    ----------
-    rows : sequence of DwellRow
-        The table, in any order.
-    record : TemperatureRecord, optional
-        Temperatures of the gyros over the whole time; by default interpolated between the dwells.
-
-    Raises
-    ------
-    MeasurementError
-        No dwell has a result, or the dwells are of several units.
+    ``rows``: in any order. ``record``: temperatures of the gyros over the whole time; by default
+    interpolated between the dwells. Raises MeasurementError if no dwell has a result, or the dwells are of
+    several units.
     """
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
     warm = [row for row in ordered if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()]

@@ -30,19 +30,9 @@ _MAX_STEPS = 20_000
 def read_campaign(path: Path) -> Campaign:
     """Read the dwells of a table, or of a run with its temperatures between the dwells too.
 
-    Parameters
-    ----------
-    path : Path
-        A dwell table, or a run folder.
-
-    Raises
-    ------
-    DocumentError
-        There is no dwell table, or it is wrong.
-    RunFolderError
-        The folder is no run folder, or its telemetry can't be read.
-    MeasurementError
-        The table has no good dwells, or dwells of several units.
+    ``path``: a dwell table, or a run folder. Raises DocumentError if there is no dwell table, or it is wrong.
+    Raises RunFolderError if the folder is not a run folder, or its telemetry can't be read. Raises
+    MeasurementError if the table has no good dwells, or dwells of several units.
     """
     record = None
     table = path

@@ -37,12 +37,7 @@ class LiveEstimate:
     Nothing is done before the first turn, since no bias is observable before it. With declared noise only
     new epochs are filtered; an estimate of the noise improves with the dwell, so all are filtered again.
 
-    Parameters
-    ----------
-    setup : MeasurementSetup
-        As for the dwell as a whole.
-    frames : callable
-        The frames of the dwell from a number on.
+    ``setup``: as for the dwell as a whole. ``frames``: the frames of the dwell from a number on.
     """
 
     def __init__(self, setup: MeasurementSetup, frames: Callable[[int], FrameBlock]) -> None:

@@ -168,7 +168,7 @@ class VerificationRuns:
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:
     """World of a run with the next seed: the same unit with new noise and power-ons, without faults.
 
-    ``world`` and ``seed`` replace those.
+    ``world`` and ``seed`` replace those of the run.
     """
     known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)

@@ -59,14 +59,8 @@ class TimedLog:
     """The parts of a run's log that hold frames, with calendar times; one is in memory at a time.
 
     A part that was never closed, or was stamped by the CAN adapter's own clock, has times relative to its
-    first frame. They are placed by the finished dwell in the part, if there is one.
-
-    Attributes
-    ----------
-    finished : dict of int to DwellMarks
-        Marks of the finished dwells by their part.
-    estimated : list of int
-        Parts read so far without an exact time: they are placed at the end of the part before.
+    first frame. It is placed by the finished dwell in it, whose marks are in ``finished`` by part; without
+    one at the end of the part before, which ``estimated`` lists.
 
     Raises
     ------

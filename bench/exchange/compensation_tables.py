@@ -45,15 +45,8 @@ def compensation_files(suffixes: Sequence[str]) -> list[str]:
 def export_compensation(closure: Closure, suffixes: Sequence[str], destination: ExportFolder) -> None:
     """Write table, terms and the file that `gyrobench run --compensation` takes.
 
-    Parameters
-    ----------
-    suffixes : sequence of str
-        Endings of the tables, ".csv" or ".parquet" or both.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    ``suffixes``: endings of the tables, ".csv" or ".parquet" or both. Raises RunFolderError if a file can't
+    be written.
     """
     declared, model = declared_model(closure), model_with_effects(closure)
     about: dict[str, Any] = {

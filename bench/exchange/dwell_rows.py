@@ -18,14 +18,9 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 
 def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[int]:
-    """Number the legs of the temperature between its turning points, from 1.
+    """Number the legs of the temperature between its turning points in time, from 1.
 
-    Parameters
-    ----------
-    temperatures_c : sequence of float
-        In the order of time.
-    min_turn_c : float
-        The temperature turned at its extreme once it came back by this much, K.
+    The temperature turned at its extreme once it came back by ``min_turn_c``.
     """
     turns: list[int] = []
     direction = 0
@@ -79,16 +74,9 @@ def read_log(path: Path, log_map: LogMap) -> ReadLog:
 
 
 def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) -> list[DwellRow]:
-    """One row for each valid window, in the order of the logs.
+    """One row for each valid window of the logs, which are in the order of time.
 
-    Parameters
-    ----------
-    logs : sequence of ReadLog
-        In the order of time.
-    sigma_dph : ndarray, shape (3,)
-        Standard uncertainty of a window's mean rates.
-    log_map : LogMap
-        Positions, cycles, Earth rate.
+    ``sigma_dph`` (3,) is the standard uncertainty of a window's mean rates.
 
     Raises
     ------

@@ -47,14 +47,9 @@ Batch = dict[Column, NDArray[Any]]
 
 
 class TextLog:
-    """A text log.
+    """A text log; its columns without a header are ``column 1``, ...
 
-    Attributes
-    ----------
-    columns : list of str
-        Names from the header; ``column 1``, ... without a header.
-    truncated : bool
-        Whether the last line was cut off and left out; known once all batches are read.
+    ``truncated`` states whether the last line was cut off and left out, once all batches are read.
 
     Raises
     ------
@@ -81,15 +76,8 @@ class TextLog:
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
         """Read columns batch by batch; what was not measured is NaN.
 
-        Parameters
-        ----------
-        numbers, texts : sequence of Column
-            Which to read as float64, and which as text.
-
-        Raises
-        ------
-        DocumentError
-            A column that the file does not have, or cells that can't be read: lists them.
+        ``numbers``, ``texts``: which to read as float64, and which as text. Raises DocumentError if the
+        file lacks a column, or cells can't be read; the message lists them.
         """
         import pyarrow as pa
 

@@ -62,19 +62,9 @@ class LogImport:
 def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     """Average logs to a dwell table.
 
-    Parameters
-    ----------
-    logs : sequence of Path
-        In the order of time.
-    mapping : str
-        Import map: file or shipped name.
-
-    Raises
-    ------
-    DocumentError
-        The import map is wrong, or does not match a log, or a log can't be read.
-    MeasurementError
-        No window is valid, time goes back, or the temperatures can't support a curve.
+    ``logs``: in the order of time. ``mapping``: import map: file or shipped name. Raises DocumentError if the
+    import map is wrong, or does not match a log, or a log can't be read. Raises MeasurementError if no window
+    is valid, time goes back, or the temperatures can't support a curve.
     """
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path)

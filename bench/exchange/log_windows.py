@@ -42,14 +42,10 @@ _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 class SampleReader:
-    """Reads one log by its import map.
+    """Reads one log by its import map, and counts samples left out for their status or without a time.
 
-    Attributes
-    ----------
-    first_s : float
-        Reading of the log's clock at its first sample, from the first batch on; 0 without a time column.
-    bad_status, no_time : int
-        Samples left out so far because of their status, or without a time.
+    ``first_s`` is the reading of the log's clock at its first sample, from the first batch on; 0 without a
+    time column.
 
     Raises
     ------

@@ -31,8 +31,8 @@ from gyrobench.bench.exchange.compensation_tables import compensation_files, exp
 from gyrobench.bench.exchange.export_folder import ExportFolder, data_origin, field_of, type_of, unit_of
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
-from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc

@@ -20,17 +20,9 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 
 def nearest_position(force: FloatArray) -> tuple[str, float]:
-    """Position whose vertical is nearest to a specific force.
+    """Position whose vertical is nearest to a specific force (3,) at rest, and the angle between them, deg.
 
-    Parameters
-    ----------
-    force : ndarray, shape (3,)
-        Specific force at rest, body axes, any unit: it points up.
-
-    Returns
-    -------
-    str, float
-        Name of the position, and the angle between the force and its vertical, deg.
+    The force is in body axes and any unit: it points up.
     """
     size = float(np.linalg.norm(force))
     if not size > 0.0:
@@ -244,7 +236,7 @@ _TOLERANCE = 6.0
 
 
 def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
-    """Standard uncertainty of a window's mean by its noise, deg/h, shape (3,).
+    """Standard uncertainty of a window's mean by its noise, deg/h, shape (3,), from the valid ones by log.
 
     Second differences of neighbouring means hold no constant and no slope. Their mean square over
     averaging time, from parts of windows to whole ones, is split into what is white in the angle
@@ -253,15 +245,8 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
     exceed these terms contain drift and are ignored. Outliers, as a knock in one window, are left out. The
     uncertainty of a mean is at least that of the resolution of the rate.
 
-    Parameters
-    ----------
-    logs : sequence of sequences of Window
-        Valid windows, log by log.
-
-    Raises
-    ------
-    MeasurementError
-        A gyro's rate never changes, or there are too few windows.
+    ``logs``: valid windows, log by log. Raises MeasurementError if a gyro's rate never changes, or there are
+    too few windows.
     """
     windows = [window for log in logs for window in log]
     differences = {
@@ -290,14 +275,8 @@ def noise_of_means(logs: Sequence[Sequence[Window]]) -> FloatArray:
 def _without_drift(parts: FloatArray, squares: FloatArray, counts: NDArray[np.intp]) -> float:
     """Variance of a whole window's mean.
 
-    Parameters
-    ----------
-    parts : ndarray, shape (n,)
-        Averaging times in windows, rising.
-    squares : ndarray, shape (n,)
-        Size of the second differences there, as variance of white noise.
-    counts : ndarray, shape (n,)
-        Number of differences, which is their weight.
+    ``parts`` (n,) are rising averaging times in windows, ``squares`` the sizes of the second differences
+    there as variances of white noise, ``counts`` the numbers of differences, which are their weights.
     """
     weights = np.sqrt(counts) / squares
     # A drift that bends leaves second differences as the square of the time, so squares as its fourth power.

@@ -295,15 +295,7 @@ _COMPLETE = ("clean", "explained")
 
 
 def read_batch(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[BatchQuantity, Sequence[RunBias]]:
-    """Read what can be compared between units: biases and sizes of effects.
-
-    Parameters
-    ----------
-    index : RunIndex
-        Where to read.
-    runs : sequence of mapping
-        Rows of its table of runs.
-    """
+    """Read what can be compared between units of selected runs: biases and sizes of effects."""
     biases = read_run_biases(index, [run["path"] for run in runs])
     values: dict[BatchQuantity, Sequence[RunBias]] = dict(biases.items())
     values.update(_effect_sizes(index, runs).items())

@@ -124,15 +124,7 @@ _WIDTH = 0.62
 
 @house_style
 def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> Figure:
-    """Draw the units: a panel for each gyro, a band for each temperature bin or position in a bin.
-
-    Parameters
-    ----------
-    batch : sequence of QuantityStatistics
-        The batch.
-    of_positions : bool
-        Whether to draw the differences of positions in place of the levels.
-    """
+    """Draw levels or position differences: a panel a gyro, a band for each bin or position in a bin."""
     figure = new_figure(9.2 if of_positions else 7.6)
     panels = figure.subplots(len(AXES), 1, sharex=False)
     out = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]
@@ -249,21 +241,7 @@ def batch_document(name: str, batch: Sequence[QuantityStatistics]) -> dict[str, 
 def write_batch(folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str) -> Path:
     """Write ``batch.json``, ``batch.html`` and figures into a folder, made if it isn't there.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write.
-    name : str
-        Of the batch; may be empty.
-    batch : sequence of QuantityStatistics
-        The model.
-    source : str
-        Which runs it is of, for people.
-
-    Returns
-    -------
-    Path
-        The page.
+    The name of the batch may be empty; the page, which is returned, shows the source.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobResult, JobState, do_job
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.foundations.packages import require
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -158,15 +158,7 @@ def _result(future: Future[JobResult], path: str) -> JobResult:
 
 
 class FleetProgress:
-    """Shows results as they arrive: a bar on a terminal, lines elsewhere; a context manager.
-
-    Parameters
-    ----------
-    console : Console
-        The output.
-    total : int
-        Number of runs.
-    """
+    """Shows results as they arrive: a bar on a terminal, lines elsewhere; a context manager."""
 
     def __init__(self, console: Console, total: int) -> None:
         self._console = console

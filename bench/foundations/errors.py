@@ -39,12 +39,8 @@ class DocumentError(GyrobenchError, ValueError):
 class InstrumentError(GyrobenchError):
     """Something went wrong with one instrument.
 
-    Parameters
-    ----------
-    instrument : str
-        Which one, as the station file names it ("rate table", "chamber", "INS").
-    message : str
-        What happened and what to do.
+    ``instrument``: which one, as the station file names it ("rate table", "chamber", "INS"). ``message``:
+    what happened and what to do.
     """
 
     def __init__(self, instrument: str, message: str) -> None:

@@ -39,17 +39,9 @@ def shipped_names(kind: str) -> list[str]:
 def find_document(kind: str, name: str) -> Path:
     """Find a file by path, or a shipped one by its bare name.
 
-    Parameters
-    ----------
-    kind : {"procedures", "stations", "worlds", "faults", "imports"}
-        Which folder of shipped files to look in.
-    name : str
-        A path, or the name of a shipped file without its ending.
-
-    Raises
-    ------
-    DocumentError
-        There is no such file; the message suggests the nearest shipped name and lists all.
+    ``kind``: which folder of shipped files to look in. ``name``: a path, or the name of a shipped file
+    without its ending. Raises DocumentError if there is no such file; the message suggests the nearest
+    shipped name and lists all.
     """
     path = Path(name)
     if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:

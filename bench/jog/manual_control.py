@@ -72,17 +72,9 @@ class ManualControl:
     def tick(self, follow: bool = False) -> None:
         """Poll the bench for one tick, check interlocks and signals.
 
-        Parameters
-        ----------
-        follow : bool
-            Whether to read all instruments at this tick, also before their period is over.
-
-        Raises
-        ------
-        TrippedError
-            An interlock tripped; the bench is in its safe state.
-        StoppedByOperatorError, EndSessionError
-            A signal arrived.
+        ``follow``: whether to read all instruments at this tick, also before their period is over. Raises
+        TrippedError if an interlock tripped; the bench is in its safe state. Raises StoppedByOperatorError or
+        EndSessionError if a signal arrived.
         """
         self.bench.tick()
         self._ticked_s = self.bench.clock.now()
@@ -148,7 +140,7 @@ class ManualControl:
         self._retry(lambda: self.bench.instruments.table.stop())
         self.bench.read_instruments()
         for _ in range(_STOP_TICKS):
-            if self._is_at_rest():
+            if all(abs(rate) < _REST_DPS for rate in self.bench.readings.table.rate_dps):
                 break
             self.bench.tick()
             self.bench.read_instruments()
@@ -337,9 +329,6 @@ class ManualControl:
 
     def _angles_text(self) -> str:
         return ", ".join(f"{axis} {self._angle_deg(axis):.4f} deg" for axis in self.limits.axes)
-
-    def _is_at_rest(self) -> bool:
-        return all(abs(rate) < _REST_DPS for rate in self.bench.readings.table.rate_dps)
 
 
 def _sends_frames(bench: LiveBench) -> bool:

@@ -77,12 +77,7 @@ class Display:
 class TypedLines:
     """Lines of standard input, read while the bench is polled.
 
-    Parameters
-    ----------
-    descriptor : int
-        Descriptor to read from.
-    meanwhile : callable
-        Called before every wait for input; returns soon.
+    ``meanwhile``: called before every wait for input; returns soon.
     """
 
     def __init__(self, descriptor: int, meanwhile: Callable[[], None]) -> None:

@@ -54,12 +54,8 @@ class Sender:
 
     A message stays in the queue until it is delivered, so that the journal can name those that were not.
 
-    Parameters
-    ----------
-    record : callable
-        Takes the event of a journal entry and its details; called by the thread.
-    pauses_s : sequence of float
-        Pauses between attempts; the last one repeats.
+    ``record``: takes the event of a journal entry and its details; called by the thread. ``pauses_s``: pauses
+    between attempts; the last one repeats.
     """
 
     def __init__(

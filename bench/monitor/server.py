@@ -66,17 +66,8 @@ _HEADERS = {
 class MonitorServer(ThreadingHTTPServer):
     """Serves what a function answers to the target of a GET or HEAD request.
 
-    Parameters
-    ----------
-    answer : callable
-        Returns the response to a target such as ``/runs/mine/``.
-    port : int
-        TCP port; 0 for any free port.
-
-    Raises
-    ------
-    GyrobenchError
-        The port is not available.
+    ``answer``: returns the response to a target such as ``/runs/mine/``. ``port``: TCP port; 0 for any free
+    port. Raises GyrobenchError if the port is not available.
     """
 
     daemon_threads = True

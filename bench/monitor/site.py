@@ -47,14 +47,8 @@ from gyrobench.bench.report.number_format import true_minus
 def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str) -> str:
     """Content of the page of a run, which the page refreshes by itself.
 
-    Parameters
-    ----------
-    freshness : Freshness
-        Age of the snapshot.
-    records : mapping
-        Addresses and titles of the pages in the run folder.
-    home : str
-        Address of the list of runs; empty if there is none.
+    ``records`` has addresses and titles of the pages in the run folder; ``home`` is the address of the list
+    of runs, empty if there is none.
     """
     dwell = snapshot.dwell
     return _rendered(

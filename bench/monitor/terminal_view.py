@@ -166,20 +166,10 @@ _SNAPSHOT_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
 
 
 class TerminalView(RunObserver):
-    """Shows the newest snapshot and the keys being typed.
+    """Shows the newest snapshot and the keys being typed; lines printed to the console scroll above the view.
 
-    The snapshot is taken in the thread of the run and drawn in a separate thread.
-
-    Parameters
-    ----------
-    console : Console
-        A terminal; lines printed to it scroll above the view.
-    recorder, keyboard
-        Sources of the snapshot and of typed keys.
-    takes_orders : bool
-        Whether commands can be typed.
-    can_draw : callable
-        Whether the terminal has shown all earlier output.
+    The snapshot is taken in the thread of the run and drawn in a separate thread, when ``can_draw`` says that
+    the terminal has shown all earlier output.
     """
 
     def __init__(
@@ -271,23 +261,11 @@ _MAX_DRAIN_S = 10.0
 def observe_in_terminal(
     console: RunConsole, job: Job, wants_live: bool
 ) -> Iterator[tuple[RunObserver, Operator]]:
-    """Record the snapshot of a run, and show the run, while the context lasts.
+    """Record the snapshot of a run, and show the run, while the context lasts; the run never waits for it.
 
-    Parameters
-    ----------
-    console : RunConsole
-        Where to show it; the run never waits for it.
-    job : Job
-        The run.
-    wants_live : bool
-        Whether to show the live view. It needs a terminal that can move its cursor, with this process in
-        the foreground; otherwise lines are printed.
-
-    Returns
-    -------
-    RunObserver, Operator
-        Observer and operator of the run. On virtual time, where no operator can be waited for, every
-        question is answered with consent.
+    The live view needs a terminal that can move its cursor, with this process in the foreground; otherwise
+    lines are printed. On virtual time, where no operator can be waited for, every question is answered with
+    consent.
     """
     keyboard = Keyboard()
     operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console, keyboard)

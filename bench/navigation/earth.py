@@ -33,12 +33,7 @@ def earth_rate_enu(latitude: float) -> FloatArray:
 def gravity(latitude: float, height: float = 0.0) -> float:
     """Compute normal gravity, m/s^2, by Somigliana's formula with the second-order term of height.
 
-    Parameters
-    ----------
-    latitude : float
-        Geodetic latitude, rad.
-    height : float
-        Height above the ellipsoid, m.
+    ``latitude``: geodetic latitude, rad. ``height``: height above the ellipsoid, m.
     """
     sine_squared = float(np.sin(latitude)) ** 2
     surface = EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA * sine_squared)

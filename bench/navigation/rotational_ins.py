@@ -125,16 +125,6 @@ class PositionError:
         """Largest distance from the true position."""
         return float(self.distance_nmi.max())
 
-    @property
-    def final_nmi(self) -> float:
-        """Distance from the true position at the end."""
-        return float(self.distance_nmi[-1])
-
-    @property
-    def velocity_east_max_mps(self) -> float:
-        """Largest error of the velocity East, of either sign."""
-        return float(np.abs(self.velocity_east_mps).max())
-
 
 def rotate_for(
     duration_s: float, scheme: RotationScheme, residual_bias: ResidualBias, site: Site
@@ -143,17 +133,8 @@ def rotate_for(
 
     The vehicle rests, the accelerometers are without error, and the navigation starts without one.
 
-    Parameters
-    ----------
-    duration_s : float
-        Rounded up to whole steps.
-    residual_bias : callable
-        Gets the middle of each step and Up in body axes then; :func:`bias_by_position` makes one.
-
-    Raises
-    ------
-    MeasurementError
-        A residual bias is not finite.
+    ``duration_s``: rounded up to whole steps. ``residual_bias``: gets the middle of each step and Up in body
+    axes then; :func:`bias_by_position` makes one. Raises MeasurementError if a residual bias is not finite.
     """
     steps_s, attitudes = _cycle(scheme)
     cycles = int(np.ceil(duration_s / steps_s.sum()))
@@ -217,7 +198,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     Raises
     ------
     MeasurementError
-        A name is no position.
+        A name is not that of a position.
     """
     unknown = biases_dph.keys() - POSITIONS.keys()
     if unknown:

@@ -105,15 +105,8 @@ class Plan:
 def expand(document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
     """Unroll a procedure into its plan.
 
-    Parameters
-    ----------
-    bench : BenchEstimate, optional
-        Bench at the start; by default at rest at room temperature.
-
-    Raises
-    ------
-    DocumentError
-        The loops give too many steps, or a variable has a value that its step can't take.
+    ``bench``: state at the start; by default at rest at room temperature. Raises DocumentError if the loops
+    give too many steps, or a variable has a value that its step can't take.
     """
     timed = list(_timed(resolve(document, procedure), bench or BenchEstimate.at_rest()))
     return Plan(procedure, tuple(_with_dwells(timed)))

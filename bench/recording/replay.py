@@ -12,8 +12,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import Problem, problems_of
-from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
 from gyrobench.drivers.rate_table import RateTable, TableDialect

@@ -53,19 +53,7 @@ _DWELLS = (
 def comparison_section(
     bins: Sequence[BiasBin], acceptance: Acceptance | None, figures: Mapping[str, Path], *notes: str
 ) -> Section:
-    """Results in sentences, gyro by gyro, and the largest differences.
-
-    Parameters
-    ----------
-    bins : sequence of BiasBin
-        Of all gyros.
-    acceptance : Acceptance or None
-        Whose limit the figure shows.
-    figures : mapping of str to Path
-        PNG files by name.
-    *notes : str
-        Paragraphs below the results.
-    """
+    """Results of all gyros in sentences, the largest differences with the limit, ``notes`` below them."""
     boxes = [_gyro_box(gyro, [each for each in bins if each.gyro == gyro]) for gyro in AXES]
     if all(box.text == NOTHING_TO_COMPARE for box in boxes):
         scattered = [replace(box, text="") for box in boxes if box.notes]
@@ -87,14 +75,7 @@ def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
 def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]) -> Section | None:
     """Figure and tables of one gyro; None without data.
 
-    Parameters
-    ----------
-    gyro : {"x", "y", "z"}
-        Which gyro.
-    bins : sequence of BiasBin
-        Of all gyros: each has a column for every position measured.
-    figures : mapping of str to Path
-        PNG files by name.
+    ``bins`` are those of all gyros: each gyro has a column for every position measured.
     """
     own = [each for each in bins if each.gyro == gyro]
     by_paper = paper_bins(own)
@@ -266,7 +247,7 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
     limits = acceptance.limits
     paragraphs = [
         _limits_sentence(limits),
-        _how(limits),
+        _HOW.format(100.0 * limits.confidence, round(100.0 * (1.0 - limits.confidence), 6)),
         _disagreeing_sentence(acceptance),
         _lacking_sentence(acceptance),
     ]
@@ -288,10 +269,6 @@ def _limits_sentence(limits: AcceptanceLimits) -> str:
             "not measured."
         )
     return sentence
-
-
-def _how(limits: AcceptanceLimits) -> str:
-    return _HOW.format(100.0 * limits.confidence, round(100.0 * (1.0 - limits.confidence), 6))
 
 
 def _disagreeing_sentence(acceptance: Acceptance) -> str:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from rich import box
 from rich.console import Group, JustifyMethod, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from gyrobench.bench.foundations.text import counted
@@ -15,6 +13,7 @@ from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma
 from gyrobench.bench.report.page import Section, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE
+from gyrobench.bench.report.terminal.tables import titled_table
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _METHODS = (
@@ -43,6 +42,13 @@ def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
     """Measured and calibrated biases; None without any."""
     if not rows:
         return None
+    flags = flag_lines(rows)
+    caption = (
+        f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured minus "
+        "calibrated in combined standard uncertainties; * significant"
+    )
+    tables = [SectionTable(caption, _HEADER, verification_rows(rows), words=3)]
+    tables += [SectionTable("Flagged", ["dwell", "flag"], flags, words=2)] if flags else []
     has_calibrated = any(not math.isnan(row.calibrated_dph) for row in rows)
     paragraphs = [
         verification_sentence(rows),
@@ -50,11 +56,7 @@ def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
         _CALIBRATED if has_calibrated else "",
         accelerometer_sentence(rows),
     ]
-    return Section(
-        "Calibration check",
-        [text for text in paragraphs if text],
-        tables=[_bias_table(rows), *_flag_tables(rows)],
-    )
+    return Section("Calibration check", [text for text in paragraphs if text], tables=tables)
 
 
 def verification_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
@@ -170,21 +172,6 @@ def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:
     return "" if math.isnan(bias_dph) else scale.with_sigma(bias_dph, sigma_dph)
 
 
-def _bias_table(rows: Sequence[CalibrationCheckRow]) -> SectionTable:
-    return SectionTable(
-        f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured minus "
-        "calibrated in combined standard uncertainties; * significant",
-        _HEADER,
-        verification_rows(rows),
-        words=3,
-    )
-
-
-def _flag_tables(rows: Sequence[CalibrationCheckRow]) -> list[SectionTable]:
-    lines = flag_lines(rows)
-    return [SectionTable("Flagged", ["dwell", "flag"], lines, words=2)] if lines else []
-
-
 _HEADERS = ("position", "gyro", "method", "°C", "bias", "slope", "calibrated", "diff")
 _WORDS = 3
 _LEGEND = (
@@ -200,7 +187,7 @@ def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
     # Not the table's title: rich wraps titles at the width of the table.
     unit = verification_scale(rows).unit
     heading = Text(f"Calibration check: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
+    table = titled_table()
     for number, header in enumerate(_HEADERS):
         is_word = number < _WORDS
         justify: JustifyMethod = "left" if is_word else "right"

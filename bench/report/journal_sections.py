@@ -34,6 +34,12 @@ class KindDuration:
         text = f"{'-' if round(late_s) < 0 else '+'}{clock_time(abs(late_s))}"
         return f"{text} ({100.0 * late_s / self.planned_s:+.1f} %)" if self.planned_s > 0.0 else text
 
+    @property
+    def cells(self) -> list[str]:
+        """Kind, number, planned and actual duration, and their difference."""
+        durations = clock_time(self.planned_s), clock_time(self.took_s)
+        return [self.kind, str(self.count), *durations, self.difference]
+
 
 def durations_by_kind(took: Took) -> list[KindDuration]:
     """Sums by kind, longest first, and the total last; empty if no step has finished."""
@@ -130,13 +136,9 @@ def durations_section(journal: Sequence[Entry]) -> Section:
     title = "Planned and actual duration"
     if not kinds:
         return Section(title, ["The journal has no finished step."])
-    rows = [
-        [each.kind, str(each.count), clock_time(each.planned_s), clock_time(each.took_s), each.difference]
-        for each in kinds
-    ]
     header = ["kind of step", "steps", "planned / h:mm:ss", "actual / h:mm:ss", "difference"]
     marks: list[Mark] = ["sum" if each is kinds[-1] else "" for each in kinds]
-    return Section(title, tables=[SectionTable("", header, rows, marks=marks)])
+    return Section(title, tables=[SectionTable("", header, [each.cells for each in kinds], marks=marks)])
 
 
 def events_section(journal: Sequence[Entry]) -> Section:
@@ -148,7 +150,15 @@ def events_section(journal: Sequence[Entry]) -> Section:
     for each in events:
         counts[each.kind] += each.count
     summary = listed([f"{kind}: {counts[kind]}" for kind in _KINDS if counts[kind]])
-    rows = [(each.time, f"{each.kind}{_count_text(each.count)}", each.what, each.outcome) for each in events]
+    rows = [
+        (
+            each.time,
+            f"{each.kind}{f' ({each.count} times)' if each.count > 1 else ''}",
+            each.what,
+            each.outcome,
+        )
+        for each in events
+    ]
     table = SectionTable(
         _ALL,
         ["time / h:mm:ss", "kind", "what", "outcome"],
@@ -162,7 +172,8 @@ def events_section(journal: Sequence[Entry]) -> Section:
 def _events(journal: Iterable[Entry]) -> list[RunEvent]:
     gathered = _Gathered()
     for entry in journal:
-        gathered.take(entry)
+        if read := gathered.readers.get(str(entry.get("event"))):
+            read(entry)
     return gathered.events
 
 
@@ -172,7 +183,7 @@ class _Gathered:
     def __init__(self) -> None:
         self.events: list[RunEvent] = []
         self._open: dict[tuple[str, str], list[int]] = {}
-        self._readers: Mapping[str, Callable[[Entry], object]] = {
+        self.readers: Mapping[str, Callable[[Entry], object]] = {
             "tripped": self._tripped,
             "made_safe": self._made_safe,
             "held": self._held,
@@ -192,12 +203,6 @@ class _Gathered:
                 entry, "note", "The last line of the journal was incomplete and has been removed."
             ),
         }
-
-    def take(self, entry: Entry) -> None:
-        """Take one entry of the journal."""
-        read = self._readers.get(str(entry.get("event")))
-        if read is not None:
-            read(entry)
 
     def _add(self, entry: Entry, kind: str, what: str, outcome: str = "") -> int:
         at_s = _seconds(entry.get("time_s")) or 0.0
@@ -279,7 +284,3 @@ def _kind_or_itself(kind: str, event: RunEvent) -> object:
 def _shape(text: str) -> str:
     """Text without its numbers."""
     return _NUMBERS.sub("…", text)
-
-
-def _count_text(count: int) -> str:
-    return f" ({count} times)" if count > 1 else ""

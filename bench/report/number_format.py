@@ -88,14 +88,8 @@ def by_temperature(
 ) -> list[tuple[float, float, list[BinT]]]:
     """Lower and upper end of each bin of one gyro, the coldest first, and its positions.
 
-    Neighbours that are empty in all positions come as one range without positions.
-
-    Parameters
-    ----------
-    bins : iterable
-        One for each position and bin.
-    ends_c, is_filled : callable
-        Return the ends of one, and whether anything was measured there.
+    Neighbours that are empty in all positions come as one range without positions. ``ends_c`` gives the ends
+    of a bin, ``is_filled`` whether anything was measured in it.
     """
     groups: dict[tuple[float, float], list[BinT]] = {}
     for each in sorted(bins, key=ends_c):

@@ -80,7 +80,7 @@ class Section:
 
 @dataclass(frozen=True, eq=False, config=_CONFIG)
 class Findings:
-    """Result of an analysis, as a page of its own and as a chapter of the report of its run.
+    """Result of an analysis, as a separate page and as a chapter of the report of its run.
 
     Attributes
     ----------
@@ -121,18 +121,10 @@ _FINDINGS = TypeAdapter(Findings)
 
 
 def render_page(page: Section, source: str, title: str = "", sign_off: str | None = None) -> str:
-    """Give a page as HTML text.
+    """Give a page, whose figures are PNG files, as HTML text.
 
-    Parameters
-    ----------
-    page : Section
-        The page; figures of its sections are PNG files.
-    source : str
-        Line below the title.
-    title : str
-        Title of the browser's window; by default that of the page with its source.
-    sign_off : str, optional
-        Name for a sign-off table, which may be empty; it comes with a table of contents.
+    The source is the line below the page's title, ``title`` that of the browser's window. ``sign_off`` is the
+    name, which may be empty, for a sign-off table; it comes with a table of contents.
     """
     environment = Environment(
         loader=PackageLoader("gyrobench.bench.report"),

@@ -15,8 +15,8 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.timeline import hours_minutes
@@ -65,14 +65,13 @@ def write_report(
     before: RunFolder | None = None,
     mark_temperatures_c: Sequence[float] = (),
 ) -> Path:
-    """Write ``report.html`` and the figures of a run, from what its folder holds.
+    """Write ``report.html`` and the figures of a run, from what its folder holds; returns the report.
 
-    The report names parts that are missing because the run failed or was interrupted.
+    The report names parts that are missing because the run failed or was interrupted, and replaces an
+    earlier one.
 
     Parameters
     ----------
-    folder : RunFolder
-        The run; its report and figures are replaced.
     prepared_by : str
         Name for the sign-off, kept in the run; without one the name kept, or a blank line.
     out : Path, optional
@@ -81,11 +80,6 @@ def write_report(
         Run before a change, to compare with this one.
     mark_temperatures_c : sequence of float
         Temperatures in degC that figures mark beside those of the procedure.
-
-    Returns
-    -------
-    Path
-        The report.
 
     Raises
     ------
@@ -119,18 +113,8 @@ def render(
 ) -> str:
     """Give the report as HTML text.
 
-    Parameters
-    ----------
-    content : RunContent
-        What the run left.
-    figures : iterable of Path
-        PNG files, by the names of :func:`run_figures`.
-    sections : sequence of Section
-        Optional sections with PNG files as figures; they come before the dwells.
-    hashes : sequence of DataHash
-        Of the data of the report.
-    prepared_by : str
-        Name for the sign-off.
+    ``figures`` are PNG files by the names of :func:`run_figures`; ``sections``, also with PNG files, come
+    before the dwells.
     """
     drawn = {path.stem: path for path in figures}
     unit, facts = serial_number_of(content), head_lines(content)
@@ -339,21 +323,9 @@ _LACKING = (
 def write_pdf(page: Path, pdf: Path) -> Path:
     """Convert a self-contained HTML page to PDF.
 
-    Parameters
-    ----------
-    page : Path
-        A page of :func:`write_report`.
-    pdf : Path
-        Output file.
-
-    Raises
-    ------
-    GyrobenchError
-        A system library is missing.
-    MissingPackageError
-        Weasyprint is not installed.
-    RunFolderError
-        The file can't be written.
+    ``page``: a page of :func:`write_report`. ``pdf``: output file. Raises GyrobenchError if a system library
+    is missing. Raises MissingPackageError if weasyprint is not installed. Raises RunFolderError if the file
+    can't be written.
     """
     try:
         html, urls = require("weasyprint"), require("weasyprint.urls")

@@ -45,15 +45,8 @@ _MAX_UNPACKED_BYTES = 16 * 1024 * 1024
 class CanLog:
     """Writes the raw CAN log of a run.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if absent; existing parts are kept and numbering continues.
-
-    Raises
-    ------
-    RunFolderError
-        A part can't be written. It ends there; the next frame begins a new one.
+    ``folder``: made if absent; existing parts are kept and numbering continues. Raises RunFolderError if a
+    part can't be written. It ends there; the next frame begins a new one.
     """
 
     def __init__(self, folder: Path) -> None:

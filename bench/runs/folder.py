@@ -106,18 +106,9 @@ class RunFolder:
 def create_run_folder(out: Path | None, name: str) -> RunFolder:
     """Make a run folder; when this returns, it is on the disk.
 
-    Parameters
-    ----------
-    out : Path or None
-        The folder, which must be absent or empty, or contain no more than a run interrupted before its
-        journal began; None for a new folder under ``runs/``.
-    name : str
-        Name of the procedure, for a folder under ``runs/``.
-
-    Raises
-    ------
-    RunFolderError
-        The folder can't be made, or is not empty.
+    ``out``: the folder, which must be absent or empty, or contain no more than a run interrupted before its
+    journal began; None for a new folder under ``runs/``. ``name``: name of the procedure, for a folder under
+    ``runs/``. Raises RunFolderError if the folder can't be made, or is not empty.
     """
     if out is not None:
         make_folder(out)

@@ -119,15 +119,7 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def parse_journal(content: bytes, name: str | Path) -> Iterator[dict[str, Any]]:
-    """Entries of a journal's content; see :func:`read_journal`.
-
-    Parameters
-    ----------
-    content : bytes
-        Of the file.
-    name : str or Path
-        What to call the file in messages.
-    """
+    """Entries of a journal's content, with the name of the file for messages; see :func:`read_journal`."""
     yield from (entry for entry, _ in _parse(name, content))
 
 

@@ -27,17 +27,7 @@ _OBJECTS = ("instruments", "options", "files_sha256", "packages")
 def write_provenance(
     folder: RunFolder, started: datetime, identities: Mapping[str, str], options: Mapping[str, Any]
 ) -> None:
-    """Write provenance.json.
-
-    Parameters
-    ----------
-    started : datetime
-        Calendar time of the run's clock at its start.
-    identities : mapping
-        Reported identity of each instrument.
-    options : mapping
-        Options of the command that decide what was run.
-    """
+    """Write provenance.json with the start of the run's clock, instruments' identities, and options."""
     content = {
         "gyrobench": __version__,
         "started_utc": started.isoformat(),

@@ -18,8 +18,8 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.documents import StrictModel
-from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, installed, load
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed, load
 from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.rate_table import TableDialect
 

@@ -15,8 +15,8 @@ from urllib.parse import urlencode, urlsplit
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station

@@ -24,12 +24,8 @@ _ACCELEROMETER_SLOPE_UG = 10.0
 class Calibration:
     """Biases of gyros and accelerometers by position and temperature of the gyros.
 
-    Parameters
-    ----------
-    rows : iterable of DwellRow
-        Dwells of one unit, in any order; those with flags are left out.
-    prior : PriorKnowledge
-        What is known where nothing was measured.
+    ``rows``: of one unit, in any order; those with flags are left out. ``prior``: what is known where
+    nothing was measured.
     """
 
     def __init__(self, rows: Iterable[DwellRow], prior: PriorKnowledge) -> None:
@@ -48,12 +44,8 @@ class Calibration:
     def accelerometers(self, position: str, gyro_c: Triple) -> KnownAccelerometers:
         """Accelerometer biases in a position; prior knowledge where they were not measured near.
 
-        Parameters
-        ----------
-        position : str
-            Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-        gyro_c : tuple of float
-            Temperatures of the gyros; each stands for that of the accelerometer beside it.
+        ``position``: key of :data:`gyrobench.bench.navigation.positions.POSITIONS`. ``gyro_c``: temperatures
+        of the gyros; each stands for that of the accelerometer beside it.
         """
         known = [self._accelerometer_ug(position, axis, gyro_c[axis]) for axis in range(len(AXES))]
         bias, sigma = UG_TO_MPS2 * np.array(known).T
@@ -108,12 +100,8 @@ class InterpolatedCurve:
     the neighbouring temperatures show beyond its own noise. Where there are two temperatures in
     all, the change from one to the other is taken for a parabola that is level at one end.
 
-    Parameters
-    ----------
-    points : iterable of tuple
-        Temperature in degrees Celsius, value, standard uncertainty; NaN among them is passed over.
-    slope_sigma : float
-        Standard uncertainty of a slope that nothing is known of, per K.
+    ``points``: temperature in degrees Celsius, value, standard uncertainty; NaN among them is passed over.
+    ``slope_sigma``: standard uncertainty of a slope that nothing is known of, per K.
     """
 
     def __init__(self, points: Iterable[tuple[float, float, float]], slope_sigma: float) -> None:
@@ -187,19 +175,12 @@ def _averaged(group: list[tuple[float, float, float]]) -> tuple[float, float, fl
 def read_calibration(path: Path) -> list[DwellRow]:
     """Read the dwells of a calibration.
 
-    Parameters
-    ----------
-    path : Path
-        A run folder, or a dwell table.
-
-    Raises
-    ------
-    DocumentError
-        There is no dwell table, it is wrong, or none of its dwells gave a bias.
+    ``path``: a run folder, or a dwell table. Raises DocumentError if there is no dwell table, it is wrong, or
+    none of its dwells gave a bias.
     """
     table = RunFolder(path).dwells if path.is_dir() else path
     if not table.is_file():
-        what = f"holds no {table.name}, so it is no calibration" if path.is_dir() else "does not exist"
+        what = f"holds no {table.name}, so it is not a calibration" if path.is_dir() else "does not exist"
         raise DocumentError(f"{path}: {what}. Give a run folder or the dwell table of a calibration")
     rows = read_dwells(table)
     if all(row.flags for row in rows):

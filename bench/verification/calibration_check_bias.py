@@ -89,18 +89,9 @@ def bias_from_alignments(
     Each heading error is the bias over the Earth's horizontal rate; the table's own azimuth error is
     the same in both and drops out. Misalignment towards the vertical shows as bias.
 
-    Parameters
-    ----------
-    first, second : Dwell
-        Navigation straight from the alignments, in one position.
-    align_s : float
-        Length of each alignment, s; sets the noise of the heading. An INS that uses less of that
-        time has more noise.
-
-    Raises
-    ------
-    MeasurementError
-        The two are not half a turn apart.
+    ``first`` and ``second``: navigation straight from the alignments, in one position. ``align_s``: length of
+    each alignment, s; sets the noise of the heading. An INS that uses less of that time has more noise.
+    Raises MeasurementError if the two are not half a turn apart.
     """
     _check_half_turn(first, second)
     _, rate_n, rate_u = earth_rate_enu(site.latitude)
@@ -128,17 +119,8 @@ def bias_from_velocity(
 
     The full error model, started as the alignment leaves it, is fitted to the whole output.
 
-    Parameters
-    ----------
-    dwell : Dwell
-        With one window.
-    align_s : float
-        Length of the alignment, s; sets the noise of the first attitude.
-
-    Raises
-    ------
-    MeasurementError
-        There is not one window.
+    ``dwell``: with one window. ``align_s``: length of the alignment, s; sets the noise of the first attitude.
+    Raises MeasurementError if there is not one window.
     """
     window = _only_window(dwell)
     bias_filter = BiasFilter(site, noise, prior)

@@ -59,12 +59,8 @@ def check_residuals(
 ) -> list[ResidualCheck]:
     """Check each plateau of a run, in the order of time; what has flags is left out.
 
-    Parameters
-    ----------
-    rows : iterable of DwellRow
-        Biases with the compensation that the INS applies.
-    check_dwells : iterable of CheckDwell
-        Navigations straight from an alignment.
+    ``rows``: biases with the compensation that the INS applies. ``check_dwells``: navigations straight from
+    an alignment.
     """
     measured: list[DwellRow | CheckDwell] = [each for each in rows if not each.flags]
     measured += [each for each in check_dwells if not each.flags]
@@ -161,16 +157,8 @@ def day_of_navigation(
 ) -> DayOfNavigation:
     """Turn the biases of one temperature by a scheme for a day.
 
-    Parameters
-    ----------
-    rows : iterable of DwellRow
-        Dwells in all six positions; several in one position are averaged, those with flags are
-        left out.
-
-    Raises
-    ------
-    MeasurementError
-        A position was not measured.
+    ``rows``: in all six positions; several in one position are averaged, those with flags are left
+    out. Raises MeasurementError if a position was not measured.
     """
     good = [row for row in rows if not row.flags]
     missing = POSITIONS.keys() - {row.position for row in good}

@@ -17,8 +17,8 @@ from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
 from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
-from gyrobench.bench.foundations.entry_points import EMULATORS, load
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation

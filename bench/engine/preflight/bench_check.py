@@ -19,9 +19,9 @@ from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.telemetry import COLUMNS
-from gyrobench.bench.station.check import Check, Verdict
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.locks import BenchLock
+from gyrobench.bench.station.preflight_check import Check, Verdict
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns

@@ -16,8 +16,8 @@ from gyrobench.bench.engine.interlocks.checks import ins_temperatures
 from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
-from gyrobench.bench.station.check import Check
 from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.preflight_check import Check
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.can_ins import CanIns

@@ -9,13 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     is_noise_only,
+    models_of,
     noise_dph,
     p_phrase,
     residuals_dph,
@@ -68,10 +69,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     model alone. The band is one standard deviation of the noise.
     """
     axis = AXES.index(gyro)
-    models = {"declared model": closure.declared}
-    if closure.effects:
-        models["with the effects found"] = closure.model
-    residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models.items()}
+    residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models_of(closure).items()}
     noise = rms(noise_dph(closure)[:, axis])
     scale = scale_of_errors(closure)
     against = _against(closure, axis)
@@ -88,7 +86,8 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
             )
     for axes, label in zip(grid[-1], against, strict=True):
         axes.set_xlabel(label, fontsize=8)
-    _name_positions(grid[-1, -1], closure)
+    names = _positions(closure)
+    grid[-1, -1].set_xticks(range(len(names)), list(map(position_label, names)), fontsize=7, rotation=90)
     figure.supylabel(f"residual / ({scale.unit})", fontsize=9)
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
@@ -116,11 +115,6 @@ def _positions(closure: Closure) -> list[str]:
     return [name for name in POSITIONS if name in closure.campaign.position]
 
 
-def _name_positions(axes: Axes, closure: Closure) -> None:
-    names = _positions(closure)
-    axes.set_xticks(range(len(names)), [position_label(name) for name in names], fontsize=7, rotation=90)
-
-
 @house_style
 def closure_evidence_figure(closure: Closure) -> Figure:
     """Draw the share of excess variance explained by each candidate alone.
@@ -136,9 +130,11 @@ def closure_evidence_figure(closure: Closure) -> Figure:
         name = each.effect.name
         colour = FOUND_COLOUR if name in found else TIED_COLOUR if name in tied else OTHER_COLOUR
         if each.missing_input is None:
-            length = _power(each) if by_p_value else _PERCENT * min(max(each.share, 0.0), 1.0)
+            power = min(-math.log10(max(each.p_value, 1e-300)), _MAX_POWER)
+            length = power if by_p_value else _PERCENT * min(max(each.share, 0.0), 1.0)
+            share = "" if by_p_value else f"{share_text(each.share)}, "
             axes.barh(place, length, color=colour, height=0.7)
-            _note(axes, length, place, p_phrase(each.p_value) if by_p_value else _evidence_text(each))
+            _note(axes, length, place, share + p_phrase(each.p_value))
         else:
             _note(axes, 0.0, place, f"not fitted; missing: {each.missing_input}")
     axes.set_yticks(range(len(closure.evidence)), [each.effect.display_name for each in closure.evidence])
@@ -157,31 +153,18 @@ def closure_evidence_figure(closure: Closure) -> Figure:
             title="Each effect alone", xlabel="share of excess variance explained / %", xlim=(0.0, 132.0)
         )
         axes.set_xticks([0, 20, 40, 60, 80, 100])
-    _legend(figure, found, tied)
+    parts = {"found": (found, FOUND_COLOUR), "tied": (tied, TIED_COLOUR)}
+    handles = [Patch(color=colour, label=label) for label, (names, colour) in parts.items() if names]
+    if handles:
+        handles.append(Patch(color=OTHER_COLOUR, label="others"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
-
-
-def _evidence_text(each: Evidence) -> str:
-    return f"{share_text(each.share)}, {p_phrase(each.p_value)}"
-
-
-def _power(each: Evidence) -> float:
-    return min(-math.log10(max(each.p_value, 1e-300)), _MAX_POWER)
 
 
 def _note(axes: Axes, length: float, place: int, text: str) -> None:
     axes.annotate(
         text, (length, place), (4, 0), textcoords="offset points", va="center", fontsize=7, color=NOTE_COLOUR
     )
-
-
-def _legend(figure: Figure, found: set[str], tied: set[str]) -> None:
-    parts = {"found": (found, FOUND_COLOUR), "tied": (tied, TIED_COLOUR)}
-    handles = [Patch(color=colour, label=label) for label, (names, colour) in parts.items() if names]
-    if handles:
-        figure.legend(
-            handles=[*handles, Patch(color=OTHER_COLOUR, label="others")], loc="outside lower center", ncols=3
-        )
 
 
 @house_style
@@ -215,15 +198,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
 
 
 class _MainTerm:
-    """The term of an effect that changes one gyro's bias most.
-
-    Attributes
-    ----------
-    label : str
-        Label of the horizontal axis.
-    along, bias_dph : ndarray, shape (n,)
-        Abscissa, and the bias of the term without its mean.
-    """
+    """The term that changes one gyro's bias most: abscissa and its label, bias (n,) without its mean."""
 
     def __init__(self, closure: Closure, found: FoundEffect, columns: FloatArray, axis: int) -> None:
         campaign, searched = closure.campaign, closure.searched
@@ -268,7 +243,10 @@ def closure_error_figure(closure: Closure) -> Figure:
     scale = scale_of_errors(closure)
     figure = new_figure(4.6)
     upper, lower = figure.subplots(2, 1, sharey=True)
-    groups = {gyro_label(gyro): _of_gyro(held_out, axis) for axis, gyro in enumerate(AXES)}
+    groups = {
+        gyro_label(gyro): np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
+        for axis, gyro in enumerate(AXES)
+    }
     for name in POSITIONS:
         chosen = held_out & (np.array(closure.campaign.position) == name)
         if chosen.any():
@@ -298,17 +276,12 @@ def temperature_groups(closure: Closure) -> dict[str, BoolArray]:
     return {name: chosen for name, chosen in groups.items() if chosen.any()}
 
 
-def _of_gyro(held_out: BoolArray, axis: int) -> BoolArray:
-    return np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
-
-
 def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: BiasScale) -> None:
-    models = {"declared model": (closure.declared, BEFORE_COLOUR)}
-    if closure.effects:
-        models["with the effects found"] = (closure.model, AFTER_COLOUR)
+    models = models_of(closure)
     places = np.arange(len(groups))
     width = 0.8 / len(models)
-    for number, (label, (model, colour)) in enumerate(models.items()):
+    colours = (BEFORE_COLOUR, AFTER_COLOUR)
+    for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
         errors_dph = residuals_dph(closure, model)
         heights = [rms(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
         axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES, gyro_label
@@ -26,6 +24,7 @@ from gyrobench.bench.report.closure.closure_text import (
     evidence_table,
     held_out_cycles,
     is_noise_only,
+    models_of,
     noise_dph,
     residuals_dph,
     rms,
@@ -105,7 +104,11 @@ def _effects(closure: Closure) -> Section | None:
 def _sizes(closure: Closure) -> SectionTable:
     scale = scale_of_errors(closure)
     rows = [
-        [each.effect.display_name, term, *map(_size, scale.factor * sizes_dph)]
+        [
+            each.effect.display_name,
+            term,
+            *(f"{size:.4g}" if size else "" for size in scale.factor * sizes_dph),
+        ]
         for each in closure.effects
         for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
     ]
@@ -115,10 +118,6 @@ def _sizes(closure: Closure) -> SectionTable:
         rows,
         words=2,
     )
-
-
-def _size(value: float) -> str:
-    return f"{value:.4g}" if value else ""
 
 
 def _alternatives(closure: Closure) -> Section:
@@ -135,13 +134,12 @@ def _alternatives(closure: Closure) -> Section:
 
 def _error(closure: Closure) -> Section:
     held_out, scale = ~closure.searched, scale_of_errors(closure)
-    names = ["declared model", "with the effects found"] if closure.effects else ["declared model"]
-    models = [closure.declared, closure.model][: len(names)]
+    errors = {name: residuals_dph(closure, model) for name, model in models_of(closure).items()}
+    errors["noise"] = noise_dph(closure)
     rows = [
-        [name, *(scale.text(value) for value in _rms_by_gyro(residuals_dph(closure, model)[held_out]))]
-        for name, model in zip(names, models, strict=True)
+        [name, *(scale.text(rms(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
+        for name, values_dph in errors.items()
     ]
-    rows.append(["noise", *(scale.text(value) for value in _rms_by_gyro(noise_dph(closure)[held_out]))])
     table = SectionTable(
         f"Rms of measured minus predicted bias in the held-out cycles, in {scale.unit}",
         ["", *(gyro_label(gyro) for gyro in AXES), "all"],
@@ -155,29 +153,24 @@ def _error(closure: Closure) -> Section:
     )
 
 
-def _rms_by_gyro(values_dph: FloatArray) -> list[float]:
-    return [*(rms(column) for column in values_dph.T), rms(values_dph)]
-
-
 def _lack_of_fit(closure: Closure) -> Section:
     before, after = closure.before, closure.after
-    tests = [("chi2", before.p_noise, after.p_noise)]
-    tests += [
-        (f"follows {name}", before.p_structure[name], after.p_structure.get(name, np.nan))
-        for name in before.p_structure
+    names = models_of(closure)
+    rows = [["chi2", p_text(before.p_noise), p_text(after.p_noise)]]
+    rows += [
+        [f"follows {name}", p_text(p_value), p_text(after.p_structure.get(name, np.nan))]
+        for name, p_value in before.p_structure.items()
     ]
     table = SectionTable(
         "p-values of the tests of the residual in the dwells searched, not corrected for the number of tests",
-        ["test", "declared model", "with the effects found"],
-        [(name, p_text(one), p_text(other)) for name, one, other in tests],
+        ["test", *names],
+        [row[: 1 + len(names)] for row in rows],
     )
-    if not closure.effects:
-        table = SectionTable(table.caption, table.header[:2], [row[:2] for row in table.rows])
     extra = "" if closure.unexplained_part is None else _UNEXPLAINED
     return Section("Lack of fit", _paragraphs(text.after_sentence(closure), extra), tables=[table])
 
 
-def _paragraphs(*sentences: str) -> Sequence[str]:
+def _paragraphs(*sentences: str) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
@@ -218,17 +211,8 @@ def _facts(closure: Closure) -> dict[str, str]:
 def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -> tuple[Path, Path | None]:
     """Write the files of a search and update the report of its run.
 
-    Parameters
-    ----------
-    campaign : Path
-        The run folder or dwell table that was searched.
-    folder : Path, optional
-        Where to write; by default ``closure``, in the run folder or beside the table.
-
-    Returns
-    -------
-    page, report : Path, Path or None
-        The page, and the updated report; None if the files are not in a run folder.
+    ``campaign`` is the run folder or dwell table that was searched, ``folder`` by default ``closure`` in the
+    run folder or beside the table. Returns the page and the updated report, None for files outside a run.
 
     Raises
     ------

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
@@ -25,6 +22,7 @@ from gyrobench.bench.report.terminal.tables import plain_table, topics
 
 def closure_summary(closure: Closure) -> RenderableType:
     """Verdict, chain of evidence, effects, candidates, and the error before and after."""
+    # Titles are not the tables' own: rich folds those to the width of the table.
     parts: list[RenderableType] = [
         Text(f"{closure.verdict.capitalize()}. {verdict_sentence(closure)}", style="bold"),
         Text(),
@@ -33,13 +31,15 @@ def closure_summary(closure: Closure) -> RenderableType:
     ]
     if closure.effects:
         title = f"Effects found, size rms in {scale_of_errors(closure).unit}"
-        parts += _titled(title, _table(*effect_table(closure), words=4))
-    parts += _titled("Candidate effects", _table(*evidence_table(closure), words=2))[:-1]
+        headers, rows = effect_table(closure)
+        parts += [Text(title, style="bold"), plain_table(headers, 4, rows), Text()]
+    headers, rows = evidence_table(closure)
+    parts += [Text("Candidate effects", style="bold"), plain_table(headers, 2, rows)]
     parts += [Text(f"{evidence_caption(closure)}."), Text()]
     title = f"Error in {held_out_cycles(closure)} (held out), rms in {scale_of_errors(closure).unit}"
     errors = _errors(closure)
-    parts += _titled(title, _table(list(errors), [list(errors.values())], words=0))
-    return Group(*parts)
+    table = plain_table(list(errors), 0, [list(errors.values())])
+    return Group(*parts, Text(title, style="bold"), table, Text())
 
 
 def _errors(closure: Closure) -> dict[str, str]:
@@ -47,15 +47,3 @@ def _errors(closure: Closure) -> dict[str, str]:
     before, after = scale.text(closure.error_before_dph), scale.text(closure.error_after_dph)
     errors = {"before": before, "after": after} if closure.effects else {"error": before}
     return errors | {"noise": scale.text(rms(noise_dph(closure)[~closure.searched]))}
-
-
-def _titled(title: str, table: Table) -> list[RenderableType]:
-    # Not the table's own title: rich folds that to the width of the table.
-    return [Text(title, style="bold"), table, Text()]
-
-
-def _table(headers: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> Table:
-    table = plain_table(headers, words)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    return table

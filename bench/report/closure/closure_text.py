@@ -29,6 +29,12 @@ def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
     return measured_minus(closure.campaign, closure.searched, model)
 
 
+def models_of(closure: Closure) -> dict[str, Solution]:
+    """The declared model, and where effects were found the model with them."""
+    effects = {"with the effects found": closure.model} if closure.effects else {}
+    return {"declared model": closure.declared, **effects}
+
+
 def noise_dph(closure: Closure) -> FloatArray:
     """Standard deviation of the noise in all dwells (n, 3), deg/h."""
     return closure.campaign.sigma_dph * closure.noise_scale

@@ -57,23 +57,10 @@ def bias_figure(
 ) -> Figure:
     """Draw one gyro's bias against its own temperature, a line for each position.
 
-    Counterpart of the paper's Figs. 8 and 9, or 12 and 13. Single dwells are faint; the lines
+    Counterpart of the paper's Figs. 8 and 9, or 12 and 13. Single dwells without flags are faint; the lines
     join the weighted means of the bins. All with standard uncertainties. Results of the paper's
-    method, if any, are in a second panel on the same scale.
-
-    Parameters
-    ----------
-    gyro : {"x", "y", "z"}
-        Which gyro.
-    dwells : iterable of DwellRow
-        Dwells with flags are left out.
-    bins : iterable of BiasBin
-        Those of other gyros are left out.
-    span_dph : float
-        Minimum span of the axis: figures with the same span have the same scale; see
-        :func:`bias_span_dph`.
-    marked_c : sequence of float
-        Temperatures in degC to mark with a line.
+    method, if any, are in a second panel on the same scale. Figures with the same minimum span of the axis
+    have the same scale; see :func:`bias_span_dph`. Lines mark the temperatures ``marked_c`` in degC.
     """
     both = _both_panels(gyro, dwells, bins)
     panels = both[:1] if both[1].is_empty else both
@@ -188,14 +175,7 @@ def before_after_figure(
 ) -> Figure:
     """Draw one gyro's bias against its temperature, a line for each position, a panel for each run.
 
-    Parameters
-    ----------
-    gyro : {"x", "y", "z"}
-        Which gyro.
-    before, after : sequence of BiasBin
-        Of the two runs; those of other gyros are left out.
-    marked_c : sequence of float
-        Temperatures in degC to mark with a line.
+    Lines mark the temperatures ``marked_c`` in degC.
     """
     runs = [[each for each in bins if each.gyro == gyro and not each.is_empty] for bins in (before, after)]
     scale = scale_of_bins([each for bins in runs for each in bins])

@@ -25,17 +25,7 @@ _INCH_A_ROW = 0.42
 
 @house_style
 def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
-    """Draw the correlations of all pairs of effects; pairs that are not distinguished are framed.
-
-    Parameters
-    ----------
-    separability : Separability
-        Of the dwells searched.
-    target_dph : float
-        Target size, deg/h rms.
-    name : str
-        Of the procedure.
-    """
+    """Draw the correlations of effects, framed for pairs not distinguished at the target size in rms."""
     names = [each.effect.name for each in separability.detections if each.missing_input is None]
     figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
     axes = figure.subplots()

@@ -28,17 +28,10 @@ _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 
 @house_style
 def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()) -> Figure:
-    """Draw the difference of the two estimates of every dwell against the gyro's temperature.
+    """Draw the difference of the two estimates of every unflagged dwell against the gyro's temperature.
 
     Bars are combined uncertainties. Both use the same data, so noise alone separates them by less:
-    points beyond their bars show systematic errors of the paper's method.
-
-    Parameters
-    ----------
-    dwells : iterable of DwellRow
-        Dwells with flags, or without the paper's estimate, are left out.
-    marked_c : sequence of float
-        Temperatures in degC to mark with a line.
+    points beyond their bars show systematic errors of the paper's method. Lines mark ``marked_c`` in degC.
     """
     both = with_both(dwells)
     pairs = [pair for row in both for pair in differences_dph(row)]
@@ -107,14 +100,9 @@ _MARGIN = 0.05
 
 @house_style
 def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
-    """Draw the size of the residuals of each dwell, and the distribution of their p-values.
+    """Draw the size of the residuals of each dwell tested, and the distribution of their p-values.
 
-    Few dwells have no distribution: see :func:`has_distribution`.
-
-    Parameters
-    ----------
-    dwells : iterable of DwellRow
-        Dwells without a test of fit are left out; those with flags are crossed out.
+    Dwells with flags are crossed out. Few dwells have no distribution: see :func:`has_distribution`.
     """
     tested = _tested(dwells)
     figure = new_figure(3.4)

@@ -32,13 +32,6 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
 
     Lines of slope -1/2 are the random walks, fitted and declared; thin lines the complete fit.
     Channels whose noise is below the resolution are faint and have no error bars.
-
-    Parameters
-    ----------
-    estimate : NoiseEstimate
-        Measured.
-    declared : NoiseModel or None
-        To compare with.
     """
     figure = new_figure(6.4)
     gyros, accelerometers = figure.subplots(2, 1)

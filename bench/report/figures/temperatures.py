@@ -56,15 +56,8 @@ def temperature_figure(
 ) -> Figure:
     """Draw the measured temperatures and dwells of a run over time, as planned in the paper's Fig. 7.
 
-    Parameters
-    ----------
-    telemetry : mapping
-        Columns of the telemetry; those that are missing or all NaN are left out.
-    dwells : iterable of DwellRow
-        Where the bands are; dwells with flags are drawn hollow in the lower panel. Without any there
-        is no lower panel.
-    marked_c : sequence of float
-        Temperatures in degC to mark with a line.
+    Columns of the telemetry that are missing or all NaN are left out. The bands are the dwells, those with
+    flags hollow in the lower panel; without any there is none. Lines mark ``marked_c`` in degC.
     """
     bands = [_Band(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
     time_s = telemetry.get("time_s", np.empty(0))

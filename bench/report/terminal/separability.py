@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -15,6 +14,7 @@ from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
 from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.report.terminal.tables import titled_table
 
 _MAX_INFLATION = 1000.0
 _COLUMNS = (
@@ -29,19 +29,13 @@ def separability_summary(
 ) -> RenderableType:
     """Sizes that are found and distinguished, what is not at the target size, and procedure changes.
 
-    Parameters
-    ----------
-    separability : Separability
-        Of the dwells searched.
-    dwells : int
-        Number of dwells including the held-out ones.
-    unit : PlannedUnit
-        The unit under test.
-    target_dph : float
-        Target size, deg/h rms.
-    advice : sequence of Advice
-        From :func:`gyrobench.bench.closure.procedure_changes.advise` for the target size.
+    The separability is that of the dwells searched, ``dwells`` includes the held-out ones; the target size is
+    an rms, the advice is for it.
     """
+
+    def missing_input(detection: Detection) -> str:
+        return detection.missing_input or ""
+
     seen = [each for each in separability.detections if each.missing_input is None]
     parts: list[RenderableType] = [
         Text("Separability of effects; sizes rms in 0.001 deg/h", style="bold"),
@@ -51,7 +45,7 @@ def separability_summary(
     if seen:
         parts += [_table(separability, seen), Text(_COLUMNS), Text()]
     for missing, each in itertools.groupby(
-        sorted(separability.detections, key=_missing_input), key=_missing_input
+        sorted(separability.detections, key=missing_input), key=missing_input
     ):
         if missing:
             names = listed([detection.effect.name for detection in each])
@@ -59,10 +53,6 @@ def separability_summary(
     parts += [Text(line) for line in _not_distinguished(separability, seen, target_dph)]
     parts += [Text(_advice_sentence(each)) for each in advice]
     return Group(*parts)
-
-
-def _missing_input(detection: Detection) -> str:
-    return detection.missing_input or ""
 
 
 def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
@@ -95,12 +85,10 @@ def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
 
 
 def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
-    table.add_column("effect", no_wrap=True)
-    for header in ("found from", "at worst", "variance"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("alternative", no_wrap=True)
-    table.add_column("distinguished", justify="right", no_wrap=True)
+    table = titled_table()
+    for header in ("effect", "found from", "at worst", "variance", "alternative", "distinguished"):
+        is_word = header in ("effect", "alternative")
+        table.add_column(header, justify="left" if is_word else "right", no_wrap=True)
     for each in seen:
         name = each.effect.name
         nearest, size_dph = separability.nearest_alternative(name) or ("none", each.typical_dph)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from rich import box
@@ -15,7 +16,7 @@ from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.procedure.timeline import TimelineRow, hours_minutes
-from gyrobench.bench.report.journal_sections import Took, clock_time, durations_by_kind
+from gyrobench.bench.report.journal_sections import Took, durations_by_kind
 from gyrobench.bench.report.number_format import (
     NO_PAPER,
     BiasScale,
@@ -32,7 +33,7 @@ from gyrobench.bench.report.statements import (
     scatter_sentence,
     verdict_sentence,
 )
-from gyrobench.bench.station.check import Check, Verdict
+from gyrobench.bench.station.preflight_check import Check, Verdict
 
 
 def plain_table(
@@ -69,16 +70,9 @@ _PAPER_METHOD = (
 
 
 def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison]) -> RenderableType:
-    """Each gyro's bias by temperature bin and position, and the comparison of positions.
+    """Each gyro's bias by temperature bin and position, and the comparison of positions, of one unit.
 
     Results of the paper's method are in a second row; a note gives the reason if it does not apply.
-
-    Parameters
-    ----------
-    bins : sequence of BiasBin
-        Of one unit.
-    comparisons : sequence of PositionComparison
-        Result of :func:`gyrobench.bench.bias.bins.compare_positions`.
     """
     parts: list[RenderableType] = []
     paper_comparisons = compare_positions(paper_bins(bins))
@@ -98,7 +92,7 @@ def bins_table(bins: Sequence[BiasBin], comparisons: Sequence[PositionComparison
 def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
     """Steps of a plan, their start and duration."""
     dwells = sum(row.dwells for row in rows)
-    table = _titled_table("Plan, times in h:mm", show_footer=True)
+    table = titled_table("Plan, times in h:mm", show_footer=True)
     table.add_column("start", footer="all", justify="right", no_wrap=True)
     table.add_column("duration", footer=hours_minutes(total_s), justify="right", no_wrap=True)
     table.add_column("dwells", footer=str(dwells), justify="right", no_wrap=True)
@@ -110,24 +104,16 @@ def timeline_table(rows: Sequence[TimelineRow], total_s: float) -> Table:
 
 
 def durations_table(took: Took) -> RenderableType:
-    """Planned and actual duration by kind of step.
-
-    Parameters
-    ----------
-    took : mapping of str to sequence of tuple
-        Planned and actual duration, s, of every finished step, by kind.
-    """
+    """Planned and actual duration by kind of step."""
     kinds = durations_by_kind(took)
     if not kinds:
         return Text("No step was finished.")
-    table = _titled_table("Planned and actual duration, h:mm:ss")
+    table = titled_table("Planned and actual duration, h:mm:ss")
     table.add_column("kind of step")
     for header in ("steps", "planned", "actual", "difference"):
         table.add_column(header, justify="right", no_wrap=True)
     for each in kinds:
-        table.add_row(
-            each.kind, str(each.count), clock_time(each.planned_s), clock_time(each.took_s), each.difference
-        )
+        table.add_row(*each.cells)
     return table
 
 
@@ -182,7 +168,7 @@ def _bias_cells(bins: Iterable[BiasBin], positions: Iterable[str], scale: BiasSc
 
 def _filled_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """Table with uncertainties below their biases if the rows are wider than the terminal."""
-    table = _titled_table()
+    table = titled_table()
     for header in headers:
         table.add_column(header, justify="right", no_wrap=header in ("bin", "p equal"))
     between = "±" if _width(headers, rows) <= _COLUMNS else "\n±"
@@ -206,7 +192,8 @@ def _width(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
     return sum(widths) + len(widths) - 1
 
 
-def _titled_table(title: str | None = None, *, show_footer: bool = False) -> Table:
+def titled_table(title: str | None = None, *, show_footer: bool = False) -> Table:
+    """Table without room between its columns."""
     return Table(
         title=title,
         title_justify="left",
@@ -269,7 +256,7 @@ def _check_table(checks: Sequence[Check]) -> Table:
 
 
 def _sum(checks: Sequence[Check]) -> Text:
-    counts = {verdict: sum(check.verdict is verdict for check in checks) for verdict in Verdict}
+    counts = Counter(check.verdict for check in checks)
     numbers = (
         f"{counts[Verdict.PASS]} passed, {counts[Verdict.FAIL]} failed, {counts[Verdict.SKIPPED]} skipped"
     )

@@ -168,7 +168,14 @@ def _with(each: CompensationResult) -> str:
 #: Sizes of a row, with the units of :data:`UNITS`.
 SIZES = ("bias", "varying", "spread", "V_E", "24 h")
 UNITS = "bias, varying and spread in 0.001 deg/h, V_E in mm/s, 24 h in nmi"
-_NOISE = "noise"
+#: Field and noise of each size, factor to its unit, decimals.
+_SIZES: tuple[tuple[str, str, float, int], ...] = (
+    ("bias_rms_dph", "bias_noise_dph", 1000.0, 2),
+    ("varying_rms_dph", "bias_noise_dph", 1000.0, 2),
+    ("spread_dph", "spread_noise_dph", 1000.0, 2),
+    ("velocity_east_mps", "velocity_noise_mps", 1000.0, 1),
+    ("position_nmi", "position_noise_nmi", 1.0, 2),
+)
 
 
 def total_rows(result: VerificationResult) -> list[list[str]]:
@@ -190,28 +197,11 @@ def plateau_rows(result: VerificationResult) -> list[list[str]]:
 
 def _block(rows: Sequence[VerificationRow]) -> list[list[str]]:
     lines = [[LABELS[row.compensation], *_sizes(row)] for row in rows]
-    return [*lines, [_NOISE, *_noise(rows[-1])]]
+    return [*lines, ["noise", *_sizes(rows[-1], is_noise=True)]]
 
 
-def _sizes(row: VerificationRow) -> list[str]:
+def _sizes(row: VerificationRow, is_noise: bool = False) -> list[str]:
+    values = [(getattr(row, names[is_noise]), factor, decimals) for *names, factor, decimals in _SIZES]
     return [
-        _text(row.bias_rms_dph, 1000.0),
-        _text(row.varying_rms_dph, 1000.0),
-        _text(row.spread_dph, 1000.0),
-        _text(row.velocity_east_mps, 1000.0, 1),
-        _text(row.position_nmi),
+        "" if math.isnan(value) else f"{factor * value:.{decimals}f}" for value, factor, decimals in values
     ]
-
-
-def _noise(row: VerificationRow) -> list[str]:
-    return [
-        _text(row.bias_noise_dph, 1000.0),
-        _text(row.bias_noise_dph, 1000.0),
-        _text(row.spread_noise_dph, 1000.0),
-        _text(row.velocity_noise_mps, 1000.0, 1),
-        _text(row.position_noise_nmi),
-    ]
-
-
-def _text(value: float, factor: float = 1.0, decimals: int = 2) -> str:
-    return "" if math.isnan(value) else f"{factor * value:.{decimals}f}"

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.extras import require
 from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.runs.index.selection import Selection
 from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store
@@ -84,13 +84,7 @@ class QueryResult:
 class RunIndex:
     """The index of one store.
 
-    Parameters
-    ----------
-    store : RunStore
-        The run folders.
-    path : Path, optional
-        The index; by default ``index.duckdb`` beside the runs, and for an object store a file
-        in the user's cache.
+    Its file is by default ``index.duckdb`` beside the runs, and for an object store in the user's cache.
     """
 
     def __init__(self, store: RunStore, path: Path | None = None) -> None:
@@ -99,21 +93,11 @@ class RunIndex:
         self.path = path or _default_path(store)
 
     def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> Changes:
-        """Bring the index up to date.
+        """Bring the index up to date, or read all runs again.
 
-        Parameters
-        ----------
-        rebuild : bool
-            Whether to read all runs again.
-        progress : callable, optional
-            Called with the number of changed runs read so far and in total.
-
-        Raises
-        ------
-        RunFolderError
-            The runs can't be found or the index can't be written.
-        DocumentError
-            The table of units is wrong.
+        ``rebuild``: whether to read all runs again. ``progress``: called with the number of changed runs read
+        so far and in total. Raises RunFolderError if the runs can't be found or the index can't be written.
+        Raises DocumentError if the table of units is wrong.
         """
         found = {run.path: run for run in self._store.runs()}
         units_tag = self._store.tag(UNITS)

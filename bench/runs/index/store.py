@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.extras import require
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
     BIAS_BINS,
@@ -148,15 +148,8 @@ def _tag(info: Mapping[str, Any]) -> str:
 def runs_named(names: Sequence[str]) -> list[Path]:
     """Absolute paths of run folders, each once.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
-
-    Raises
-    ------
-    RunFolderError
-        A name matches no run folder.
+    ``names``: run folders, folders that hold them at any depth, and patterns with ``*``, ``?`` or ``[]``.
+    Raises RunFolderError if a name matches no run folder.
     """
     paths = [path for name in names for path in _named(name)]
     return list(dict.fromkeys(paths))

@@ -44,17 +44,8 @@ class Unit:
 def parse_units(text: str, name: str) -> list[Unit]:
     """Read CSV text with the columns unit and batch, optionally hardware and note.
 
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-    name : str
-        Name of the file for messages.
-
-    Raises
-    ------
-    DocumentError
-        Lists all errors with their lines.
+    ``name``: what to call the file in messages. Raises DocumentError, which lists
+    all errors with their lines.
     """
     table = CsvTable(text, name, required=("unit", "batch"))
     seen: dict[str, int] = {}
@@ -168,19 +159,9 @@ class RunRecord:
 def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
     """Read a run.
 
-    Parameters
-    ----------
-    files : RunFiles
-        Files of its folder.
-    read : callable
-        Returns the content of a file, given its path from the root.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be read, or is damaged; the message says which and why.
-    DocumentError
-        A table is wrong.
+    ``files``: files of its folder. ``read``: returns the content of a file, given its path from the root.
+    Raises RunFolderError if a file can't be read, or is damaged; the message says which and why. Raises
+    DocumentError if a table is wrong.
     """
     if PROVENANCE not in files.files:
         raise RunFolderError(f"{files.path}: has a journal but no {PROVENANCE}. Not a complete run folder")

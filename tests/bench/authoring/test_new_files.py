@@ -9,8 +9,8 @@ from gyrobench.bench.authoring.checking import check_file
 from gyrobench.bench.authoring.file_kinds import PROCEDURE, STATION, schema_of
 from gyrobench.bench.authoring.new_files import new_procedure, new_station
 from gyrobench.bench.foundations.documents import read_document
-from gyrobench.bench.foundations.entry_points import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
 from gyrobench.bench.station.station_file import StationFile
 

@@ -13,11 +13,12 @@ from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
+from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from tests.bench.bias.simulated_dwell import DwellScenario, Rest, Sensors, Table, simulate_dwell
+from tests.bench.navigation.euler_sequences import euler_pry231
 
 DPH = np.pi / 180.0 / 3600.0
 UG = 9.80665e-6

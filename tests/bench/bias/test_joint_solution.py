@@ -80,9 +80,11 @@ def test_dwell_by_itself_is_its_own_estimate():
     )  # fmt: skip
     prior = PriorKnowledge()
     estimate = estimate_state_space(dwell, site(), NOISE, prior)
-    single = solve_jointly([JointDwell(1, "y_down", estimate.information)], prior).single.of_dwell(0)
-    np.testing.assert_allclose(single.bias_dph, estimate.bias_dph, atol=1e-3 * estimate.sigma_dph.min())
-    np.testing.assert_allclose(single.sigma_dph, estimate.sigma_dph, rtol=1e-3)
+    single = solve_jointly([JointDwell(1, "y_down", estimate.information)], prior).single
+    np.testing.assert_allclose(
+        single.bias_radps[0] * RADPS_TO_DPH, estimate.bias_dph, atol=1e-3 * estimate.sigma_dph.min()
+    )
+    np.testing.assert_allclose(single.sigma_radps[0] * RADPS_TO_DPH, estimate.sigma_dph, rtol=1e-3)
 
 
 def test_without_noise_only_what_is_not_modelled_is_left():

@@ -7,9 +7,10 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.attitude import euler_pry231, euler_rpy321
+from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.earth import gravity
 from gyrobench.bench.navigation.positions import POSITIONS
+from tests.bench.navigation.euler_sequences import euler_pry231
 
 GRAVITY = gravity(np.deg2rad(36.4))
 NOISE = NoiseModel.from_datasheet(arw_deg_per_sqrt_h=0.001)

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from gyrobench.bench.foundations import entry_points
+from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
 
@@ -158,9 +158,9 @@ def acme_station(tmp_path):
 def installed(site, monkeypatch):
     """The package as if it had been installed before this process began."""
     monkeypatch.syspath_prepend(site)
-    entry_points._entries.cache_clear()
+    packages._entries.cache_clear()
     yield site
-    entry_points._entries.cache_clear()
+    packages._entries.cache_clear()
 
 
 def test_a_run_goes_through_a_dialect_of_another_package(acme_station, site, tmp_path):

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 from gyrobench.bench.navigation.attitude import (
     UP,
     angle_between,
-    euler_pry231,
     euler_rpy321,
     rotation_matrix,
     rotation_vector_enu,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
+from tests.bench.navigation.euler_sequences import euler_pry231
 
 X, Y, Z = np.eye(3)
 angles = st.floats(-3.1, 3.1)

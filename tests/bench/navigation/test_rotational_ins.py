@@ -117,8 +117,8 @@ def test_a_bias_that_changes_with_time_is_taken_as_it_goes():
     )
     half = warming.time_s <= 0.5 * DAY_S
     assert warming.distance_nmi[half].max() < 1e-9
-    assert warming.final_nmi > 0.1
-    assert warming.final_nmi == warming.distance_nmi[-1] <= warming.max_nmi
+    assert warming.distance_nmi[-1] > 0.1
+    assert warming.distance_nmi[-1] <= warming.max_nmi
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -136,7 +136,7 @@ def test_a_scheme_shows_each_axis_both_ways_for_the_same_time_and_unwinds(scheme
 def test_the_error_covers_the_time_asked_for():
     error = rotate_for(3600.0, HALF_TURNS, constant([0.0, 0.0, 0.0]), SITE)
     assert 3600.0 <= error.time_s[-1] < 3660.0
-    assert error.max_nmi == error.velocity_east_max_mps == 0.0
+    assert error.max_nmi == np.abs(error.velocity_east_mps).max() == 0.0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, InsTerms
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.foundations import entry_points
+from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from tests.bench.closure.thermal_bench import STEP_S, measure
 from tests.bench.command_line import gyrobench
@@ -38,9 +38,9 @@ def installed(tmp_path, monkeypatch):
     (site / "acme_effects-1.2.dist-info" / "METADATA").write_text(METADATA)
     (site / "acme_effects-1.2.dist-info" / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(site)
-    entry_points._entries.cache_clear()
+    packages._entries.cache_clear()
     yield
-    entry_points._entries.cache_clear()
+    packages._entries.cache_clear()
 
 
 @pytest.fixture
@@ -49,8 +49,8 @@ def offered(monkeypatch):
 
     def offer(name, effect):
         monkeypatch.setitem(globals(), "OFFERED", effect)
-        entries = (EntryPoint(name, f"{__name__}:OFFERED", entry_points.EFFECTS),)
-        monkeypatch.setattr(entry_points, "_entries", lambda group: entries)
+        entries = (EntryPoint(name, f"{__name__}:OFFERED", packages.EFFECTS),)
+        monkeypatch.setattr(packages, "_entries", lambda group: entries)
 
     return offer
 
@@ -86,7 +86,7 @@ def test_the_effect_of_another_package_states_why_it_is_not_compensated():
 @pytest.mark.parametrize(
     ("name", "effect", "message"),
     [
-        ("acme", "no effect", r"the effect 'acme' of .* is no Effect .*Report this to the package's author"),
+        ("acme", "no effect", r"the effect 'acme' of .* is not of type Effect .*Report this to"),
         ("acme", effect_of("other"), "the entry point 'acme' .* differs from the name 'other' of its object"),
         ("warm_up", effect_of("warm_up"), "the entry point 'warm_up' .* has the name of another effect"),
         ("Acme!", effect_of("Acme!"), "the entry point 'Acme!' .* has characters other than a-z, 0-9 and _"),

@@ -56,6 +56,11 @@ def test_notes_are_listed():
     assert ("Note", "In the run none 1 of 15 dwells have flags.") in chain(inconclusive())
 
 
+def test_every_definition_is_a_sentence():
+    assert all(text.endswith(".") for text in reading_sentences(confirmed()))
+    assert "Noise is the value expected" in reading_sentences(confirmed())[1]
+
+
 def test_separate_power_cycles_are_stated_on_a_real_bench():
     real = VerificationResult(**{**vars(confirmed()), "is_same_seed": False})
     assert "separate power cycle and noise" in reading_sentences(real)[-1]

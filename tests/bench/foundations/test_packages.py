@@ -1,10 +1,11 @@
+import sys
 from importlib.metadata import EntryPoint
 
 import pytest
 
-from gyrobench.bench.foundations import entry_points
-from gyrobench.bench.foundations.entry_points import CHAMBERS, EMULATORS, RATE_TABLES, installed, load
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations import packages
+from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
+from gyrobench.bench.foundations.packages import CHAMBERS, EMULATORS, RATE_TABLES, installed, load, require
 from gyrobench.drivers.chamber import ChamberDialect, watlow_f4
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, TableEmulation
 from gyrobench.drivers.rate_table import TableDialect
@@ -16,7 +17,7 @@ def offered(monkeypatch):
 
     def offer(**values):
         entries = tuple(EntryPoint(name, value, CHAMBERS) for name, value in values.items())
-        monkeypatch.setattr(entry_points, "_entries", lambda group: entries)
+        monkeypatch.setattr(packages, "_entries", lambda group: entries)
 
     return offer
 
@@ -54,8 +55,8 @@ def test_an_unknown_name_is_reported_with_the_installed_ones():
     [
         ("no_such_package.module:DIALECT", r"can't be imported: ModuleNotFoundError: No module named"),
         ("gyrobench.drivers.chamber.watlow_f4:NOTHING", "can't be imported: AttributeError"),
-        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*Report this to the package"),
-        ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is no ChamberDialect"),
+        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is not of type ChamberDialect .*Report this to"),
+        ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is not of type ChamberDialect"),
     ],
 )
 def test_a_broken_package_affects_only_its_users(offered, value, message):
@@ -68,6 +69,23 @@ def test_a_broken_package_affects_only_its_users(offered, value, message):
 
 def test_a_dialect_provided_by_two_packages_is_refused(monkeypatch):
     twice = tuple(EntryPoint("acme", f"package_{which}:DIALECT", CHAMBERS) for which in "ab")
-    monkeypatch.setattr(entry_points, "_entries", lambda group: twice)
+    monkeypatch.setattr(packages, "_entries", lambda group: twice)
     with pytest.raises(DocumentError, match="'acme' is provided by package_a:DIALECT and package_b:DIALECT"):
         load(CHAMBERS, "acme", ChamberDialect)
+
+
+def test_module_of_an_installed_package_is_returned() -> None:
+    assert require("fsspec.spec") is sys.modules["fsspec.spec"]
+
+
+@pytest.mark.parametrize(
+    ("module", "extra"),
+    [("dask", "fleet"), ("duckdb", "index"), ("weasyprint", "pdf"), ("asammdf.blocks", "mf4")],
+)
+def test_missing_package_is_named_with_its_extra(
+    module: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module.partition(".")[0], None)
+    monkeypatch.delitem(sys.modules, module if "." in module else "", raising=False)
+    with pytest.raises(MissingPackageError, match=rf"pip install 'gyrobench\[{extra}\]'"):
+        require(module)

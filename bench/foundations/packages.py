@@ -1,24 +1,53 @@
-"""What other packages add by entry point: dialects of instruments and candidate effects.
+"""Other Python packages: optional ones, imported where they are needed, and those that extend the bench.
 
-A package names its object in its metadata, under the group of its kind. Dialects are imported one by
-one, when a station names them: a broken package affects only the stations that use it.
+A package adds dialects of instruments and candidate effects by entry points: it names its object in its
+metadata, under the group of its kind. Dialects are imported one by one, when a station names them: a broken
+package affects only the stations that use it.
 """
 
 from __future__ import annotations
 
+import importlib
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
 from gyrobench.bench.foundations.text import did_you_mean
 
 #: Groups of entry points, and the word for one entry.
 RATE_TABLES, CHAMBERS, EMULATORS = "gyrobench.rate_tables", "gyrobench.chambers", "gyrobench.emulators"
 EFFECTS = "gyrobench.effects"
 _NOUNS = {EFFECTS: "effect"}
+#: Extra of pyproject.toml that installs each optional package.
+_EXTRAS = {
+    "dask": "fleet",
+    "distributed": "fleet",
+    "duckdb": "index",
+    "fsspec": "index",
+    "weasyprint": "pdf",
+    "asammdf": "mf4",
+    "pandas": "pandas",
+}
 
 ObjectT = TypeVar("ObjectT")
+
+
+def require(module: str) -> Any:
+    """Import a module of an optional package, as ``require("asammdf")``.
+
+    Type checkers see the module's types with ``if TYPE_CHECKING: import asammdf``. Raises MissingPackageError
+    if the package or one of its own dependencies is not installed; the message names the extra.
+    """
+    package = module.partition(".")[0]
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        missing = error.name or package
+        raise MissingPackageError(
+            f"the Python package {missing} is not installed. Install it with "
+            f"pip install 'gyrobench[{_EXTRAS[package]}]'"
+        ) from error
 
 
 def installed(group: str) -> list[str]:
@@ -63,7 +92,7 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
         ) from error
     if not isinstance(loaded, kind):
         raise DocumentError(
-            f"{origin} is no {kind.__name__} ({entry.value}). Report this to the package's author"
+            f"{origin} is not of type {kind.__name__} ({entry.value}). Report this to the package's author"
         )
     return loaded
 
