@@ -26,7 +26,7 @@ _MIN_WIDTH_C = 0.01
 
 @dataclass(frozen=True)
 class BiasBin:
-    """Bias of one gyro in one position and range of its own temperature."""
+    """Bias of one gyro in one position and range of the gyro temperature."""
 
     gyro: str  #: "x", "y" or "z".
     position: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
@@ -131,7 +131,7 @@ def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
 def read_bins(path: Path) -> list[BiasBin]:
     """Read ``bias_bins.csv``; the paper's columns may be missing.
 
-    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     return parse_bins(read_text(path), str(path))
 

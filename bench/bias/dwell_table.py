@@ -146,7 +146,7 @@ def parse_dwells(text: str, name: str) -> list[DwellRow]:
 def read_dwells(path: Path) -> list[DwellRow]:
     """Read a dwell table; see :func:`parse_dwells`.
 
-    Raises DocumentError if the file can't be read or is no dwell table.
+    Raises DocumentError if the file can't be read or is not a dwell table.
     """
     return parse_dwells(read_text(path), str(path))
 

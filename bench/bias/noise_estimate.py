@@ -280,9 +280,9 @@ def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseCo
 def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> NoiseEstimate:
     """Estimate the noise of an INS from its output at rest.
 
-    ``windows``: of one or more dwells, of any attitude; missing epochs are allowed for. ``gravity``:
-    at the bench, m/s^2. Raises MeasurementError if no windows, windows with different epoch intervals, or too
-    few data.
+    ``windows``: of one or more dwells, of any attitude; missing epochs are allowed for. ``gravity``
+    is that at the bench, m/s^2. Raises MeasurementError if there are no windows or too few data, or the epoch
+    intervals differ.
     """
     if not windows:
         raise MeasurementError("no window to estimate noise from. Let the INS navigate at rest")

@@ -112,7 +112,7 @@ def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
 
 
 def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve) -> PositionDifferences:
-    """Differences between positions over the passes of one plateau, each with a constant of its own.
+    """Differences between positions over the passes of one plateau, each with a separate constant.
 
     ``passes``: with a result for this gyro in each dwell, linked by common positions; two positions or more.
     """

@@ -31,7 +31,7 @@ def read_campaign(path: Path) -> Campaign:
     """Read the dwells of a table, or of a run with its temperatures between the dwells too.
 
     ``path``: a dwell table, or a run folder. Raises DocumentError if there is no dwell table, or it is wrong.
-    Raises RunFolderError if the folder is no run folder, or its telemetry can't be read. Raises
+    Raises RunFolderError if the folder is not a run folder, or its telemetry can't be read. Raises
     MeasurementError if the table has no good dwells, or dwells of several units.
     """
     record = None

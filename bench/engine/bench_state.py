@@ -123,7 +123,7 @@ class BenchState:
         self._expect(ins_on=self._station.unit.power == "always_on")
 
     def ins_state_unknown(self) -> None:
-        """The INS may be off, whatever it reports; it is switched off and on before it is used."""
+        """The INS may be off, regardless of what it reports; it is switched off and on before it is used."""
         self._expect(ins_on=False)
 
     def ins_seen_on(self) -> None:

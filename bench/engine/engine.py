@@ -31,7 +31,7 @@ from gyrobench.bench.station.safe_state import SafeAction
 
 #: A dwell that was repeated so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
-#: After these trips the INS may have been off, whatever it reports.
+#: After these trips the INS may have been off, regardless of what it reports.
 _INS_TRIPS = {"ins_silence", "ins_fault"}
 
 

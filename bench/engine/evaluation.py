@@ -41,7 +41,7 @@ def evaluate_run(
 def recompute_run(path: Path) -> RunFolder:
     """Measure a run again from its raw log, and write its tables.
 
-    Raises RunFolderError if the folder is no run folder, or its log can't be read. Raises DocumentError if
+    Raises RunFolderError if the folder is not a run folder, or its log can't be read. Raises DocumentError if
     the procedure, station or DBC file in it is wrong.
     """
     folder = open_run_folder(path)

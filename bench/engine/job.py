@@ -69,8 +69,8 @@ def prepare_job(
     """Read procedure and station and check the one against the other.
 
     ``calibration``: run folder or dwell table that calibration checks are compared with. ``compensation``:
-    loaded into the INS after each power-on. Raises DocumentError, which lists everything wrong with them,
-    with places; or the INS does not accept the compensation.
+    loaded into the INS after each power-on. Raises DocumentError if they are wrong (the message lists all
+    problems with their places), or the INS does not accept the compensation.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()

@@ -120,13 +120,13 @@ def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeS
 def _time_s(entry: Mapping[str, Any]) -> float:
     time_s = float(entry["time_s"])
     if not 0.0 <= time_s <= MAX_RUN_S:
-        raise ValueError(f"{time_s} s is no time of a run")
+        raise ValueError(f"{time_s} s is not a time of a run")
     return time_s
 
 
 def _number(value: Any, highest: int) -> int:
     if not isinstance(value, int) or not 1 <= value <= highest:
-        raise ValueError(f"{value!r} is no integer from 1 to {highest}")
+        raise ValueError(f"{value!r} is not an integer from 1 to {highest}")
     return value
 
 

@@ -76,8 +76,8 @@ class TextLog:
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
         """Read columns batch by batch; what was not measured is NaN.
 
-        ``numbers``, ``texts``: which to read as float64, and which as text. Raises DocumentError if a column
-        that the file does not have, or cells that can't be read: lists them.
+        ``numbers``, ``texts``: which to read as float64, and which as text. Raises DocumentError if the
+        file lacks a column, or cells can't be read; the message lists them.
         """
         import pyarrow as pa
 

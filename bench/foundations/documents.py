@@ -127,7 +127,7 @@ class Document:
 def read_document(path: Path) -> Document:
     """Read one YAML file.
 
-    Raises DocumentError if the file can't be read, is too large, or is no valid YAML.
+    Raises DocumentError if the file can't be read, is too large, or is not valid YAML.
     """
     try:
         text = read_limited(path, MAX_DOCUMENT_BYTES, DocumentError).decode("utf-8")

@@ -22,7 +22,7 @@ _HALF_CHARACTER = re.compile(r"\\u[dD]")
 def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]) -> bytes:
     """Content of a plain file of at most ``max_bytes``; pipes and devices, which may never end, are refused.
 
-    Raises error_type if the file can't be read, is no plain file, or is too large.
+    Raises error_type if the file can't be read, is not a plain file, or is too large.
     """
     try:
         status = path.stat()
@@ -41,8 +41,8 @@ def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | Ru
 def parse_json(text: str | bytes) -> Any:
     """Parse JSON.
 
-    Raises ValueError if it is no JSON, nested too deeply, or has halves of characters, which can't be written
-    again.
+    Raises ValueError if it is not JSON, nested too deeply, or has halves of characters, which can't be
+    written again.
     """
     try:
         text = text if isinstance(text, str) else text.decode()

@@ -92,7 +92,7 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
         ) from error
     if not isinstance(loaded, kind):
         raise DocumentError(
-            f"{origin} is no {kind.__name__} ({entry.value}). Report this to the package's author"
+            f"{origin} is not of type {kind.__name__} ({entry.value}). Report this to the package's author"
         )
     return loaded
 

@@ -198,7 +198,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     Raises
     ------
     MeasurementError
-        A name is no position.
+        A name is not that of a position.
     """
     unknown = biases_dph.keys() - POSITIONS.keys()
     if unknown:

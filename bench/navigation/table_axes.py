@@ -35,7 +35,7 @@ _PATH_STEP_DEG = 10.0
 class TwoAxisTable:
     """A two-axis table with a unit mounted on it.
 
-    Raises DocumentError if the axes are no perpendicular unit vectors or ``C_mount`` is no rotation.
+    Raises DocumentError if the axes are not perpendicular unit vectors or ``C_mount`` is not a rotation.
     """
 
     #: outer_axis_enu, inner_axis_enu: Shape (3,). Unit vectors of the two axes with both angles at zero;
@@ -225,7 +225,7 @@ class SingleAxisTable(TwoAxisTable):
         Raises
         ------
         DocumentError
-            ``C_mount`` is no rotation.
+            ``C_mount`` is not a rotation.
         """
         fixed = np.roll(np.abs(axis_enu), 1)  # any direction perpendicular to the axis
         return cls(fixed, axis_enu, C_mount, (0.0, 0.0), limits_deg)

@@ -80,7 +80,7 @@ class Section:
 
 @dataclass(frozen=True, eq=False, config=_CONFIG)
 class Findings:
-    """Result of an analysis, as a page of its own and as a chapter of the report of its run.
+    """Result of an analysis, as a separate page and as a chapter of the report of its run.
 
     Attributes
     ----------

@@ -180,7 +180,7 @@ def read_calibration(path: Path) -> list[DwellRow]:
     """
     table = RunFolder(path).dwells if path.is_dir() else path
     if not table.is_file():
-        what = f"holds no {table.name}, so it is no calibration" if path.is_dir() else "does not exist"
+        what = f"holds no {table.name}, so it is not a calibration" if path.is_dir() else "does not exist"
         raise DocumentError(f"{path}: {what}. Give a run folder or the dwell table of a calibration")
     rows = read_dwells(table)
     if all(row.flags for row in rows):

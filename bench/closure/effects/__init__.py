@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.packages import EFFECTS, installed, load
 def all_effects() -> tuple[Effect, ...]:
     """The effects of this package's modules and of other packages, by name.
 
-    Raises DocumentError if an effect of another package can't be imported, is no Effect, or has a name
+    Raises DocumentError if an effect of another package can't be imported, is not an Effect, or has a name
     already used. It is not left out silently: the outcome of a search depends on its candidates.
     """
     modules = (importlib.import_module(f"{__name__}.{each.name}") for each in pkgutil.iter_modules(__path__))

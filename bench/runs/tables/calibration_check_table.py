@@ -81,7 +81,7 @@ def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> 
 def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
     """Read the table of a calibration check.
 
-    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     table = CsvTable(read_text(path), str(path), required=COLUMNS)
     return table.rows(

@@ -123,7 +123,7 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
     """Read ``joint_biases.csv``.
 
-    Raises DocumentError if the file can't be read, or lists all that is wrong with it.
+    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     return _read(path, JointBiasRow)
 

@@ -154,6 +154,6 @@ def test_the_report_has_the_calibration_check(later_run):
 
 
 def test_a_calibration_that_is_none_is_refused_before_anything_moves(tmp_path):
-    with pytest.raises(DocumentError, match=r"is no calibration"):
+    with pytest.raises(DocumentError, match=r"is not a calibration"):
         run(tmp_path, VERIFICATION, calibration=tmp_path)
     assert not (tmp_path / "run").exists()

@@ -55,8 +55,8 @@ def test_an_unknown_name_is_reported_with_the_installed_ones():
     [
         ("no_such_package.module:DIALECT", r"can't be imported: ModuleNotFoundError: No module named"),
         ("gyrobench.drivers.chamber.watlow_f4:NOTHING", "can't be imported: AttributeError"),
-        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is no ChamberDialect .*Report this to the package"),
-        ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is no ChamberDialect"),
+        ("gyrobench.drivers.chamber.watlow_f4:WatlowF4", "is not of type ChamberDialect .*Report this to"),
+        ("gyrobench.drivers.rate_table.acutrol3000:DIALECT", "is not of type ChamberDialect"),
     ],
 )
 def test_a_broken_package_affects_only_its_users(offered, value, message):

@@ -274,7 +274,7 @@ def test_a_table_without_accelerometers_will_do(table):
 def test_what_is_not_there_is_reported(tmp_path):
     with pytest.raises(DocumentError, match=r"nowhere: does not exist\. Give a run folder"):
         read_calibration(tmp_path / "nowhere")
-    with pytest.raises(DocumentError, match=r"holds no dwells\.csv, so it is no calibration"):
+    with pytest.raises(DocumentError, match=r"holds no dwells\.csv, so it is not a calibration"):
         read_calibration(tmp_path)
 
 

@@ -222,7 +222,7 @@ def test_an_alignment_without_its_half_turn_is_reported(other):
     assert all(math.isnan(row.bias_dph) and not row.is_compared for row in alone)
 
 
-def test_pairs_are_made_in_the_order_of_time_whatever_the_order_of_the_dwells():
+def test_pairs_are_made_in_the_order_of_time_in_any_order_of_the_dwells():
     dwells = [verified(azimuth_deg=180.0 * (i % 2), dwell=i + 1) for i in range(4)]
     for order in (dwells, dwells[::-1]):
         pairs = [(row.dwell, row.turned_dwell) for row in rows_of(order) if row.method == "alignment"]

@@ -20,8 +20,8 @@ def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):
 
 def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, make_signal_map):
     assert signal_map.messages_of_epoch() == {"VELOCITY_NE", "ROLL_PITCH", "HEADING"}
-    untold = make_signal_map({"epoch_counter: HEADING.EPOCH_COUNTER\n": ""})
-    assert untold.messages_of_epoch() == {"VELOCITY_NE", "ROLL_PITCH", "HEADING", "SYSTEM_TIME"}
+    without_counter = make_signal_map({"epoch_counter: HEADING.EPOCH_COUNTER\n": ""})
+    assert without_counter.messages_of_epoch() == {"VELOCITY_NE", "ROLL_PITCH", "HEADING", "SYSTEM_TIME"}
 
 
 @pytest.mark.parametrize(

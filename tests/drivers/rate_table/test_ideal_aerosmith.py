@@ -77,7 +77,7 @@ def test_it_moves_to_an_angle_and_says_when_it_is_there(bench):
 
 
 @pytest.mark.parametrize("done", [0, 1])
-def test_a_motion_is_complete_whatever_the_controller_calls_complete(make_bench, done):
+def test_a_motion_is_complete_regardless_of_what_the_controller_calls_complete(make_bench, done):
     bench = make_bench(done=done)
     table = bench.prepared()
     table.move_to({2: 30.0}, 10.0)
@@ -187,7 +187,7 @@ def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b">", b"1.5\r>", b"?\r>", b"inf\r>"])))
-def test_whatever_comes_gives_a_value_or_an_error_of_the_instrument(replies):
+def test_any_reply_gives_a_value_or_an_error_of_the_instrument(replies):
     line, _ = any_rig().line("table", Scripted(*replies))
     table = IdealAerosmith(line)
     for action in (

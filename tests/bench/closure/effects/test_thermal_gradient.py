@@ -7,7 +7,7 @@ from tests.bench.closure.thermal_bench import measure
 [FORM] = EFFECT.forms
 
 
-def test_it_is_the_electronics_above_the_optics_whatever_the_position(clean):
+def test_it_is_the_electronics_above_the_optics_in_every_position(clean):
     np.testing.assert_allclose(FORM.columns(clean, ())[:, :, 0], clean.board_c - clean.gyro_c)
 
 

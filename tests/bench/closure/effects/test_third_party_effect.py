@@ -86,7 +86,7 @@ def test_the_effect_of_another_package_states_why_it_is_not_compensated():
 @pytest.mark.parametrize(
     ("name", "effect", "message"),
     [
-        ("acme", "no effect", r"the effect 'acme' of .* is no Effect .*Report this to the package's author"),
+        ("acme", "no effect", r"the effect 'acme' of .* is not of type Effect .*Report this to"),
         ("acme", effect_of("other"), "the entry point 'acme' .* differs from the name 'other' of its object"),
         ("warm_up", effect_of("warm_up"), "the entry point 'warm_up' .* has the name of another effect"),
         ("Acme!", effect_of("Acme!"), "the entry point 'Acme!' .* has characters other than a-z, 0-9 and _"),
