@@ -28,8 +28,8 @@ _SECRET_KEY = re.compile(r"passw|secret|token|credential|key|auth|sig", re.IGNOR
 _RANDOM = re.compile(r"(?=[^/]*[0-9])(?=[^/]*[A-Za-z])[A-Za-z0-9_@-]{20,}")
 _MAIL = re.compile(r"[^\s@,;<>]{1,64}@[A-Za-z0-9.-]{1,190}")
 _WHERE = (
-    "every run folder has a copy of this file. "
-    f"Write {SECRET} in its place and give secret_file or secret_env"
+    f"every run folder has a copy of this file. Write {SECRET} in its place and give secret_file or "
+    "secret_env"
 )
 
 
