@@ -188,6 +188,8 @@ def run(
     from gyrobench.bench.engine.run import run_job
     from gyrobench.bench.station.instruments import Emulation
 
+    if seed < 0:
+        raise DocumentError(f"seed must not be negative; found {seed}")
     job = prepare_job(procedure, station, Emulation(world, seed, ""))
     if operator is None:
         if not job.is_virtual:
@@ -250,17 +252,34 @@ def estimate_bias(
     MeasurementError
         The data can't be used: the message says which and why.
     """
-    time, C_nb = np.asarray(times_s, np.float64), np.asarray(attitude, np.float64)
-    velocity = np.array(velocity_enu_mps, np.float64)
-    if C_nb.shape != (len(time), 3, 3) or velocity.shape != (len(time), 3):
-        raise MeasurementError(
-            f"{len(time)} times with velocities {velocity.shape} and attitudes {C_nb.shape}; "
-            "each epoch needs three velocities and a 3 by 3 attitude"
+    time, velocity, C_nb = (
+        _numbers(values, what)
+        for values, what in (
+            (times_s, "times_s"),
+            (velocity_enu_mps, "velocity_enu_mps"),
+            (attitude, "attitude"),
         )
+    )
+    if C_nb.shape != (time.size, 3, 3) or velocity.shape != (time.size, 3) or time.ndim != 1:
+        raise MeasurementError(
+            f"times {time.shape}, velocities {velocity.shape} and attitudes {C_nb.shape} "
+            "do not fit together; each epoch needs a time, three velocities and a 3 by 3 attitude"
+        )
+    if not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
+        raise MeasurementError("times_s must be finite and increase from epoch to epoch")
+    bounds_s = _numbers(windows_s, "windows_s")
+    if bounds_s.ndim != 2 or bounds_s.shape[1] != 2 or not np.all(bounds_s[:, 0] < bounds_s[:, 1]):
+        raise MeasurementError("windows_s must be pairs of first and last time, the first before the last")
+    lsb = (velocity_lsb_mps, heading_lsb_rad)
+    if not all(np.isfinite(value) and value >= 0 for value in (arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)):
+        raise MeasurementError("noise and output resolution of the INS must be finite and not negative")
     velocity[:, 2] = 0.0
     if position not in POSITIONS:
         raise MeasurementError(f"there is no position '{position}'; the positions are {', '.join(POSITIONS)}")
-    spans = [(int(np.searchsorted(time, a)), int(np.searchsorted(time, b, "right"))) for a, b in windows_s]
+    spans = [
+        (int(np.searchsorted(time, first)), int(np.searchsorted(time, last, "right")))
+        for first, last in bounds_s
+    ]
     windows = tuple(NavigationWindow(time[a:b], velocity[a:b], C_nb[a:b]) for a, b in spans)
     turns = tuple(
         TurnPath(time[end - 1 : begin + 1], C_nb[end - 1 : begin + 1])
@@ -268,9 +287,7 @@ def estimate_bias(
     )
     at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
     dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
-    noise = NoiseModel.from_datasheet(
-        arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, velocity_lsb_mps, heading_lsb_rad
-    )
+    noise = NoiseModel.from_datasheet(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)
     site = Site(float(np.deg2rad(latitude_deg)), height_m)
     return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
 
@@ -298,6 +315,20 @@ def close_loop(table: str | Path | pd.DataFrame, hold_out_cycles: Sequence[int] 
     if isinstance(table, (str, Path)):
         return search(read_campaign(Path(table)), hold_out_cycles)
     return search(campaign_of(parse_dwells(table.to_csv(index=False), "the DataFrame")), hold_out_cycles)
+
+
+def _numbers(values: ArrayLike, what: str) -> FloatArray:
+    """A copy as array of float.
+
+    Raises
+    ------
+    MeasurementError
+        It is not one.
+    """
+    try:
+        return np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeasurementError(f"{what} is not an array of numbers: {error}") from error
 
 
 def _csv_frame(path: Path) -> pd.DataFrame:

@@ -82,7 +82,7 @@ def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType)
 def plain(value: Any) -> Any:
     """Convert records, arrays, times and paths to JSON types; other objects to their text."""
     if hasattr(value, "model_dump"):  # models of pydantic
-        return value.model_dump(mode="json")
+        return value.model_dump(mode="json", by_alias=True)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, dict):

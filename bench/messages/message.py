@@ -17,6 +17,8 @@ from gyrobench.bench.station.receivers import EventName
 Event = Literal[EventName, "guard_acted", "test"]
 
 _S_PER_H = 3600.0
+#: Events by their names in the data of a message, a format that receivers rely on, where these differ.
+_NAMES_IN_DATA = MappingProxyType({"resumes": "goes_on"})
 _HAPPENED = MappingProxyType(
     {
         "ends": "the run has ended",
@@ -96,7 +98,7 @@ class Message:
     def to_json(self) -> dict[str, Any]:
         """Plain data, always with the same keys; null where not known."""
         return {
-            "event": self.event,
+            "event": _NAMES_IN_DATA.get(self.event, self.event),
             "run": self.folder.name if self.folder else None,
             "unit": self.unit or None,
             "station": self.station,

@@ -1,5 +1,6 @@
 """The Python interface, as a person types it."""
 
+import math
 import subprocess
 import sys
 
@@ -75,7 +76,7 @@ def test_a_search_takes_a_file_or_a_data_frame(tmp_path):
 
 
 def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):
-    with pytest.raises(RunFolderError, match="no run folder"):
+    with pytest.raises(RunFolderError, match="is not a run folder"):
         gyrobench.open_run(tmp_path)
     with pytest.raises(RunFolderError, match="no finished dwell 7"):
         run.frames(7)
@@ -93,3 +94,41 @@ def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):
         gyrobench.run("no_such_procedure", out=tmp_path / "never")
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         gyrobench.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"times_s": [0.0, math.nan, 2.0]}, "times_s must be finite and increase"),
+        ({"times_s": [2.0, 1.0, 0.0]}, "times_s must be finite and increase"),
+        ({"times_s": ["a", "b", "c"]}, "times_s is not an array of numbers"),
+        ({"times_s": np.zeros((3, 1))}, "do not fit together"),
+        ({"velocity_enu_mps": np.zeros((2, 3))}, "do not fit together"),
+        ({"attitude": None}, "do not fit together"),
+        ({"windows_s": []}, "windows_s must be pairs"),
+        ({"windows_s": [0.0, 2.0]}, "windows_s must be pairs"),
+        ({"windows_s": [(2.0, 0.0)]}, "windows_s must be pairs"),
+        ({"windows_s": [(math.nan, 2.0)]}, "windows_s must be pairs"),
+        ({"velocity_lsb_mps": -1.0}, "must be finite and not negative"),
+        ({"arw_deg_per_sqrt_h": -1.0}, "must be finite and not negative"),
+        ({"vrw_ug_per_sqrt_hz": math.inf}, "must be finite and not negative"),
+        ({}, "only 3 epochs"),
+    ],
+)
+def test_arrays_that_are_not_those_of_a_dwell_are_refused(change, message):
+    arguments = {
+        "times_s": np.arange(3.0),
+        "velocity_enu_mps": np.zeros((3, 3)),
+        "attitude": np.tile(np.eye(3), (3, 1, 1)),
+        "windows_s": [(0.0, 2.0)],
+        "position": "z_up",
+        "latitude_deg": 36.4,
+        "arw_deg_per_sqrt_h": 0.001,
+    }
+    with pytest.raises(MeasurementError, match=message):
+        gyrobench.estimate_bias(**(arguments | change))
+
+
+def test_a_negative_seed_is_refused(tmp_path):
+    with pytest.raises(DocumentError, match="seed must not be negative; found -1"):
+        gyrobench.run("ten_minute_check", seed=-1, out=tmp_path / "never")

@@ -78,6 +78,7 @@ def test_bins_of_a_run(short_run, tmp_path):
     assert [each["bias_dph"] for each in found["bins"]] == [each.bias_dph for each in expected]
     assert (tmp_path / found["report"]).is_file()
     assert found["verification"] == []
+    assert found["acceptance"] == json.loads((tmp_path / "run" / "acceptance.json").read_text())
 
 
 def test_a_wrong_file_leaves_standard_output_empty(tmp_path):

@@ -103,7 +103,7 @@ def test_a_hold_that_ends_without_an_operator_is_sent_twice(run_with_receiver):
     fault = "faults:\n  - {fault: port_gone, target: chamber, at_s: 60, for_s: 120}\n"
     _, received, outcome = run_with_receiver(ConsentingOperator(), fault)
     assert outcome.ended == "finished"
-    assert [each["event"] for each in received] == ["holds", "resumes", "ends"]
+    assert [each["event"] for each in received] == ["holds", "goes_on", "ends"]
     why = received[0]["why"].removeprefix("It continues without an operator once nothing is tripped: ")
     assert received[1]["why"].startswith(f"The hold is over: {why}")
     assert received[1]["left"]["hours"] > 0.0
@@ -120,6 +120,6 @@ def test_a_hold_that_waits_for_the_operator_is_sent_with_its_reason(run_with_rec
     fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
     _, received, _ = run_with_receiver(Slow(30, after=int(notifications.UNANSWERED_S) + 5), fault)
     hold = received[1]
-    assert [each["event"] for each in received] == ["needs_person", "needs_person", "resumes", "ends"]
+    assert [each["event"] for each in received] == ["needs_person", "needs_person", "goes_on", "ends"]
     assert hold["question"] == f"The run holds: {hold['why']}"
     assert hold["answers"] == ["continue", "abort"]

@@ -24,6 +24,10 @@ def test_data_state_what_where_when_and_what_is_left():
     assert data["urgent"]
 
 
+def test_the_end_of_a_hold_has_the_name_that_receivers_know():
+    assert replace(NEEDS_PERSON, event="resumes").to_json()["event"] == "goes_on"
+
+
 def test_text_says_what_can_be_answered():
     assert "Answer continue or abort" in NEEDS_PERSON.text
     assert NEEDS_PERSON.why in NEEDS_PERSON.text
