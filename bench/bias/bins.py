@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -13,9 +14,8 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.
@@ -125,7 +125,7 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
 
 def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
     """Write ``bias_bins.csv``. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_csv(_COLUMNS, ([format_cell(value) for value in astuple(each)] for each in bins)))
+    write_text(path, format_rows(_COLUMNS, bins))
 
 
 def read_bins(path: Path) -> list[BiasBin]:
@@ -142,9 +142,7 @@ def parse_bins(text: str, name: str) -> list[BiasBin]:
     Raises DocumentError, which lists all that is wrong with it.
     """
     table = CsvTable(text, name, required=[column for column in _COLUMNS if column not in _PAPER])
-    bins = [_parsed(table, index) for index in range(len(table))]
-    table.raise_problems()
-    return bins
+    return table.rows(partial(_parsed, table))
 
 
 def _by_position_and_number(

@@ -2,38 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
 from gyrobench.bench import __version__
-from gyrobench.bench.cli import (
-    bins,
-    check,
-    close,
-    control,
-    emulate,
-    export,
-    fleet,
-    import_log,
-    jog,
-    message,
-    monitor,
-    new,
-    plan,
-    raw_rate,
-    record,
-    replay,
-    report,
-    resume,
-    run,
-    runs,
-    schema,
-    validate,
-    verify,
-)
-from gyrobench.bench.cli.command_groups import CommandGroups
+from gyrobench.bench.cli import control
+from gyrobench.bench.cli.command_groups import GROUPS, CommandGroups
 from gyrobench.bench.cli.output import (
     EXIT_CODES_HELP,
     EXIT_INSTRUMENT,
@@ -71,31 +49,19 @@ def options(
     """Bench controller for calibrating the gyros of inertial navigation systems."""
 
 
-# In the order of the groups in which the help lists them.
-app.command()(run.run)
-app.command()(resume.resume)
-app.command()(control.control)
+def _add_command(name: str) -> None:
+    """Add a command, or group of commands, named as its module."""
+    module = "import_log" if name == "import" else name.replace("-", "_")
+    command = getattr(import_module(f"{__name__}.{module}"), module)
+    if isinstance(command, typer.Typer):
+        app.add_typer(command, name=name)
+    else:
+        app.command(name)(command)
+
+
+for _name in itertools.chain.from_iterable(GROUPS.values()):
+    _add_command(_name)
 app.command(hidden=True)(control.tell)
-app.command()(verify.verify)
-app.command()(plan.plan)
-app.command()(check.check)
-app.command()(jog.jog)
-app.command()(message.message)
-app.command()(monitor.monitor)
-app.command()(report.report)
-app.command()(export.export)
-app.command()(bins.bins)
-app.command()(close.close)
-app.command("import")(import_log.import_log)
-app.command("raw-rate")(raw_rate.raw_rate)
-app.command()(runs.runs)
-app.add_typer(fleet.fleet, name="fleet")
-app.add_typer(new.new, name="new")
-app.command()(validate.validate)
-app.command()(schema.schema)
-app.command()(emulate.emulate)
-app.command()(record.record)
-app.command()(replay.replay)
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from gyrobench.bench.exchange.import_map import Column, RecordFormat, TextFormat
 from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
-    from pyarrow import DataType, RecordBatch
+    from pyarrow import DataType
     from pyarrow.csv import CSVStreamingReader
 
 
@@ -101,7 +101,10 @@ class TextLog:
             try:
                 reader = self._reader(source, names, types, skip)
                 for batch in reader:
-                    yield _batch(batch, {column: names[index] for column, index in indices.items()})
+                    yield {
+                        column: batch[names[index]].to_numpy(zero_copy_only=False)
+                        for column, index in indices.items()
+                    }
             except pa.ArrowInvalid as error:
                 raise self._mistakes(indices, numbers, str(error)) from error
         if len(short) > 1 or (short and short[0] > len(self.columns)):
@@ -246,13 +249,6 @@ def _separator(head: list[str], layout: TextFormat) -> str:
         if separator in head[0]:
             return separator
     return " "
-
-
-def _batch(batch: RecordBatch, names: dict[Column, str]) -> Batch:
-    return {
-        column: batch.column(batch.schema.get_field_index(name)).to_numpy(zero_copy_only=False)
-        for column, name in names.items()
-    }
 
 
 def _is_number(cell: str, decimal: str) -> bool:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -247,15 +246,11 @@ def _write_can(folder: RunFolder, name: str, destination: ExportFolder) -> None:
         if name.endswith(".blf"):
             write_blf(path, log)
         else:
-            _write_mf4(path, log, dbc, destination.origin)
+            # Optional, since python-can loads this package at every use of CAN.
+            require("asammdf")
+            from gyrobench.bench.exchange.mf4 import write_mf4
 
-
-def _write_mf4(path: Path, log: TimedLog, dbc: Path, origin: Mapping[str, Any]) -> None:
-    """Write MDF4; its package is optional, since python-can loads it at every use of CAN."""
-    require("asammdf")
-    from gyrobench.bench.exchange.mf4 import write_mf4
-
-    write_mf4(path, log, dbc, origin)
+            write_mf4(path, log, dbc, destination.origin)
 
 
 def _write_compensation(folder: RunFolder, suffixes: list[str], destination: ExportFolder) -> None:

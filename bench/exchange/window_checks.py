@@ -108,7 +108,14 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
     for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
         temperatures = np.array([row.gyro_c[index] for row in rows])
         swing = float(np.ptp(temperatures))
-        _check_swing(axis, swing, temperatures, log_map)
+        min_swing = log_map.temperatures.min_swing_c
+        if swing < min_swing:
+            raise MeasurementError(
+                f"the temperature of gyro {axis} is between {temperatures.min():.2f} and "
+                f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; a curve needs {min_swing:g} K "
+                "of swing. Log a larger swing, or allow a smaller one with "
+                "'temperatures: {min_swing_c: ...}' in the import map"
+            )
         resolution = temperature_resolution_c(windows, name)
         if resolution <= _COARSE_RESOLUTION_C or swing == 0.0:
             continue
@@ -127,17 +134,6 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
             "deg/h), and slow changes of the temperature do not show. Log it with 0.1 K or finer"
         ] = None
     return list(warnings)
-
-
-def _check_swing(axis: str, swing: float, temperatures: FloatArray, log_map: LogMap) -> None:
-    min_swing = log_map.temperatures.min_swing_c
-    if swing < min_swing:
-        raise MeasurementError(
-            f"the temperature of gyro {axis} is between {temperatures.min():.2f} and "
-            f"{temperatures.max():.2f} degC, a swing of {swing:.2f} K; a curve needs {min_swing:g} K "
-            "of swing. Log a larger swing, or allow a smaller one with "
-            "'temperatures: {min_swing_c: ...}' in the import map"
-        )
 
 
 def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:

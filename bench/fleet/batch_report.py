@@ -19,7 +19,7 @@ from gyrobench.bench.fleet.batch import FALSE_ALARM, EffectSize, QuantityStatist
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.terminal.tables import plain_table
@@ -148,13 +148,7 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
             panel.set_xticks(range(len(mine)), labels, rotation=90 if of_positions else 0, fontsize=8)
         else:
             say_empty(panel, "measured on too few units")
-    handles, labels = panels[0].get_legend_handles_labels()
-    for panel in panels[1:]:
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-            if label not in labels:
-                handles.append(handle)
-                labels.append(label)
-    figure.legend(handles, labels, loc="outside upper center", ncols=5)
+    common_legend(figure, panels, "outside upper center", ncols=5)
     return figure
 
 

@@ -17,6 +17,7 @@ from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobResult, JobState
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.foundations.text import counted
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -51,7 +52,9 @@ class Workers:
         if self.scheduler:
             return f"the workers of {self.scheduler}"
         number = self.count or _cores()
-        return f"{number} {'thread' if self.are_threads else 'process'}{_plural(number, self.are_threads)}"
+        if self.are_threads:
+            return counted(number, "thread")
+        return "1 process" if number == 1 else f"{number} processes"
 
 
 @contextmanager
@@ -102,12 +105,6 @@ def _remote(address: str) -> Client:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0))
-
-
-def _plural(number: int, are_threads: bool) -> str:
-    if number == 1:
-        return ""
-    return "s" if are_threads else "es"
 
 
 #: Longest time between writing the record to disk.

@@ -6,11 +6,16 @@ import csv
 import io
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import astuple
 from pathlib import Path
+from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited, write_whole
+from gyrobench.bench.foundations.text import format_cell
+
+RowT = TypeVar("RowT")
 
 #: Some hundred thousand dwells.
 MAX_TABLE_BYTES = 100_000_000
@@ -126,6 +131,12 @@ class CsvTable:
             )
         return value_c
 
+    def rows(self, read: Callable[[int], RowT]) -> list[RowT]:
+        """Read each row by its index. Raises DocumentError that lists the recorded problems."""
+        rows = [read(index) for index in range(len(self))]
+        self.raise_problems()
+        return rows
+
     def problem(self, index: int, column: str, message: str) -> None:
         """Record that a cell is wrong."""
         self._problems.append(f"{self._name}:{self.lines[index]}: column {column}: {message}")
@@ -162,6 +173,11 @@ def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     writer.writerow(columns)
     writer.writerows(rows)
     return buffer.getvalue()
+
+
+def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
+    """CSV text of instances of a data class, whose fields are the columns."""
+    return format_csv(columns, ([format_cell(value) for value in astuple(row)] for row in rows))
 
 
 def read_text(path: Path) -> str:

@@ -61,46 +61,26 @@ class RunFolder:
 
     path: Path
 
-    #: The procedure as run.
-    procedure = PathInside(PROCEDURE)
-    #: The station as run.
-    station = PathInside("station.yaml")
-    #: Versions, identities, hashes, options.
-    provenance = PathInside(PROVENANCE)
-    #: The journal.
-    journal = PathInside(JOURNAL)
-    #: The latest snapshot of the run, for its views.
-    live = PathInside("live.json")
-    #: Folder of the raw CAN log.
-    can = PathInside("can")
-    #: Folder of the bench's readings.
-    telemetry = PathInside("telemetry")
-    #: The dwell table.
-    dwells = PathInside(DWELLS)
-    #: Bias per gyro, position and temperature bin.
-    bias_bins = PathInside(BIAS_BINS)
-    #: Biases of the dwells of each temperature solved together.
-    joint_biases = PathInside("joint_biases.csv")
-    #: Parameters common to the dwells of each temperature.
-    joint = PathInside("joint.csv")
-    #: Noise of the INS.
-    noise = PathInside("noise.json")
-    #: Verdict on the unit.
-    acceptance = PathInside(ACCEPTANCE)
-    #: The dwell table of the calibration that was checked.
-    calibration = PathInside("calibration.csv")
-    #: The compensation that was loaded into the INS.
-    compensation = PathInside(COMPENSATION)
-    #: Verification of a calibration.
-    calibration_check = PathInside("verification.csv")
-    #: Folder of the search for effects in this run.
-    closure = PathInside(CLOSURE)
-    #: Folder of the verification of a compensation.
-    verify = PathInside("verify")
-    #: Folder of the figures.
-    figures = PathInside("figures")
-    #: The report.
-    report = PathInside("report.html")
+    procedure = PathInside(PROCEDURE)  #: The procedure as run.
+    station = PathInside("station.yaml")  #: The station as run.
+    provenance = PathInside(PROVENANCE)  #: Versions, identities, hashes, options.
+    journal = PathInside(JOURNAL)  #: The journal.
+    live = PathInside("live.json")  #: The latest snapshot of the run, for its views.
+    can = PathInside("can")  #: Folder of the raw CAN log.
+    telemetry = PathInside("telemetry")  #: Folder of the bench's readings.
+    dwells = PathInside(DWELLS)  #: The dwell table.
+    bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
+    joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
+    joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
+    noise = PathInside("noise.json")  #: Noise of the INS.
+    acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
+    calibration = PathInside("calibration.csv")  #: The dwell table of the calibration that was checked.
+    compensation = PathInside(COMPENSATION)  #: The compensation that was loaded into the INS.
+    calibration_check = PathInside("verification.csv")  #: Verification of a calibration.
+    closure = PathInside(CLOSURE)  #: Folder of the search for effects in this run.
+    verify = PathInside("verify")  #: Folder of the verification of a compensation.
+    figures = PathInside("figures")  #: Folder of the figures.
+    report = PathInside("report.html")  #: The report.
 
 
 def create_run_folder(out: Path | None, name: str) -> RunFolder:

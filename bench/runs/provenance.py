@@ -28,6 +28,7 @@ def write_provenance(
     folder: RunFolder, started: datetime, identities: Mapping[str, str], options: Mapping[str, Any]
 ) -> None:
     """Write provenance.json with the start of the run's clock, instruments' identities, and options."""
+    inputs = [folder.procedure, folder.station, *sorted(folder.path.glob("*.dbc"))]
     content = {
         "gyrobench": __version__,
         "started_utc": started.isoformat(),
@@ -36,7 +37,7 @@ def write_provenance(
         "host": platform.node(),
         "instruments": dict(identities),
         "options": dict(options),
-        "files_sha256": {path.name: file_sha256(path) for path in _inputs(folder)},
+        "files_sha256": {path.name: file_sha256(path) for path in inputs},
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": {name: _version(name) for name in _PACKAGES},
@@ -100,10 +101,6 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "unknown"
-
-
-def _inputs(folder: RunFolder) -> list[Path]:
-    return [folder.procedure, folder.station, *sorted(folder.path.glob("*.dbc"))]
 
 
 def _version(package: str) -> str:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -22,6 +21,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, po
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
+    common_legend,
     house_style,
     mark_temperatures,
     new_figure,
@@ -75,10 +75,7 @@ def bias_figure(
     all_axes[0].set_title(gyro_label(gyro) if len(panels) == 1 else f"{gyro_label(gyro)}, {STATE_SPACE}")
     if both[0].is_empty:
         say_empty(all_axes[0], "no dwell gave a bias")
-    if both[0].bins:
-        figure.legend(
-            *all_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(POSITIONS)
-        )
+    common_legend(figure, all_axes[:1], ncols=len(POSITIONS))
     return figure
 
 
@@ -188,14 +185,9 @@ def before_after_figure(
         if not bins:
             say_empty(axes, "no dwell gave a bias")
     panels[0].set(ylabel=f"bias / ({scale.unit})")
-    handles: dict[str, Artist] = {}
-    for axes in panels:
-        if any(runs):
-            mark_temperatures(axes, "x", marked_c)
-        lines, labels = axes.get_legend_handles_labels()
-        handles |= dict(zip(labels, lines, strict=True))
-    if handles:
-        figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=len(POSITIONS))
+    for axes in panels if any(runs) else ():
+        mark_temperatures(axes, "x", marked_c)
+    common_legend(figure, panels, ncols=len(POSITIONS))
     return figure
 
 

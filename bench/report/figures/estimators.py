@@ -15,6 +15,7 @@ from gyrobench.bench.bias.statistics import uniformity_band
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     POSITION_STYLES,
+    common_legend,
     house_style,
     mark_temperatures,
     new_figure,
@@ -44,10 +45,8 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
         _draw_estimator_differences(axes, axis, both, scale, marked_c)
     panels[0].set_ylabel(f"{PAPER} minus\n{STATE_SPACE} / ({scale.unit})")
     panels[1].set_xlabel("temperature of the gyro / °C")
-    if both:
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(POSITIONS))
-    else:
+    common_legend(figure, panels[:1], ncols=len(POSITIONS))
+    if not both:
         say_empty(panels[1], "the paper's method gave no bias")
     return figure
 

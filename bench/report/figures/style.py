@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import matplotlib.style
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -92,6 +93,21 @@ def new_figure(height_in: float) -> Figure:
 def say_empty(axes: Axes, message: str) -> None:
     """Write the reason for empty axes into them."""
     axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", va="center", color="#666666")
+
+
+def common_legend(
+    figure: Figure,
+    panels: Iterable[Axes],
+    side: Literal["outside lower center", "outside upper center"] = "outside lower center",
+    ncols: int = 0,
+) -> None:
+    """Draw one legend for several panels, each label once, by default in one row; none without labels."""
+    handles: dict[str, Artist] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if handles:
+        figure.legend(handles.values(), handles, loc=side, ncols=ncols or len(handles))
 
 
 def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[float]) -> None:

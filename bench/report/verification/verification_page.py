@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
-from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.verification.verification_text import (
     CONFIRMED,
@@ -59,8 +59,7 @@ def residual_bars_figure(result: VerificationResult) -> Figure:
         _bars(axes, result, size, noise, factor)
         axes.set_title(title, fontsize=9)
         axes.set_ylabel(unit)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+    common_legend(figure, figure.axes[:1])
     return figure
 
 
@@ -99,8 +98,7 @@ def day_figure(result: VerificationResult) -> Figure:
     panels[-1].set_xlim(0.0, 24.0)
     panels[-1].set_xticks(np.arange(0, 25, 4))
     panels[-1].set_ylim(bottom=0.0)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+    common_legend(figure, panels[:1])
     return figure
 
 

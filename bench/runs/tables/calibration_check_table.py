@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
-from gyrobench.bench.foundations.text import format_cell
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Ways to see a bias: in the heading after alignment, or in the velocity of a navigation after it.
@@ -76,7 +75,7 @@ _INTEGERS = ("dwell", "cycle")
 
 def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> None:
     """Write the table of a calibration check. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_csv(COLUMNS, (_cells(row) for row in rows)))
+    write_text(path, format_rows(COLUMNS, rows))
 
 
 def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
@@ -85,17 +84,9 @@ def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
     Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
     table = CsvTable(read_text(path), str(path), required=COLUMNS)
-    rows = [_row(table, index) for index in range(len(table))]
-    table.raise_problems()
-    return rows
-
-
-def _cells(row: CalibrationCheckRow) -> list[str]:
-    return [format_cell(getattr(row, name)) for name in COLUMNS]
-
-
-def _row(table: CsvTable, index: int) -> CalibrationCheckRow:
-    return CalibrationCheckRow(**{name: _value(table, index, name) for name in COLUMNS})
+    return table.rows(
+        lambda index: CalibrationCheckRow(**{name: _value(table, index, name) for name in COLUMNS})
+    )
 
 
 def _value(table: CsvTable, index: int, name: str) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,8 +13,7 @@ import numpy as np
 from gyrobench.bench.bias.joint_solution import JointSolution
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
-from gyrobench.bench.foundations.text import format_cell
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 
@@ -118,8 +117,7 @@ def columns(kind: type[Row]) -> list[str]:
 
 def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
     """Write rows of one kind as CSV. Raises RunFolderError if the file can't be written."""
-    cells = ([format_cell(value) for value in astuple(row)] for row in rows)
-    write_text(path, format_csv(columns(kind), cells))
+    write_text(path, format_rows(columns(kind), rows))
 
 
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
@@ -197,9 +195,7 @@ def _up(rate: UpRate) -> dict[str, Any]:
 def _read(path: Path, kind: type[Row]) -> list[Row]:
     names = [field.name for field in fields(kind)]
     table = CsvTable(read_text(path), str(path), required=columns(kind))
-    rows = [kind(**{name: _value(table, index, name) for name in names}) for index in range(len(table))]
-    table.raise_problems()
-    return rows
+    return table.rows(lambda index: kind(**{name: _value(table, index, name) for name in names}))
 
 
 _CHOICES = {
