@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from types import TracebackType
 
 import serial
 
@@ -62,23 +61,9 @@ def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
 class SerialLine:
     """Bytes to and from one instrument.
 
-    Parameters
-    ----------
-    instrument : str
-        Name for error messages, for instance "rate table".
-    url : str
-        A device name or pyserial URL.
-    clock : Clock
-        The run's clock.
-    baudrate : int
-        Bits per second; ignored where the URL is not a serial port.
-    parity : {"N", "E", "O"}
-        Parity bit; eight data bits and one stop bit always.
-
-    Raises
-    ------
-    ConnectionFailedError
-        The port can't be opened.
+    ``instrument`` is its name in error messages, ``url`` a device name or pyserial URL. Baud rate and parity
+    are ignored where that is not a serial port; eight data bits and one stop bit always. Raises
+    ConnectionFailedError if the port can't be opened.
     """
 
     _open = False
@@ -97,9 +82,7 @@ class SerialLine:
     def __enter__(self) -> SerialLine:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def reopen(self) -> None:

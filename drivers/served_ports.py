@@ -13,7 +13,7 @@ _CHUNK = 4096
 class PseudoTerminal:
     """A pseudo-terminal; clients open ``url`` like a serial device.
 
-    ``link``: a symbolic link for ``url`` that stays the same when the terminal's name changes. A dangling
+    ``link`` is a symbolic link for ``url`` that stays the same when the terminal's name changes; a dangling
     link of a killed program is replaced. Raises OSError if the link can't be made.
     """
 
@@ -64,8 +64,8 @@ class PseudoTerminal:
 class TcpPort:
     """A TCP port of the loopback with one client at a time; a new client replaces the old one.
 
-    ``number``: number of the port; 0 for any free port. ``greet``: returns bytes to send to each new client.
-    Raises OSError if the port is taken.
+    ``number`` 0 stands for any free port; ``greet`` returns bytes to send to each new client. Raises OSError
+    if the port is taken.
     """
 
     def __init__(self, number: int = 0, greet: Callable[[], bytes] = bytes) -> None:

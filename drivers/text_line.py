@@ -24,8 +24,8 @@ LINE_ENDINGS = {"cr": b"\r", "crlf": b"\r\n", "lf": b"\n"}
 class TextLine:
     """Requests and replies of text.
 
-    ``ending``: ends each request. ``end_of_reply``: any one of these bytes ends a reply; those before its
-    first letter are dropped.
+    ``ending`` ends each request. Any one byte of ``end_of_reply`` ends a reply; those before its first letter
+    are dropped.
     """
 
     def __init__(
@@ -48,21 +48,9 @@ class TextLine:
     def receive(self, request: str, *, may_be_empty: bool = False, begun: bytes = b"") -> bytes:
         """Wait for a reply; returns it without its end and surrounding spaces.
 
-        Parameters
-        ----------
-        request : str
-            For error messages.
-        may_be_empty : bool
-            Whether an end with nothing before it is a reply.
-        begun : bytes
-            First byte of the reply, if it has been read.
-
-        Raises
-        ------
-        NoReplyError, ReplyError
-            No reply arrived in time, or it is too long.
-        ConnectionFailedError
-            The port went away.
+        With ``may_be_empty`` an end with nothing before it is a reply. ``begun`` is the first byte of the
+        reply, if it has been read. Raises NoReplyError or ReplyError if no reply arrived in time, or it is
+        too long. Raises ConnectionFailedError if the port went away.
         """
         self._out_of_step = True
         deadline = Deadline(self.line.clock, self._reply_timeout_s)

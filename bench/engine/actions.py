@@ -83,9 +83,9 @@ def perform(step: Step, context: StepContext) -> Ticks:
 @perform.register
 def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     bench = context.bench
-    if bench.station.unit.power == "operator":
+    if bench.station.file.unit.power == "operator":
         yield from _confirmed(context, "Switch the INS off and on, then answer.", ["on", "stop"])
-    if bench.station.unit.power == "chamber_event":
+    if bench.station.file.unit.power == "chamber_event":
         # An INS that is on already is switched off first: the time since power-on has to be known.
         bench.state.ins_switched_off()
         yield from tried(context, lambda: bench.instruments.power_unit(False))
@@ -106,7 +106,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
 @perform.register
 def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
-    if bench.station.unit.power == "operator":
+    if bench.station.file.unit.power == "operator":
         yield from _confirmed(context, "Switch the INS off, then answer.", ["off", "stop"])
     bench.state.ins_switched_off()
     yield from tried(context, lambda: bench.instruments.power_unit(False))

@@ -120,7 +120,7 @@ class BenchState:
 
     def ins_switched_off(self) -> None:
         """The supply of the INS was switched off; one that is always on stays on."""
-        self._expect(ins_on=self._station.unit.power == "always_on")
+        self._expect(ins_on=self._station.file.unit.power == "always_on")
 
     def ins_state_unknown(self) -> None:
         """The INS may be off, regardless of what it reports; it is switched off and on before it is used."""
@@ -171,7 +171,7 @@ class BenchState:
 
     def made_safe(self) -> None:
         """Every output has the safe value of the station."""
-        safe = self._station.safe_state
+        safe = self._station.file.safe_state
         if safe.chamber_c is None:
             self.chamber_switched(False)
         else:

@@ -186,7 +186,7 @@ class DwellLedger:
     def discard(self, dwell: int | None, why: str, counts: bool) -> None:
         """Discard the dwell in progress, if there is one; it is repeated.
 
-        ``counts``: whether the repeat counts against the procedure's limit.
+        With ``counts``, the repeat counts against the procedure's limit.
         """
         if dwell and self._bench.capture:
             self._bench.end_capture()

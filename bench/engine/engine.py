@@ -87,7 +87,9 @@ class Engine:
 
     def _execute_plan(self) -> None:
         """Execute the steps that are left; an interrupted one is approached and started again."""
-        index, retained = self._run.state.next_index, self._retained_at_start()
+        index = self._run.state.next_index
+        # A new run begins with the bench as it is.
+        retained = self._retained(is_ins_on=False, is_at_temperature=False) if index else None
         while index < len(self._plan.steps):
             try:
                 self._check_interlocks_before_motion()
@@ -128,19 +130,13 @@ class Engine:
         if trips:
             raise TrippedError(trips)
 
-    def _retained_at_start(self) -> RetainedState | None:
-        """None for a new run: its plan begins with the bench as it is."""
-        if self._run.state.next_index == 0:
-            return None
-        return self._retained(is_ins_on=False, is_at_temperature=False)
-
     def _retained(self, is_ins_on: bool, is_at_temperature: bool) -> RetainedState:
         chamber_c = self._bench.readings.chamber.temperature_c
         return RetainedState(is_ins_on and not self._state.has_ins_restarted, is_at_temperature, chamber_c)
 
     def _retained_for_repeat(self, dwell: int) -> RetainedState:
         """The INS may cause the invalid data: after some repeats it is switched off and on if possible."""
-        can_switch = self._bench.station.unit.power == "chamber_event"
+        can_switch = self._bench.station.file.unit.power == "chamber_event"
         is_ins_on = self._run.state.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
         return self._retained(is_ins_on, is_at_temperature=True)
 
@@ -278,9 +274,8 @@ class Engine:
         """Make the bench safe and hold until the run may continue."""
         why = text_of_trips(trips)
         names = [trip.name for trip in trips]
-        actions = self._bench.make_safe(
-            meanwhile=self._heartbeat.signal_guard
-        )  # before a slow disk can delay it
+        # Before a slow disk can delay it.
+        actions = self._bench.make_safe(meanwhile=self._heartbeat.signal_guard)
         self._run.journal.record("tripped", interlocks=names, why=why)
         self._dwells.discard(self._plan.steps[index].dwell, why, counts=False)
         self._report_safe(actions)
@@ -302,7 +297,7 @@ class Engine:
         if given.command is RunCommand.SKIP:
             return self._skip(index), self._retained(is_ins_on, is_at_temperature)
         self._dwells.discard(dwell, f"paused by {given.by}", counts=False)
-        is_safe = self._bench.station.safe_state.on_pause == "safe"
+        is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:
             self._make_safe()
         try:

@@ -68,9 +68,9 @@ def prepare_job(
 ) -> Job:
     """Read procedure and station and check the one against the other.
 
-    ``calibration``: run folder or dwell table that calibration checks are compared with. ``compensation``:
-    loaded into the INS after each power-on. Raises DocumentError if they are wrong (the message lists all
-    problems with their places), or the INS does not accept the compensation.
+    Calibration checks are compared with ``calibration``, a run folder or dwell table. ``compensation`` is
+    loaded into the INS after each power-on. Raises DocumentError with everything wrong with
+    them and its places, or if the INS does not accept the compensation.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()

@@ -125,18 +125,9 @@ class LiveBench:
     """The opened instruments of a bench, polled at every tick.
 
     An instrument that does not answer a poll is asked again at the next tick; its last answer gets older
-    meanwhile, until its interlock trips.
-
-    Parameters
-    ----------
-    station, instruments
-        The bench and its opened instruments.
-    clock : Clock
-        The run's clock.
-    can_log, telemetry
-        Keep everything received and read; None for a bench that is not recorded.
-    report_failure : callable
-        Gets the instrument's name and the error of a failed exchange, or None when it answers again.
+    meanwhile, until its interlock trips. ``can_log`` and ``telemetry`` keep everything received and read;
+    they are None for a bench that is not recorded. ``report_failure`` gets the instrument's name and the
+    error of a failed exchange, or None when it answers again.
     """
 
     def __init__(
@@ -180,7 +171,7 @@ class LiveBench:
         self.readings = Readings(
             table, now_s, tuple(faults), chamber, now_s, tuple(alarms), self.instruments.ins.status(), now_s
         )
-        self._next_reading_s = now_s + self.station.instruments_period_s
+        self._next_reading_s = now_s + self.station.file.instruments_period_s
         self._watch.observe(self.readings)
 
     def _first(self, ask: Callable[[], T]) -> T:
@@ -196,10 +187,10 @@ class LiveBench:
 
     def tick(self) -> None:
         """Wait for the next tick, then poll what is due."""
-        tick_s = self.station.tick_s
+        tick_s = self.station.file.tick_s
         next_tick_s = tick_s * (math.floor(self.clock.now() / tick_s + 1e-9) + 1)
         while (now_s := self.clock.now()) < next_tick_s:
-            self.clock.sleep_until(min(next_tick_s, now_s + self.station.poll_period_s))
+            self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
             self.poll_ins()
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
@@ -255,7 +246,7 @@ class LiveBench:
 
     def read_instruments(self) -> None:
         """Read table, chamber and INS, and keep the readings in the telemetry."""
-        self._next_reading_s = self.clock.now() + self.station.instruments_period_s
+        self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
         self.poll_ins()
         asked_s = self.clock.now()
         readings = replace(self.readings, ins=self.instruments.ins.status(), asked_s=asked_s)

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from types import FrameType, MappingProxyType, TracebackType
+from types import FrameType, MappingProxyType
 from typing import Protocol
 
 from gyrobench.bench.foundations.errors import GyrobenchError
@@ -92,9 +92,7 @@ class CommandQueue:
                 self._previous[number] = signal.signal(number, signal.SIG_IGN)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
@@ -122,26 +120,22 @@ class Operator(Protocol):
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Ask a question without waiting for the answer."""
-        ...
 
     def answer(self) -> str | None:
         """Return the answer, or None while there is none."""
-        ...
 
     def withdraw(self) -> None:
         """Withdraw the open question."""
-        ...
 
     def command(self) -> RunCommand | None:
         """Return a command typed since the last call, or None; not while a question is open."""
-        ...
 
 
 class ConsentingOperator:
     """Gives the first answer at once, for emulated benches without an operator.
 
-    ``patience``: how often it gives the first answer to one question in a row before it gives the last answer
-    instead: a fault of an emulated bench passes by itself or never.
+    After ``patience`` first answers to one question in a row it gives the last answer instead: a fault of an
+    emulated bench passes by itself or never.
     """
 
     def __init__(self, patience: int = 30) -> None:

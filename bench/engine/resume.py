@@ -154,8 +154,8 @@ class Resumption:
         state, plan = self.state, self.job.plan
         how = f"{state.ended}: {state.reason}" if state.ended else NO_END_RECORDED
         lines = [
-            f"{self.folder.path}: {plan.procedure.procedure}"
-            f"{f', unit {state.unit}' if state.unit else ''}; the run {how}.",
+            f"{self.folder.path}: {plan.procedure.procedure}{f', unit {state.unit}' if state.unit else ''}; "
+            f"the run {how}.",
             f"{len(state.finished)} of {plan.dwell_count} dwells are finished and stay"
             f"{f', {len(state.skipped)} were skipped' if state.skipped else ''}.",
         ]

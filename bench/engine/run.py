@@ -44,10 +44,9 @@ def run_job(
 ) -> tuple[RunFolder, RunOutcome]:
     """Run a job.
 
-    ``out``: run folder; None for a new one under ``runs/``. ``observer``, ``operator``: who is notified, and
-    who answers questions. Raises BenchInUseError if another run holds the bench. Raises InstrumentError if an
-    instrument can't be reached; nothing has moved and there is no run folder. Raises RunFolderError if the
-    run folder can't be written.
+    ``out`` is the run folder, by default a new one under ``runs/``. Raises BenchInUseError if another run
+    holds the bench. Raises InstrumentError if an instrument can't be reached; nothing has moved and there is
+    no run folder. Raises RunFolderError if the run folder can't be written.
     """
     clock = job.station.new_clock()
     start = _Start(

@@ -44,29 +44,11 @@ _Measured = tuple[Sequence[MeasuredDwell], Sequence[CheckDwell]]
 class VerificationRuns:
     """Measures with each compensation of a closed campaign, and compares the remaining errors.
 
-    Each compensation has a separate run, in a folder with its name. A run that is finished is not
-    repeated.
-
-    Parameters
-    ----------
-    run : RunFolder
-        The campaign.
-    closure : Closure
-        Outcome of the search in it.
-    procedure, station : str
-        What to run, and on which station.
-    emulation : Emulation
-        World and seed behind emulated instruments, the same for each compensation.
-    folder : Path
-        Holds the runs.
-    only : sequence of str, optional
-        Compensations to measure with; all if none is given.
-
-    Raises
-    ------
-    DocumentError
-        Procedure or station are wrong; the INS does not accept a compensation; a selected one does not
-        exist; the campaign was measured with a compensation, or with the same seed.
+    Each compensation has a separate run, in a folder with its name. A run that is finished is not repeated.
+    ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed,
+    and ``only`` limits the compensations to measure with. Raises DocumentError if procedure or station are
+    wrong; the INS does not accept a compensation; a selected one does not exist; the campaign was measured
+    with a compensation, or with the same seed.
     """
 
     def __init__(

@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import sys
+from datetime import datetime
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
@@ -23,7 +24,7 @@ def main() -> int:
     if config is None:
         return 0
     engine = EngineProcess(config.engine_pid)
-    clock = WallClock(config.clock_epoch, config.now_s)
+    clock = WallClock(datetime.fromisoformat(config.epoch), config.now_s)
     log = GuardLog(Path(config.folder) / LOG_NAME, clock)
     _report_ready()
     log.add(f"watches process {config.engine_pid}; acts after {config.silence_s:g} s of silence")

@@ -8,7 +8,6 @@ import select
 import subprocess
 import sys
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
@@ -32,9 +31,7 @@ class Guard:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
     def beat(self) -> str | None:
         """Send that the engine is alive, at every tick; returns a text to be noted, if any."""
@@ -69,9 +66,7 @@ class GuardProcess(Guard):
         self._start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close_pipe()
 
     def beat(self) -> str | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict, dataclass
-from datetime import datetime
 
 #: After the configuration, the pipe carries these.
 BEAT, RELEASE = b".", b"R"
@@ -28,11 +27,6 @@ class GuardConfig:
     engine_pid: int  #: the engine's process
     epoch: str  #: calendar time at zero of the run's clock, ISO 8601
     now_s: float  #: the run's clock when the guard starts
-
-    @property
-    def clock_epoch(self) -> datetime:
-        """The clock's epoch."""
-        return datetime.fromisoformat(self.epoch)
 
     def line(self) -> bytes:
         """Return the bytes to send; raises ValueError where they are too long for the pipe."""

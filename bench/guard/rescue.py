@@ -127,14 +127,12 @@ class Rescue:
         return actions
 
     def _record(self, end: EngineEnd, actions: list[SafeAction]) -> None:
-        with contextlib.ExitStack() as opened:
-            try:
-                journal = opened.enter_context(Journal(self._folder.journal, self._clock))
-                journal.record(
-                    "guard_acted", reason=end.value, safe_state=[asdict(action) for action in actions]
-                )
-            except GyrobenchError as error:
-                self._log.add(f"not in the journal: {error}")
+        try:
+            with Journal(self._folder.journal, self._clock) as journal:
+                safe_state = [asdict(action) for action in actions]
+                journal.record("guard_acted", reason=end.value, safe_state=safe_state)
+        except GyrobenchError as error:
+            self._log.add(f"not in the journal: {error}")
 
     def _send_alarm(self, messenger: Messenger, end: EngineEnd, bench: str) -> None:
         """Send how the engine ended, and the state of the bench."""

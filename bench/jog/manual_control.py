@@ -93,9 +93,9 @@ class ManualControl:
         if bench.clock.is_virtual:
             return
         bench.poll_ins()
-        tick_s = bench.station.tick_s
+        file = bench.station.file
         # A tick lasts until the bench's next one: begun too early it delays commands, too late it skips one.
-        if bench.clock.now() >= self._ticked_s + tick_s - min(bench.station.poll_period_s, tick_s / 2.0):
+        if bench.clock.now() >= self._ticked_s + file.tick_s - min(file.poll_period_s, file.tick_s / 2.0):
             self.tick()
 
     def move(self, angles_deg: Mapping[str, float], rate_dps: float | None) -> None:
@@ -184,7 +184,7 @@ class ManualControl:
 
     def unit_switch(self, on: bool) -> None:
         """Switch the INS, or ask the operator to; after power-on wait for its first frames."""
-        power = self.bench.station.unit.power
+        power = self.bench.station.file.unit.power
         if power == "always_on":
             raise CommandError("the INS of this bench is always on (station file: unit.power)")
         self.bench.state.ins_state_unknown()
@@ -240,7 +240,7 @@ class ManualControl:
                 on = self.bench.instruments.chamber.is_event_on(number)
             except RefusedError:
                 break
-            power = self.bench.station.unit
+            power = self.bench.station.file.unit
             unit = "  (the INS)" if power.power == "chamber_event" and power.power_event == number else ""
             found.append(f"event {number}  {'on' if on else 'off'}{unit}")
         return found or ["the chamber has no event outputs"]
@@ -286,7 +286,7 @@ class ManualControl:
         for axis, rate_dps in list(self._turning.items()):
             if (
                 self.limits.room_deg(axis, self._angle_deg(axis), rate_dps)
-                <= abs(rate_dps) * self.bench.station.tick_s
+                <= abs(rate_dps) * self.bench.station.file.tick_s
             ):
                 self._display.print(f"{axis} axis is close to its limit and is stopped")
                 self.stop()

@@ -63,8 +63,8 @@ def station_text(station: Station, urls: Mapping[str, str], speed: float) -> str
         "description": f"Emulators of the station {station.file.station}, served by `gyrobench emulate`.",
         "clock": "wall",
         "speed": speed,
-        "poll_period_s": min(station.poll_period_s, _MAX_POLL_PERIOD_S),
-        "instruments_period_s": min(station.instruments_period_s, _MAX_INSTRUMENTS_PERIOD_S),
+        "poll_period_s": min(station.file.poll_period_s, _MAX_POLL_PERIOD_S),
+        "instruments_period_s": min(station.file.instruments_period_s, _MAX_INSTRUMENTS_PERIOD_S),
     }
     data = first | {key: value for key, value in data.items() if key not in first}
     data["rate_table"] |= {"port": urls["table"]}

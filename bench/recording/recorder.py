@@ -338,7 +338,7 @@ def _switch_on(station: Station, outputs: Outputs, ins: CanIns, clock: Clock) ->
     """Wait for the first frame, if need be with the INS switched on; returns whether it was."""
     if _sends_frames(ins, clock, _FIRST_FRAME_S):
         return False
-    if station.unit.power != "chamber_event":
+    if station.file.unit.power != "chamber_event":
         raise NoReplyError(INSTRUMENT, "sends no frames. Switch it on; check bus, bit rate and cable.")
     outputs.power_unit(True)
     if not _sends_frames(ins, clock, _POWER_ON_TO_FIRST_FRAME_S):

@@ -78,10 +78,10 @@ class DialectSection(StrictModel):
     identity: Identity = ""
     port: Port
     baudrate: int | None = Field(
-        default=None, gt=0, description="bit/s of a serial device; by default that of the dialect"
+        None, gt=0, description="bit/s of a serial device; by default that of the dialect"
     )
     parity: Literal["N", "E", "O"] | None = Field(
-        default=None, description="none, even or odd, of a serial device; by default that of the dialect"
+        None, description="none, even or odd, of a serial device; by default that of the dialect"
     )
 
     @property
@@ -178,7 +178,7 @@ class TableLimits(StrictModel):
     acceleration_dps2: Positive = Field(description="largest acceleration, deg/s2")
     jerk_dps3: Positive = Field(description="largest jerk, deg/s3")
     outer_deg: Range | None = Field(
-        default=None, description="lowest and highest angle of the outer axis, deg; none with a single axis"
+        None, description="lowest and highest angle of the outer axis, deg; none with a single axis"
     )
     inner_deg: Range = Field(description="lowest and highest angle of the inner axis, deg")
 
@@ -189,14 +189,10 @@ class RateTableSection(DialectSection):
     group: ClassVar[str] = RATE_TABLES
     kind: ClassVar[type[Dialect]] = TableDialect
 
-    outer_axis_number: int = Field(
-        default=1, ge=1, le=9, description="the controller's number of the outer axis"
-    )
-    inner_axis_number: int = Field(
-        default=2, ge=1, le=9, description="the controller's number of the inner axis"
-    )
+    outer_axis_number: int = Field(1, ge=1, le=9, description="the controller's number of the outer axis")
+    inner_axis_number: int = Field(2, ge=1, le=9, description="the controller's number of the inner axis")
     outer_axis: Direction | None = Field(
-        default=None,
+        None,
         description="direction of the outer axis, angles at zero; omitted for a table with a single axis",
     )
     inner_axis: Direction = Field(description="direction of the inner axis, angles at zero")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self, TypeVar
+from functools import partial
+from typing import Self, TypeVar
 from urllib.parse import urlencode, urlsplit
 
 import can
@@ -44,22 +44,10 @@ def within(
 ) -> ResultT:
     """Call ``action`` with a time limit and return its result.
 
-    On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing
-    can hang, and the call is direct.
-
-    Parameters
-    ----------
-    limit_s : float
-        On the run's clock.
-    discard : callable
-        Receives a result that comes too late, for instance to close a port.
-    meanwhile : callable
-        Called repeatedly while waiting.
-
-    Raises
-    ------
-    ConnectionFailedError
-        The time is over. Errors of ``action`` are raised as they are.
+    On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing can
+    hang, and the call is direct. ``limit_s`` is on the run's clock. ``discard`` receives a result that comes
+    too late, for instance to close a port; ``meanwhile`` is called repeatedly while waiting. Raises
+    ConnectionFailedError if the time is over. Errors of ``action`` are raised as they are.
     """
     if clock.is_virtual:
         return action()
@@ -98,11 +86,7 @@ _CONNECTION_TIME_S = 5.0
 _LATE_REPLY_S = 1.0
 
 
-class _Closable(Protocol):
-    def close(self) -> None: ...
-
-
-DriverT = TypeVar("DriverT", bound=_Closable)
+DriverT = TypeVar("DriverT", RateTable, Chamber, CanIns)
 
 
 @dataclass(frozen=True)
@@ -137,28 +121,26 @@ class Outputs:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
     def table(self) -> RateTable:
         """The rate table's driver."""
         if self._table is None:
-            self._table = _opened(self.clock, RATE_TABLE, self._open_table)
+            self._table = self._opened(RATE_TABLE, open_table)
         return self._table
 
     @property
     def chamber(self) -> Chamber:
         """The chamber's driver."""
         if self._chamber is None:
-            self._chamber = _opened(self.clock, CHAMBER, self._open_chamber)
+            self._chamber = self._opened(CHAMBER, open_chamber)
         return self._chamber
 
     def power_unit(self, on: bool) -> None:
         """Switch the supply of the unit, if the bench can."""
-        unit = self._station.unit
+        unit = self._station.file.unit
         if unit.power == "chamber_event":
             self.chamber.switch_event(unit.power_event, on)
 
@@ -168,9 +150,9 @@ class Outputs:
         Raises ConnectionFailedError if it can't be opened, or does not answer.
         """
         if instrument == RATE_TABLE:
-            self._table = _reopened(self.clock, RATE_TABLE, self._table, self._open_table)
+            self._table = self._reopened(RATE_TABLE, self._table, open_table)
         elif instrument == CHAMBER:
-            self._chamber = _reopened(self.clock, CHAMBER, self._chamber, self._open_chamber)
+            self._chamber = self._reopened(CHAMBER, self._chamber, open_chamber)
         else:
             raise ValueError(f"no instrument is called {instrument!r}")
 
@@ -180,11 +162,25 @@ class Outputs:
             if driver is not None:
                 driver.close()
 
-    def _open_table(self) -> RateTable:
-        return open_table(self._station, self.clock, self._emulation)
+    def _opened(self, instrument: str, open_it: Callable[[Station, Clock, Emulation], DriverT]) -> DriverT:
+        action = partial(open_it, self._station, self.clock, self._emulation)
+        return within(self.clock, _opening_time_s(self.clock), instrument, action, lambda late: late.close())
 
-    def _open_chamber(self) -> Chamber:
-        return open_chamber(self._station, self.clock, self._emulation)
+    def _reopened(
+        self, instrument: str, old: DriverT | None, open_it: Callable[[Station, Clock, Emulation], DriverT]
+    ) -> DriverT:
+        def reopened(station: Station, clock: Clock, emulation: Emulation) -> DriverT:
+            if old is not None:
+                old.close()
+            return open_it(station, clock, emulation)
+
+        try:
+            return self._opened(instrument, reopened)
+        except ConnectionFailedError:
+            raise
+        except InstrumentError as error:
+            what = str(error).removeprefix(f"{instrument}: ")
+            raise ConnectionFailedError(instrument, f"its port is open, but {what}") from error
 
 
 class Instruments(Outputs):
@@ -199,7 +195,7 @@ class Instruments(Outputs):
             opened.callback(super().close)
             self.table  # noqa: B018 - opens it
             self.chamber  # noqa: B018
-            self.ins = _opened(clock, INS, lambda: open_ins(self._station, self.clock, self._emulation))
+            self.ins = self._opened(INS, open_ins)
             opened.pop_all()
 
     def reopen(self, instrument: str) -> None:
@@ -229,26 +225,20 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
     """Open the rate table; raises InstrumentError if it can't be opened."""
     section = station.file.rate_table
     dialect = load(RATE_TABLES, section.dialect, TableDialect)
-    with contextlib.ExitStack() as opened:
-        line = _line(RATE_TABLE, section, dialect.line, clock, _addressed(section, station, clock, emulation))
-        opened.callback(line.close)
-        line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
-        table: RateTable = dialect.open(line, section.axis_numbers, section)
-        opened.pop_all()
-    return table
+    with _silent_line(
+        RATE_TABLE, section, dialect.line, clock, _addressed(section, station, clock, emulation)
+    ) as line:
+        return dialect.open(line, section.axis_numbers, section)
 
 
 def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
     """Open the chamber; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
-    with contextlib.ExitStack() as opened:
-        line = _line(CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation))
-        opened.callback(line.close)
-        line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
-        chamber: Chamber = dialect.open(line, section)
-        opened.pop_all()
-    return chamber
+    with _silent_line(
+        CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation)
+    ) as line:
+        return dialect.open(line, section)
 
 
 def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
@@ -296,30 +286,19 @@ def _opening_time_s(clock: Clock) -> float:
     return _OPENING_TIME_S * clock.speed
 
 
-def _opened(clock: Clock, instrument: str, open_it: Callable[[], DriverT]) -> DriverT:
-    return within(clock, _opening_time_s(clock), instrument, open_it, discard=lambda driver: driver.close())
-
-
-def _reopened(clock: Clock, instrument: str, old: DriverT | None, open_it: Callable[[], DriverT]) -> DriverT:
-    def reopened() -> DriverT:
-        if old is not None:
-            old.close()
-        return open_it()
-
-    try:
-        return _opened(clock, instrument, reopened)
-    except ConnectionFailedError:
-        raise
-    except InstrumentError as error:
-        what = str(error).removeprefix(f"{instrument}: ")
-        raise ConnectionFailedError(instrument, f"its port is open, but {what}") from error
-
-
-def _line(
+@contextlib.contextmanager
+def _silent_line(
     instrument: str, section: DialectSection, usual: LineDefaults, clock: Clock, url: str
-) -> SerialLine:
+) -> Iterator[SerialLine]:
+    """Open a line and wait until it is silent; an error of the driver closes it."""
     baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
-    return SerialLine(instrument, _with_tcp_port(url, usual), clock, baudrate, parity)
+    line = SerialLine(instrument, _with_tcp_port(url, usual), clock, baudrate, parity)
+    try:
+        line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
+        yield line
+    except BaseException:
+        line.close()
+        raise
 
 
 def _with_tcp_port(url: str, usual: LineDefaults) -> str:

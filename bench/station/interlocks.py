@@ -42,23 +42,23 @@ class InterlockRule(StrictModel):
     renamed_keys: ClassVar[Mapping[str, str]] = {"needs": "resume", "most_resumes": "max_resumes"}
     renamed_values: ClassVar[Mapping[str, Mapping[str, str]]] = {"resume": {"nobody": "automatic"}}
 
-    resume: Literal["person", "automatic"] = Field(default="person", description=_RESUME)
-    resume_after_s: NotNegative = Field(default=60.0, description=_RESUME_AFTER)
-    max_resumes: int = Field(default=5, ge=0, description=_MAX_RESUMES)
+    resume: Literal["person", "automatic"] = Field("person", description=_RESUME)
+    resume_after_s: NotNegative = Field(60.0, description=_RESUME_AFTER)
+    max_resumes: int = Field(5, ge=0, description=_MAX_RESUMES)
 
 
 class PassingRule(InterlockRule):
     """How the run resumes after a trip that may pass: by itself."""
 
-    resume: Literal["person", "automatic"] = Field(default="automatic", description=_RESUME)
-    resume_after_s: NotNegative = Field(default=300.0, description=_RESUME_AFTER)
+    resume: Literal["person", "automatic"] = Field("automatic", description=_RESUME)
+    resume_after_s: NotNegative = Field(300.0, description=_RESUME_AFTER)
 
 
 class TemperatureInterlock(InterlockRule):
     """Range of a temperature of the unit."""
 
-    low_c: float = Field(default=-60.0, description="lowest temperature, degC")
-    high_c: float = Field(default=95.0, description="highest temperature, degC")
+    low_c: float = Field(-60.0, description="lowest temperature, degC")
+    high_c: float = Field(95.0, description="highest temperature, degC")
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -70,10 +70,10 @@ class ChamberAirInterlock(InterlockRule):
     """Range of the chamber's air."""
 
     low_c: float | None = Field(
-        default=None, description="lowest air temperature, degC; by default 5 K below the chamber's limit"
+        None, description="lowest air temperature, degC; by default 5 K below the chamber's limit"
     )
     high_c: float | None = Field(
-        default=None, description="highest air temperature, degC; by default 5 K above the chamber's limit"
+        None, description="highest air temperature, degC; by default 5 K above the chamber's limit"
     )
 
     @model_validator(mode="after")
@@ -91,10 +91,9 @@ class TemperatureRateInterlock(PassingRule):
     """How fast a temperature may change, up or down."""
 
     limit_c_per_min: Positive | None = Field(
-        default=None,
-        description="fastest change, degC/min; by default 1.5 times the chamber's fastest ramp plus 2",
+        None, description="fastest change, degC/min; by default 1.5 times the chamber's fastest ramp plus 2"
     )
-    window_s: Positive = Field(default=60.0, description="time over which the change is taken, s")
+    window_s: Positive = Field(60.0, description="time over which the change is taken, s")
 
     def limit_or_default_c_per_min(self, ramp_c_per_min: float) -> float:
         """Fastest change, where ``ramp_c_per_min`` is the chamber's fastest ramp."""
@@ -105,7 +104,7 @@ class TableRateInterlock(InterlockRule):
     """How fast an axis of the table may turn."""
 
     limit_dps: Positive | None = Field(
-        default=None, description="fastest rate, deg/s; by default 1.1 times the limit plus 0.5"
+        None, description="fastest rate, deg/s; by default 1.1 times the limit plus 0.5"
     )
 
     def limit_or_default_dps(self, rate_dps: float) -> float:
@@ -117,7 +116,7 @@ class TableAccelerationInterlock(InterlockRule):
     """How fast the rate of an axis may change between two readings."""
 
     limit_dps2: Positive | None = Field(
-        default=None, description="largest acceleration, deg/s2; by default 1.5 times the limit"
+        None, description="largest acceleration, deg/s2; by default 1.5 times the limit"
     )
 
     def limit_or_default_dps2(self, acceleration_dps2: float) -> float:
@@ -129,10 +128,10 @@ class AngleInterlock(InterlockRule):
     """Range of an axis of the table."""
 
     low_deg: float | None = Field(
-        default=None, description="lowest angle, deg; by default 1 deg below the axis's limit"
+        None, description="lowest angle, deg; by default 1 deg below the axis's limit"
     )
     high_deg: float | None = Field(
-        default=None, description="highest angle, deg; by default 1 deg above the axis's limit"
+        None, description="highest angle, deg; by default 1 deg above the axis's limit"
     )
 
     @model_validator(mode="after")
@@ -152,8 +151,7 @@ class SilenceInterlock(PassingRule):
     """How old the last reply of an instrument may be."""
 
     limit_s: Positive | None = Field(
-        default=None,
-        description="oldest reply, s; by default 30 s, or four reading periods if these are longer",
+        None, description="oldest reply, s; by default 30 s, or four reading periods if these are longer"
     )
 
     def limit_or_default_s(self, period_s: float) -> float:
@@ -164,20 +162,20 @@ class SilenceInterlock(PassingRule):
 class InsSilenceInterlock(PassingRule):
     """How long the INS may send nothing while it is on."""
 
-    limit_s: Positive = Field(default=5.0, description="longest silence, s")
+    limit_s: Positive = Field(5.0, description="longest silence, s")
 
 
 class ChamberDeviationInterlock(PassingRule):
     """Whether the chamber's air stays at a set point that it had reached."""
 
-    tolerance_c: Positive = Field(default=5.0, description="allowed difference of the air, K")
+    tolerance_c: Positive = Field(5.0, description="allowed difference of the air, K")
 
 
 class ChamberCommandInterlock(InterlockRule):
     """Whether the chamber still has the commanded set point and state (on or off)."""
 
     tolerance_c: Positive = Field(
-        default=0.6,
+        0.6,
         description="allowed difference of the set point, K; a controller with whole degrees rounds by 0.5 K",
     )
 
@@ -187,54 +185,49 @@ class Interlocks(StrictModel):
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"longest_hold_s": "max_hold_s"}
 
-    max_hold_s: Positive = Field(default=86_400.0, description="a hold longer than this ends the run, s")
+    max_hold_s: Positive = Field(86_400.0, description="a hold longer than this ends the run, s")
     chamber_air: ChamberAirInterlock = Field(
-        default=ChamberAirInterlock(), description="temperature of the chamber's air"
+        ChamberAirInterlock(), description="temperature of the chamber's air"
     )
     chamber_air_rate: TemperatureRateInterlock = Field(
-        default=TemperatureRateInterlock(), description="its rate; an opened door shows here"
+        TemperatureRateInterlock(), description="its rate; an opened door shows here"
     )
     case_temperature: TemperatureInterlock = Field(
-        default=TemperatureInterlock(), description="temperature of the unit's case"
+        TemperatureInterlock(), description="temperature of the unit's case"
     )
-    case_rate: TemperatureRateInterlock = Field(default=TemperatureRateInterlock(), description="its rate")
+    case_rate: TemperatureRateInterlock = Field(TemperatureRateInterlock(), description="its rate")
     gyro_temperature: TemperatureInterlock = Field(
-        default=TemperatureInterlock(), description="temperatures of the gyros, optics and electronics"
+        TemperatureInterlock(), description="temperatures of the gyros, optics and electronics"
     )
-    gyro_rate: TemperatureRateInterlock = Field(default=TemperatureRateInterlock(), description="their rates")
+    gyro_rate: TemperatureRateInterlock = Field(TemperatureRateInterlock(), description="their rates")
     table_rate: TableRateInterlock = Field(
-        default=TableRateInterlock(), description="rate of either axis of the table"
+        TableRateInterlock(), description="rate of either axis of the table"
     )
     table_acceleration: TableAccelerationInterlock = Field(
-        default=TableAccelerationInterlock(), description="acceleration of either axis"
+        TableAccelerationInterlock(), description="acceleration of either axis"
     )
-    outer_angle: AngleInterlock = Field(default=AngleInterlock(), description="angle of the outer axis")
-    inner_angle: AngleInterlock = Field(default=AngleInterlock(), description="angle of the inner axis")
-    table_silence: SilenceInterlock = Field(
-        default=SilenceInterlock(), description="the table does not answer"
-    )
-    chamber_silence: SilenceInterlock = Field(
-        default=SilenceInterlock(), description="the chamber does not answer"
-    )
+    outer_angle: AngleInterlock = Field(AngleInterlock(), description="angle of the outer axis")
+    inner_angle: AngleInterlock = Field(AngleInterlock(), description="angle of the inner axis")
+    table_silence: SilenceInterlock = Field(SilenceInterlock(), description="the table does not answer")
+    chamber_silence: SilenceInterlock = Field(SilenceInterlock(), description="the chamber does not answer")
     ins_silence: InsSilenceInterlock = Field(
-        default=InsSilenceInterlock(), description="the INS is on and sends nothing"
+        InsSilenceInterlock(), description="the INS is on and sends nothing"
     )
     chamber_command: ChamberCommandInterlock = Field(
-        default=ChamberCommandInterlock(),
+        ChamberCommandInterlock(),
         description="the chamber differs from the command: another set point, or switched off at its panel",
     )
     chamber_deviation: ChamberDeviationInterlock = Field(
-        default=ChamberDeviationInterlock(),
+        ChamberDeviationInterlock(),
         description="the chamber had reached its set point, and its air does not stay there",
     )
     table_fault: InterlockRule = Field(
-        default=InterlockRule(),
-        description="the table reports a fault, or an axis is not under servo control",
+        InterlockRule(), description="the table reports a fault, or an axis is not under servo control"
     )
     chamber_alarm: InterlockRule = Field(
-        default=InterlockRule(), description="the chamber reports an alarm or a broken sensor"
+        InterlockRule(), description="the chamber reports an alarm or a broken sensor"
     )
-    ins_fault: InterlockRule = Field(default=InterlockRule(), description="the INS reports a fault")
+    ins_fault: InterlockRule = Field(InterlockRule(), description="the INS reports a fault")
 
     def rules(self) -> dict[str, InterlockRule]:
         """Every interlock by its key."""

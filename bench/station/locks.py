@@ -24,7 +24,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from filelock import lock_descriptor
@@ -117,6 +116,7 @@ class _Lock:
         self._files: list[_LockFile] = []
         self._patience_s = max(patience_s, _MAX_CHECK_S)
         self._taken = ExitStack()
+        #: One note for each holder that ended without releasing its locks.
         self.taken_over: list[str] = []
 
     def __enter__(self) -> Self:
@@ -138,9 +138,7 @@ class _Lock:
         ]
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._taken.close()
 
     def _take(self, what: str, file: _LockFile) -> None:
@@ -148,7 +146,8 @@ class _Lock:
         while not file.take():
             if deadline.expired():
                 holder = file.holder()
-                raise BenchInUseError(f"{what} is in use by {_described(holder)}. {self._advice(holder)}")
+                by = "an unidentified process" if holder is None else holder.describe()
+                raise BenchInUseError(f"{what} is in use by {by}. {self._advice(holder)}")
             self._clock.sleep(_POLL_S)
 
     def _advice(self, holder: Holder | None) -> str:
@@ -158,33 +157,11 @@ class _Lock:
 class BenchLock(_Lock):
     """Holds every port of a bench; a context manager.
 
-    Emulated ports live inside one process and need no lock. Names of one device, such as a link
-    under ``/dev/serial/by-id``, lead to the same lock.
-
-    Parameters
-    ----------
-    station : Station
-        The bench.
-    run_path : Path
-        Run folder, or where it will be; named to other processes that want the bench.
-    clock : Clock
-        The run's clock, to wait on.
-    command : str, optional
-        Command of the holder; by default the command line.
-    patience_s : float
-        How long to wait for another holder's release.
-
-    Attributes
-    ----------
-    taken_over : list of str
-        One note for each holder that ended without releasing its locks.
-
-    Raises
-    ------
-    BenchInUseError
-        Another process holds a port (when entered).
-    GyrobenchError
-        A lock file can't be opened.
+    Emulated ports live inside one process and need no lock. Names of one device, such as a link under
+    ``/dev/serial/by-id``, lead to the same lock. ``run_path`` is the run folder, or where it will be.
+    ``command`` is by default the command line, and ``patience_s`` how long to wait for another holder's
+    release. Raises BenchInUseError when entered if another process holds a port, and GyrobenchError if a lock
+    file can't be opened.
     """
 
     def __init__(
@@ -359,12 +336,5 @@ def _parsed(data: bytes) -> Holder | None:
     pid = values.pop("pid")
     if type(pid) is not int or not all(isinstance(value, str) for value in values.values()):
         return None
-    return Holder(pid, **{name: _printable(value) for name, value in values.items()})
-
-
-def _printable(text: str) -> str:
-    return "".join(character if character.isprintable() else "?" for character in text)
-
-
-def _described(holder: Holder | None) -> str:
-    return "an unidentified process" if holder is None else holder.describe()
+    printable = {name: "".join(c if c.isprintable() else "?" for c in text) for name, text in values.items()}
+    return Holder(pid, **printable)

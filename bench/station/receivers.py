@@ -28,8 +28,8 @@ _SECRET_KEY = re.compile(r"passw|secret|token|credential|key|auth|sig", re.IGNOR
 _RANDOM = re.compile(r"(?=[^/]*[0-9])(?=[^/]*[A-Za-z])[A-Za-z0-9_@-]{20,}")
 _MAIL = re.compile(r"[^\s@,;<>]{1,64}@[A-Za-z0-9.-]{1,190}")
 _WHERE = (
-    "every run folder has a copy of this file. "
-    f"Write {SECRET} in its place and give secret_file or secret_env"
+    f"every run folder has a copy of this file. Write {SECRET} in its place and give secret_file or "
+    "secret_env"
 )
 
 
@@ -76,20 +76,18 @@ class _Receiver(StrictModel):
     kind: str
     address: str
     on: list[EventName] = Field(
-        default=_ALL,
+        _ALL,
         min_length=1,
         description="events that cause a message. ends: of the run; holds: until all values are good again; "
         "resumes: after a hold; needs_person: holds until an operator confirms or answers a question. A "
         "message is sent in any case when the guard brought the bench to its safe state",
     )
-    max_per_hour: int = Field(default=6, ge=1, le=60, description="messages per hour about the same event")
+    max_per_hour: int = Field(6, ge=1, le=60, description="messages per hour about the same event")
     secret_env: str | None = Field(
-        default=None,
-        pattern="^[A-Za-z_][A-Za-z0-9_]{0,99}$",
-        description="environment variable with the secret",
+        None, pattern="^[A-Za-z_][A-Za-z0-9_]{0,99}$", description="environment variable with the secret"
     )
     secret_file: Annotated[str, AfterValidator(_absolute)] | None = Field(
-        default=None, description="absolute path of a file whose first line is the secret"
+        None, description="absolute path of a file whose first line is the secret"
     )
 
     @property
@@ -155,15 +153,12 @@ class Email(_Receiver):
     address: MailAddress = Field(description="recipient")
     sender: MailAddress = Field(description="sender")
     server: str = Field(pattern=r"^[A-Za-z0-9.:-]{1,200}$", description="host of the mail server")
-    port: int = Field(default=587, ge=1, le=65535, description="its port")
+    port: int = Field(587, ge=1, le=65535, description="its port")
     security: Literal["starttls", "tls", "none"] = Field(
-        default="starttls", description="encryption: by STARTTLS, from the start, or none"
+        "starttls", description="encryption: by STARTTLS, from the start, or none"
     )
     user: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=200,
-        description="user name for the login; the secret is its password",
+        None, min_length=1, max_length=200, description="user name for the login; the secret is its password"
     )
 
     @model_validator(mode="after")

@@ -45,25 +45,18 @@ def make_safe(
 ) -> list[SafeAction]:
     """Stop the table, bring chamber and unit to their safe state, release the table.
 
-    In this order, because a table is released only at rest. Each action is attempted regardless of the
-    ones before, within its time limit, and a second time if it failed, through a reopened port if the port
-    was lost or does not respond. None raises.
-
-    Parameters
-    ----------
-    release_table : bool
-        Whether to open the servos too; not needed before the first step.
-    only : collection of str, optional
-        The ``what`` of the actions to take; by default all.
-    meanwhile : callable
-        Called repeatedly while waiting.
+    In this order, because a table is released only at rest. Each action is attempted regardless of the ones
+    before, within its time limit, and a second time if it failed, through a reopened port if the port was
+    lost or does not respond. None raises. ``release_table`` opens the servos too, which is not needed before
+    the first step. ``only`` has the ``what`` of the actions to take, by default all; ``meanwhile`` is called
+    repeatedly while waiting.
     """
     steps = _steps(station, instruments, release_table)
     return [_taken(step, instruments, meanwhile) for step in steps if only is None or step.what in only]
 
 
 def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[_Step]:
-    safe = station.safe_state
+    safe = station.file.safe_state
     steps = [_Step("rate table stopped", RATE_TABLE, _EXCHANGE_TIME_S, lambda: instruments.table.stop())]
 
     def chamber(what: str, apply: Callable[[], None]) -> None:

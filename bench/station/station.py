@@ -22,7 +22,7 @@ from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure
 from gyrobench.bench.station.instrument_sections import Direction
-from gyrobench.bench.station.station_file import SafeState, UnitSection, load_station_file
+from gyrobench.bench.station.station_file import load_station_file
 from gyrobench.drivers import ins
 from gyrobench.drivers.ins.command_map import check_commands
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
@@ -48,31 +48,6 @@ class Station:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:
             raise self._document.error([Problem(("rate_table", "mounting"), str(error))]) from error
-
-    @property
-    def tick_s(self) -> float:
-        """Period of the engine."""
-        return self.file.tick_s
-
-    @property
-    def poll_period_s(self) -> float:
-        """How often the CAN bus is emptied."""
-        return self.file.poll_period_s
-
-    @property
-    def instruments_period_s(self) -> float:
-        """How often table, chamber and the INS's status are read."""
-        return self.file.instruments_period_s
-
-    @property
-    def unit(self) -> UnitSection:
-        """The unit under test."""
-        return self.file.unit
-
-    @property
-    def safe_state(self) -> SafeState:
-        """State of the bench at any end."""
-        return self.file.safe_state
 
     @property
     def is_virtual(self) -> bool:

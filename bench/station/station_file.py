@@ -68,9 +68,9 @@ class Location(StrictModel):
         description="geodetic latitude, deg; gyrocompassing fails near the poles",
         json_schema_extra={"minimum": -_MAX_LATITUDE_DEG, "maximum": _MAX_LATITUDE_DEG},
     )
-    height_m: float = Field(default=0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
+    height_m: float = Field(0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
     latitude_uncertainty_arcmin: float = Field(
-        default=0.02, ge=0.0, le=60.0, description="standard uncertainty of the latitude, arcmin"
+        0.02, ge=0.0, le=60.0, description="standard uncertainty of the latitude, arcmin"
     )
 
     @field_validator("latitude_deg")
@@ -98,13 +98,13 @@ class InsNoise(StrictModel):
 
     angle_random_walk_deg_per_sqrt_h: Positive = Field(description="of each gyro, deg/sqrt(h)")
     velocity_random_walk_ug_per_sqrt_hz: NotNegative = Field(
-        default=0.0, description="of each accelerometer, ug/sqrt(Hz)"
+        0.0, description="of each accelerometer, ug/sqrt(Hz)"
     )
     velocity_output_mps: NotNegative = Field(
-        default=0.0, description="noise of the velocity output beyond its resolution, m/s"
+        0.0, description="noise of the velocity output beyond its resolution, m/s"
     )
     heading_output_deg: NotNegative = Field(
-        default=0.0, description="noise of the heading output beyond its resolution, deg"
+        0.0, description="noise of the heading output beyond its resolution, deg"
     )
 
 
@@ -131,21 +131,21 @@ class InsUncertainty(StrictModel):
     """Standard uncertainties of the INS's errors other than bias and noise, from its last calibration."""
 
     accelerometer_bias_ug: NotNegative = Field(
-        default=1000.0, description="bias of each accelerometer, ug; a large value leaves it to the data"
+        1000.0, description="bias of each accelerometer, ug; a large value leaves it to the data"
     )
     accelerometer_drift_ug_per_h: NotNegative = Field(
-        default=2.0, description="change of each accelerometer's bias in a dwell, ug/h"
+        2.0, description="change of each accelerometer's bias in a dwell, ug/h"
     )
     accelerometer_misalignment_arcsec: NotNegative = Field(
-        default=5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
+        5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
     )
-    gyro_scale_factor_ppm: NotNegative = Field(default=5.0, description="scale factor of each gyro, ppm")
-    gyro_misalignment_arcsec: NotNegative = Field(default=2.0, description="of each gyro, arcsec")
+    gyro_scale_factor_ppm: NotNegative = Field(5.0, description="scale factor of each gyro, ppm")
+    gyro_misalignment_arcsec: NotNegative = Field(2.0, description="of each gyro, arcsec")
     tilt_step_arcsec: NotNegative = Field(
-        default=1.0, description="tilt of the sensors on their mount from a turn, arcsec"
+        1.0, description="tilt of the sensors on their mount from a turn, arcsec"
     )
     bias_slope_dph_per_c: NotNegative = Field(
-        default=0.001, description="change of a gyro's bias with its temperature, deg/h/K"
+        0.001, description="change of a gyro's bias with its temperature, deg/h/K"
     )
 
 
@@ -158,9 +158,9 @@ class InsSection(StrictModel):
     channel: Annotated[str, AfterValidator(without_password)] = Field(
         min_length=1, description="python-can channel"
     )
-    bitrate: int | None = Field(default=None, gt=0, description="bit/s, where the interface sets it")
+    bitrate: int | None = Field(None, gt=0, description="bit/s, where the interface sets it")
     options: dict[Annotated[str, AfterValidator(_no_secret)], str | int | float | bool] = Field(
-        default={}, description="further options of the python-can interface"
+        {}, description="further options of the python-can interface"
     )
     dbc: str = Field(
         pattern=r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$",
@@ -168,29 +168,28 @@ class InsSection(StrictModel):
     )
     identity: Identity = ""
     signals: SignalMap = Field(description="signals of the quantities")
-    commands: CommandMap = Field(default=CommandMap(), description="messages of the commands")
+    commands: CommandMap = Field(CommandMap(), description="messages of the commands")
     noise: Noise = Field(description=_WRITE_NOISE)
     uncertainty: InsUncertainty = Field(
-        default=InsUncertainty(), description="uncertainty of the INS's errors other than bias and noise"
+        InsUncertainty(), description="uncertainty of the INS's errors other than bias and noise"
     )
 
 
 class ThermalEstimateSection(StrictModel):
     """How the gyros follow the chamber; for estimates of duration only."""
 
-    time_constant_s: Positive = Field(default=2400.0, description="of the gyros behind the air, s")
-    self_heating_c: float = Field(default=15.0, description="gyros above the air in the steady state, K")
-    room_c: float = Field(default=23.0, description="temperature of the room, degC")
+    time_constant_s: Positive = Field(2400.0, description="of the gyros behind the air, s")
+    self_heating_c: float = Field(15.0, description="gyros above the air in the steady state, K")
+    room_c: float = Field(23.0, description="temperature of the room, degC")
 
 
 class UnitSection(StrictModel):
     """The unit under test on this bench."""
 
     power: Literal["chamber_event", "operator", "always_on"] = Field(description="what switches its supply")
-    power_event: int = Field(default=2, ge=1, le=8, description="event output of the chamber's controller")
+    power_event: int = Field(2, ge=1, le=8, description="event output of the chamber's controller")
     thermal: ThermalEstimateSection = Field(
-        default=ThermalEstimateSection(),
-        description="how the gyros follow the chamber; for estimates of duration",
+        ThermalEstimateSection(), description="how the gyros follow the chamber; for estimates of duration"
     )
 
 
@@ -206,7 +205,7 @@ class SafeState(StrictModel):
     ] = Field(description="safe set point, degC, or off")
     unit: Literal["keep", "off"] = Field(description="leave the INS powered as it is, or switch it off")
     on_pause: Literal["keep", "safe"] = Field(
-        default="keep", description="while a run is paused: keep the present state, or the safe state"
+        "keep", description="while a run is paused: keep the present state, or the safe state"
     )
 
 
@@ -214,7 +213,7 @@ class GuardSection(StrictModel):
     """The process that brings the bench to its safe state when the engine can't."""
 
     silence_s: float = Field(
-        default=60.0,
+        60.0,
         ge=5.0,
         le=600.0,
         description="after so long without a sign of life the engine is killed and the bench made safe, s; "
@@ -226,25 +225,23 @@ class StationFile(StrictModel):
     """A station file."""
 
     station: str = Field(pattern="^[A-Za-z0-9_-]{1,80}$", description="name of the bench")
-    description: str = Field(default="", description="description of the bench")
+    description: str = Field("", description="description of the bench")
     clock: Literal["wall", "virtual"] = Field(
-        default="wall", description="virtual: time passes as fast as the work allows; for emulated benches"
+        "wall", description="virtual: time passes as fast as the work allows; for emulated benches"
     )
     speed: float = Field(
-        default=1.0,
+        1.0,
         ge=1.0,
         le=100.0,
         description="seconds of the bench per second of this computer, as with `gyrobench emulate --speed`",
     )
     location: Location = Field(description="where the bench is")
-    tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(
-        default=1.0, description="period of the engine, s"
-    )
+    tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(1.0, description="period of the engine, s")
     poll_period_s: Annotated[float, Field(ge=0.01, le=10.0)] = Field(
-        default=0.1, description="how often the CAN bus is emptied, s"
+        0.1, description="how often the CAN bus is emptied, s"
     )
     instruments_period_s: Annotated[float, Field(ge=0.5, le=60.0)] = Field(
-        default=5.0, description="how often table, chamber and INS status are read, s"
+        5.0, description="how often table, chamber and INS status are read, s"
     )
     rate_table: RateTableSection = Field(description="the rate table")
     chamber: ChamberSection = Field(description="the thermal chamber")
@@ -252,13 +249,13 @@ class StationFile(StrictModel):
     unit: UnitSection = Field(description="the unit under test")
     safe_state: SafeState = Field(description="state of the bench at any end of a run")
     guard: GuardSection = Field(
-        default=GuardSection(), description="the process that makes the bench safe when the engine can't"
+        GuardSection(), description="the process that makes the bench safe when the engine can't"
     )
     interlocks: Interlocks = Field(
-        default=Interlocks(), description="what is monitored, and how the run resumes after a trip"
+        Interlocks(), description="what is monitored, and how the run resumes after a trip"
     )
     messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
-        default=[], description="receivers of messages about a run, also of an emulated one"
+        [], description="receivers of messages about a run, also of an emulated one"
     )
 
     @model_validator(mode="after")

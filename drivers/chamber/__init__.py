@@ -26,29 +26,24 @@ class Chamber(Protocol):
 
     def identify(self) -> str:
         """Name of the controller, for the run's provenance."""
-        ...
 
     def read(self) -> ChamberReading:
         """Measure the air; read set point and on or off back from the controller.
 
         Raises FaultError if the controller's temperature sensor is faulty.
         """
-        ...
 
     def alarms(self) -> list[str]:
         """Active alarms and sensor errors, in words."""
-        ...
 
     def clear_alarms(self) -> None:
         """Clear latched alarms and sensor errors, if there are any; those with a present cause stay."""
-        ...
 
     def limits_c(self) -> tuple[float, float]:
         """Lowest and highest set point that the controller accepts.
 
         Raises RefusedError if they can't be read.
         """
-        ...
 
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
         """Command a temperature, approached at that rate, or as fast as possible with None.
@@ -57,27 +52,21 @@ class Chamber(Protocol):
         outside the controller's limits (nothing is sent then), or the controller does not keep what was
         written.
         """
-        ...
 
     def set_point_c(self) -> float:
         """Temperature last commanded."""
-        ...
 
     def switch(self, on: bool) -> None:
         """Switch the chamber's temperature control on or off."""
-        ...
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch one of the controller's event outputs, counted from 1."""
-        ...
 
     def is_event_on(self, number: int) -> bool:
         """Whether one of the controller's event outputs is on."""
-        ...
 
     def close(self) -> None:
         """Close the line to the controller; the chamber continues unchanged."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ _CODE_AFTER_ECHO_S = 0.25
 _MASK = re.compile(rb"[0-9]{1,5}(?:\.0*)?")
 _DONE = 0
 
-_ALARMS = ("low deviation", "high deviation", "", "", "low process", "high process")
+_ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high process"}
 _OPEN_INPUT = 6
 _FAULT_STOPS = {
     4: "an external input",
@@ -45,14 +45,7 @@ _FAULT_STOPS = {
 class Thermotron8800(TextChamber):
     """A chamber behind a Thermotron 8800; raises InstrumentError where it can't be reached.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    channel : int
-        The controller's channel of the air temperature, 1 to 4.
-    ending : bytes
-        Ends each command.
+    ``channel`` is the controller's channel of the air temperature, 1 to 4; ``ending`` ends each command.
     """
 
     separator = ","
@@ -90,7 +83,7 @@ class Thermotron8800(TextChamber):
         """Alarms of the channel (``ALRM``), and the fault that stopped the chamber last (``SCOD``)."""
         mask, code = self._mask(f"ALRM{self._channel}?"), self._mask("SCOD?")
         active = [
-            f"{_alarm_name(bit)} alarm (bit {bit} of ALRM{self._channel}?)"
+            f"{_ALARMS.get(bit, 'unknown')} alarm (bit {bit} of ALRM{self._channel}?)"
             for bit in range(mask.bit_length())
             if mask >> bit & 1
         ]
@@ -165,19 +158,15 @@ class Thermotron8800(TextChamber):
         return int(float(reply))
 
 
-def _alarm_name(bit: int) -> str:
-    return (_ALARMS[bit] if bit < len(_ALARMS) else "") or "unknown"
-
-
 class Thermotron8800Options(StrictModel):
     """Additional keys in the station file."""
 
-    channel: int = Field(default=1, ge=1, le=4, description="the controller's channel of the air temperature")
-    line_ending: Literal["cr", "crlf", "lf"] = Field(default="cr", description="what ends each command")
+    channel: int = Field(1, ge=1, le=4, description="the controller's channel of the air temperature")
+    line_ending: Literal["cr", "crlf", "lf"] = Field("cr", description="what ends each command")
 
 
-def _open(line: SerialLine, options: Thermotron8800Options) -> Thermotron8800:
-    return Thermotron8800(line, options.channel, LINE_ENDINGS[options.line_ending])
-
-
-DIALECT = ChamberDialect(_open, Thermotron8800Options, LineDefaults(baudrate=9600, tcp_port=8888))
+DIALECT = ChamberDialect[Thermotron8800Options](
+    lambda line, options: Thermotron8800(line, options.channel, LINE_ENDINGS[options.line_ending]),
+    Thermotron8800Options,
+    LineDefaults(baudrate=9600, tcp_port=8888),
+)

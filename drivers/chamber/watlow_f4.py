@@ -68,19 +68,8 @@ def from_register(number: int, decimals: int) -> float:
 class WatlowF4:
     """A chamber behind a Watlow F4; raises InstrumentError where it can't be reached.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    address : int
-        The controller's Modbus address.
-    chamber_event : int
-        Event output that switches the chamber's machinery on.
-
-    Raises
-    ------
-    RefusedError
-        The controller works in degrees Fahrenheit.
+    ``address`` is its Modbus address; ``chamber_event`` is the event output that switches the chamber's
+    machinery on. Raises RefusedError if the controller works in degrees Fahrenheit.
     """
 
     def __init__(
@@ -237,14 +226,12 @@ def _sensor_error(code: int) -> str:
 class WatlowF4Options(StrictModel):
     """Additional keys in the station file."""
 
-    address: int = Field(default=1, ge=1, le=247, description="Modbus address")
+    address: int = Field(1, ge=1, le=247, description="Modbus address")
     chamber_event: int = Field(
-        default=1, ge=1, le=8, description="event output that switches the chamber's machinery"
+        1, ge=1, le=8, description="event output that switches the chamber's machinery"
     )
 
 
-def _open(line: SerialLine, options: WatlowF4Options) -> WatlowF4:
-    return WatlowF4(line, options.address, options.chamber_event)
-
-
-DIALECT = ChamberDialect(_open, WatlowF4Options)
+DIALECT = ChamberDialect[WatlowF4Options](
+    lambda line, options: WatlowF4(line, options.address, options.chamber_event), WatlowF4Options
+)

@@ -26,14 +26,8 @@ _MINUTES, _SET_POINT_RAMP, _NO_RAMP = "MINUTES", "SETPOINT", "OFF"
 class WatlowF4T(TextChamber):
     """A chamber behind a Watlow F4T; raises InstrumentError where it can't be reached.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    loop : int
-        Control loop of the air temperature.
-    chamber_output : int
-        Output that switches the chamber's machinery on.
+    ``loop`` is the control loop of the air temperature; ``chamber_output`` switches the chamber's machinery
+    on.
     """
 
     set_point_name = "SPOINT"
@@ -136,9 +130,9 @@ class WatlowF4T(TextChamber):
 class WatlowF4TOptions(StrictModel):
     """Additional keys in the station file."""
 
-    loop: int = Field(default=1, ge=1, le=4, description="control loop of the air temperature")
+    loop: int = Field(1, ge=1, le=4, description="control loop of the air temperature")
     chamber_output: int = Field(
-        default=1, ge=1, le=_OUTPUTS, description="output that switches the chamber's machinery"
+        1, ge=1, le=_OUTPUTS, description="output that switches the chamber's machinery"
     )
 
 

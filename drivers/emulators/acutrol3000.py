@@ -40,16 +40,8 @@ _INTERLOCK_SUMMARY, _EVENT_SUMMARY, _MASTER_SUMMARY, _ERRORS_QUEUED = 1 << 0, 1 
 class Acutrol3000Emulator:
     """The controller over its axes.
 
-    Parameters
-    ----------
-    axes : mapping of int to TableAxis
-        Physics of each axis by its number, with position limits.
-    word_order : {"little", "big"}
-        Byte order of the two words before each reply.
-    identity : str
-        Answer to ``*IDN?``.
-    decimals : int
-        Decimals of the numbers that are read.
+    ``axes`` have position limits. ``word_order`` is the byte order of the two words before each reply,
+    ``decimals`` the number of decimals in replies.
     """
 
     latency_s = 0.004

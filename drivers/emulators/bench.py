@@ -12,7 +12,7 @@ ones may omit them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
@@ -34,7 +34,6 @@ UNIT_POWER_EVENT = 2
 
 _DEFAULT_WORLD = "gyro_a"
 _DEFAULT_TABLE, _DEFAULT_CHAMBER = "acutrol3000", "watlow_f4"
-_KEYS = ("clock", "world", "seed", "faults", "table", "chamber")
 
 
 @dataclass(frozen=True)
@@ -49,25 +48,16 @@ class BenchAddress:
     chamber: str = ""
 
 
+ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
+
+
 class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
-    It starts at the clock's present time, everything switched off and at room temperature.
-
-    Parameters
-    ----------
-    clock, world, seed
-        Its time, world file, and seed of all random numbers.
-    faults, faults_log : Path, optional
-        List of faults to inject, and log file in place of the list's own ``log``.
-    table, chamber : str
-        Dialects of these two.
-
-    Raises
-    ------
-    DocumentError
-        The world file or the list of faults is wrong, the seed is negative, or no emulator of a
-        dialect is installed.
+    It starts at the clock's present time, everything switched off and at room temperature. ``faults`` are
+    injected, and logged in ``faults_log`` in place of the list's own ``log``; ``table`` and ``chamber`` are
+    the dialects of these two. Raises DocumentError if the world file or the list of faults is wrong, the seed
+    is negative, or no emulator of a dialect is installed.
     """
 
     def __init__(
@@ -170,9 +160,9 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     except ValueError as error:
         raise DocumentError(f"{url}: not a valid address: {error}") from error
     values = dict(parse_qsl(parts.query, keep_blank_values=True))
-    unknown = values.keys() - _KEYS
+    unknown = values.keys() - ADDRESS_KEYS
     if unknown:
-        raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(_KEYS)}")
+        raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(ADDRESS_KEYS)}")
     seed = values.get("seed", "0")
     if not seed.isdecimal():
         raise DocumentError(f"{url}: seed must be a non-negative integer; found {seed!r}")

@@ -28,8 +28,7 @@ _BASE_DIGITS = 3
 class CanAdapter(ABC):
     """An adapter between a byte stream and the INS's bus.
 
-    ``bus``: the bus with the INS on it. ``connection``: broken while the adapter is bus-off; the client must
-    then reopen the bus.
+    ``connection`` is broken while the adapter is bus-off; the client must then reopen the bus.
     """
 
     latency_s = 0.0

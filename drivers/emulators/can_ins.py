@@ -35,8 +35,8 @@ class CanNode(Protocol):
 class CanInsEmulator:
     """The INS at its CAN connector; a :class:`CanNode`.
 
-    ``world``: its unit is this INS; clients that wait for frames must advance the world. ``epoch_unix_s``:
-    calendar time at world time zero, for the frames' time stamps.
+    Clients that wait for frames must advance the world. ``epoch_unix_s`` is the calendar time at world time
+    zero.
     """
 
     def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:
@@ -55,24 +55,16 @@ class CanInsEmulator:
             raise DocumentError(
                 f"no emulated INS sends the frames {name!r}; available: {', '.join(CAN_FORMATS)}"
             )
-        self._format = CAN_FORMATS[name](self._world, self._epoch_unix_s)
+        self.format = CAN_FORMATS[name](self._world, self._epoch_unix_s)
 
     def receive(self, message: can.Message) -> None:
         """Take a frame from the bus; ignored if unknown, and while the INS is off or boots."""
         if message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
         if self._world.unit.mode is not Mode.OFF:
-            self._format.receive(message)
-
-    def reset_counters(self) -> None:
-        """Reset all counters, as at power-on."""
-        self._format.reset_counters()
-
-    def skip_epochs(self, count: int) -> None:
-        """Make the epoch counter jump."""
-        self._format.skip_epochs(count)
+            self.format.receive(message)
 
     def _send_epochs(self, epochs: Epochs) -> None:
-        messages = self._format.frames(epochs)
+        messages = self.format.frames(epochs)
         for listener in self.listeners:
             listener(messages)

@@ -9,43 +9,23 @@ from typing import Any
 import can
 
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
 
 
 class EmulatorBus(can.BusABC):
     """A bus with the emulated INS on it, on the bench's clock.
 
-    Parameters
-    ----------
-    channel : str
-        ``ins``.
-    clock, world, seed, faults, table, chamber
-        Address of the emulated bench; see :mod:`gyrobench.drivers.emulators.bench`.
-    frames : str
-        Set of frames that the INS sends: a name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`.
-
-    Raises
-    ------
-    can.CanInitializationError
-        There is no such channel, clock, world or list of faults.
+    The options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and ``frames``: a
+    name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`. Raises can.CanInitializationError if
+    there is no such channel, clock, world or list of faults.
     """
 
-    def __init__(
-        self,
-        channel: str = "ins",
-        clock: str = "",
-        world: str = "gyro_a",
-        seed: int = 0,
-        faults: str = "",
-        frames: str = "",
-        table: str = "",
-        chamber: str = "",
-        **options: Any,
-    ) -> None:
+    def __init__(self, channel: str = "ins", frames: str = "", **options: Any) -> None:
+        address = BenchAddress(**{key: options.pop(key) for key in ADDRESS_KEYS if key in options})
         if channel != "ins":
             raise can.CanInitializationError(f"no emulated CAN channel {channel!r}; available: ins")
         try:
-            self._bench = emulated_bench(BenchAddress(clock, world, seed, faults, table, chamber))
+            self._bench = emulated_bench(address)
             self._bench.advance()
             if frames:
                 self._bench.ins.use_format(frames)
@@ -54,7 +34,7 @@ class EmulatorBus(can.BusABC):
         self._connection = self._bench.connections["ins"]
         self._generation = self._connection.generation
         self._queue: deque[can.Message] = deque()
-        self.channel_info = f"emulated INS, world {world}, seed {seed}"
+        self.channel_info = f"emulated INS, world {address.world}, seed {address.seed}"
         super().__init__(channel, **options)
         self._bench.bus.listeners.append(self._queue.extend)
 

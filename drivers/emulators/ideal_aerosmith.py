@@ -11,7 +11,7 @@ relative moves give their prompt at once; motions need the motor switched on.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -31,16 +31,8 @@ _STANDSTILL_DPS = 1e-3
 class IdealAerosmithEmulator(TextInstrument):
     """The controller over its one axis.
 
-    Parameters
-    ----------
-    axis : TableAxis
-        Its physics.
-    done : {0, 1}
-        Answer to ``MCO`` when a motion is complete: programs in the field disagree.
-    jog_prompt : {"late", "at_once"}
-        Time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
-    decimals : int
-        Decimals of the numbers that are read.
+    ``done`` is the answer to ``MCO`` when a motion is complete: programs in the field disagree.
+    ``jog_prompt`` is the time of the prompt of ``JOG``: with the stop or the next ``STA``, or at once.
     """
 
     def __init__(
@@ -187,8 +179,4 @@ class IdealAerosmithEmulator(TextInstrument):
         return str(self._done if is_done else 1 - self._done).encode("ascii")
 
 
-def _make(axes: Mapping[int, TableAxis]) -> IdealAerosmithEmulator:
-    return IdealAerosmithEmulator(axes[AXIS])
-
-
-DIALECT = TableEmulation(_make)
+DIALECT = TableEmulation(lambda axes: IdealAerosmithEmulator(axes[AXIS]))

@@ -57,7 +57,7 @@ def exception_frame(address: int, function: int, code: int) -> bytes:
 class ModbusRtuDevice:
     """Answers requests for holding registers: functions 03, 06 and 16.
 
-    ``registers``: by their address. ``address``: the device's address on the line, 1 to 247.
+    ``address`` is the device's address on the line, 1 to 247.
     """
 
     def __init__(self, registers: Mapping[int, HoldingRegister], address: int) -> None:

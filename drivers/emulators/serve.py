@@ -40,14 +40,8 @@ _MAX_BACKLOG = 65536
 class Server:
     """The three instruments of an emulated bench at ports.
 
-    Parameters
-    ----------
-    bench
-        On a wall clock, of any speed.
-    make_port : callable
-        Makes a port from the name of its instrument and a function that returns a client's greeting.
-    socketcand : bool
-        The INS uses socketcand, which needs a TCP port, instead of slcan.
+    ``make_port`` makes a port from the name of its instrument and a function that returns a client's
+    greeting. With ``socketcand``, which needs a TCP port, the INS uses that instead of slcan.
     """
 
     def __init__(

@@ -11,10 +11,7 @@ _NUMBER = re.compile(r"[-+]?(?:[0-9]{1,9}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})")
 
 
 class TextInstrument(ABC):
-    """An instrument that answers lines of text; a subclass gives the answer to each.
-
-    ``latency_s``: time that the controller takes to answer.
-    """
+    """An instrument that answers lines of text; a subclass gives the answer to each."""
 
     def __init__(self, latency_s: float) -> None:
         self.latency_s = latency_s

@@ -62,16 +62,8 @@ class Stop(IntEnum):
 class Thermotron8800Emulator(TextInstrument):
     """A Thermotron 8800 that controls the air of an emulated chamber on channel 1.
 
-    Parameters
-    ----------
-    air : ChamberAir
-        The air.
-    on_event : callable, optional
-        Called with number and state of each auxiliary that changes.
-    echo : {"never", "before", "instead"}
-        Whether it repeats each request: never, before each reply, or in place of a command's code.
-    auxiliaries_need_run : bool
-        Whether auxiliaries can be switched, and keep their state, only while the chamber runs.
+    ``echo``: it repeats each request never, before each reply, or in place of a command's code. With
+    ``auxiliaries_need_run``, auxiliaries can be switched, and keep their state, only while the chamber runs.
     """
 
     def __init__(

@@ -38,18 +38,8 @@ class _Settings(NamedTuple):
 class WatlowF4Emulator:
     """A Watlow F4 that controls the air of an emulated chamber.
 
-    Parameters
-    ----------
-    air : ChamberAir
-        The air; event output 1 switches its control.
-    on_event : callable, optional
-        Called with number and state of each event output that changes.
-    address : int
-        Modbus address, 1 to 247.
-    model : {"F4P", "F4S"}
-        Only the F4P ramps to its set point.
-    decimals : int
-        Places after the implied decimal point, 0 to 3.
+    Event output 1 switches the control of the air. Only the model F4P ramps to its set point. ``decimals``
+    are the places after the implied decimal point, 0 to 3.
     """
 
     latency_s = 0.02  #: Time that the controller takes to answer.

@@ -33,14 +33,7 @@ _DEFAULT_RAMP = 1.0
 class WatlowF4TEmulator(TextInstrument):
     """A Watlow F4T that controls the air of an emulated chamber on loop 1.
 
-    Parameters
-    ----------
-    air : ChamberAir
-        The air; output 1 switches its control.
-    on_event : callable, optional
-        Called with number and state of each output that changes.
-    decimals : int
-        Decimals of the numbers that are read.
+    Output 1 switches the control of the air.
     """
 
     def __init__(

@@ -49,9 +49,8 @@ class InsHealth:
 class CanIns:
     """An INS that a DBC file, a signal map and a command map describe.
 
-    ``bus``: an open bus, from :func:`~gyrobench.drivers.ins.can_bus.open_bus`; closed by :meth:`close`.
-    ``on_frames``: receives every batch of frames that is polled, also while a command waits. Raises
-    DocumentError if a map does not fit the DBC.
+    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. ``on_frames`` receives every batch of
+    frames that is polled, also while a command waits. Raises DocumentError if a map does not fit the DBC.
     """
 
     def __init__(

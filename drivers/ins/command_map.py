@@ -170,8 +170,8 @@ class Command(StrictModel):
 class SequenceCommand(Command):
     """Sets the Euler sequence, ``$sequence``."""
 
-    rpy_321: int = Field(default=0, description="the INS's number for roll, pitch, yaw")
-    pry_231: int = Field(default=1, description="the INS's number for pitch, roll, yaw")
+    rpy_321: int = Field(0, description="the INS's number for roll, pitch, yaw")
+    pry_231: int = Field(1, description="the INS's number for pitch, roll, yaw")
 
     def number(self, sequence: EulerSequence) -> int:
         """Look up the INS's number for a sequence."""
@@ -184,24 +184,24 @@ Vector = Annotated[list[int], Field(min_length=3, max_length=3)]
 class TermIndices(StrictModel):
     """Indices of the terms beyond the polynomial, named as in :class:`Compensation`."""
 
-    rate_dph_per_c_per_h: int | None = Field(default=None, description="index: rate of the temperature")
-    rate_limit_c_per_h: int | None = Field(default=None, description="index: highest rate used")
-    gradient_dph_per_k: int | None = Field(default=None, description="index: electronics above optics")
-    difference_low_k: int | None = Field(default=None, description="index: lowest difference used")
-    difference_high_k: int | None = Field(default=None, description="index: highest difference used")
+    rate_dph_per_c_per_h: int | None = Field(None, description="index: rate of the temperature")
+    rate_limit_c_per_h: int | None = Field(None, description="index: highest rate used")
+    gradient_dph_per_k: int | None = Field(None, description="index: electronics above optics")
+    difference_low_k: int | None = Field(None, description="index: lowest difference used")
+    difference_high_k: int | None = Field(None, description="index: highest difference used")
     saturating_dph_per_k: Vector | None = Field(
-        default=None, description="indices: difference along Up, below the onset"
+        None, description="indices: difference along Up, below the onset"
     )
     growing_dph_per_k: Vector | None = Field(
-        default=None, description="indices: difference along Up, the more the colder"
+        None, description="indices: difference along Up, the more the colder"
     )
-    onset_c: int | None = Field(default=None, description="index: temperature of the onset")
-    onset_width_c: int | None = Field(default=None, description="index: width of the onset")
-    gravity_dph_per_g: Vector | None = Field(default=None, description="indices: gravity along x, y, z")
-    warm_up_dph: int | None = Field(default=None, description="index: bias at power-on")
-    warm_up_s: int | None = Field(default=None, description="index: time constant of the warm-up")
-    hysteresis_dph_per_k: int | None = Field(default=None, description="index: play of the temperature")
-    half_width_k: int | None = Field(default=None, description="index: half width of the play")
+    onset_c: int | None = Field(None, description="index: temperature of the onset")
+    onset_width_c: int | None = Field(None, description="index: width of the onset")
+    gravity_dph_per_g: Vector | None = Field(None, description="indices: gravity along x, y, z")
+    warm_up_dph: int | None = Field(None, description="index: bias at power-on")
+    warm_up_s: int | None = Field(None, description="index: time constant of the warm-up")
+    hysteresis_dph_per_k: int | None = Field(None, description="index: play of the temperature")
+    half_width_k: int | None = Field(None, description="index: half width of the play")
 
     @model_validator(mode="after")
     def _whole_terms(self) -> Self:
@@ -227,13 +227,9 @@ class CoefficientCommand(Command):
     """
 
     coefficients: int = Field(description="number of coefficients for a gyro")
-    lowest_index: int | None = Field(default=None, description="index of the lowest temperature of validity")
-    highest_index: int | None = Field(
-        default=None, description="index of the highest temperature of validity"
-    )
-    terms: TermIndices = Field(
-        default=TermIndices(), description="indices of the terms beyond the polynomial"
-    )
+    lowest_index: int | None = Field(None, description="index of the lowest temperature of validity")
+    highest_index: int | None = Field(None, description="index of the highest temperature of validity")
+    terms: TermIndices = Field(TermIndices(), description="indices of the terms beyond the polynomial")
 
     def supported_terms(self) -> list[str]:
         """Names of the terms that the INS supports."""
@@ -266,19 +262,17 @@ class CoefficientCommand(Command):
 class CommandMap(StrictModel):
     """Commands of the INS."""
 
-    standby: Command | None = Field(default=None, description="leaves navigation")
-    align: Command | None = Field(default=None, description="begins an alignment")
-    navigate: Command | None = Field(default=None, description="begins to navigate")
+    standby: Command | None = Field(None, description="leaves navigation")
+    align: Command | None = Field(None, description="begins an alignment")
+    navigate: Command | None = Field(None, description="begins to navigate")
     set_euler_sequence: SequenceCommand | None = Field(
-        default=None, description="chooses the sequence of the Euler angles"
+        None, description="chooses the sequence of the Euler angles"
     )
-    clear_compensation: Command | None = Field(default=None, description="erases the compensation")
+    clear_compensation: Command | None = Field(None, description="erases the compensation")
     load_compensation: CoefficientCommand | None = Field(
-        default=None, description="loads one number of a compensation"
+        None, description="loads one number of a compensation"
     )
-    apply_compensation: Command | None = Field(
-        default=None, description="puts the loaded compensation into use"
-    )
+    apply_compensation: Command | None = Field(None, description="puts the loaded compensation into use")
 
 
 _GIVEN = {"set_euler_sequence": {"$sequence"}, "load_compensation": {"$axis", "$index", "$value"}}

@@ -149,22 +149,10 @@ class DbcCodec:
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
 
-        Values are rounded to the nearest step and clipped to the field's range. Signals without a
-        value, or not selected by the multiplexer, are zero.
-
-        Parameters
-        ----------
-        message_name : str
-            Message of the DBC.
-        values : mapping of str to array_like, each of shape (n,) or ()
-            Physical values in the DBC's units.
-
-        Raises
-        ------
-        DocumentError
-            There is no such message or signal.
-        MeasurementError
-            A value for an integer field is not a number.
+        Values are rounded to the nearest step and clipped to the field's range. Signals without a value, or
+        not selected by the multiplexer, are zero. ``values`` are in the DBC's units, each of shape (n,) or
+        (). Raises DocumentError if there is no such message or signal. Raises MeasurementError if a value for
+        an integer field is not a number.
         """
         layout = self._layout(message_name)
         for name in values:

@@ -204,14 +204,14 @@ def _group_frames(reader: BlockReader, readout: Readout) -> tuple[_Groups, int]:
     # A new epoch begins where the order restarts, or a pause separates the frames.
     again = np.diff(order) <= 0
     pause = ~again & (np.diff(stamps_s[rows]) > readout.map.epoch_period_s / 2.0)
-    counts = [name == _counter_message(readout) for name in names]
+    counts = [name == _message_of("epoch_counter", readout) for name in names]
     begins = again | (pause & ~_only_late(readout, rows, again, np.array(counts)[order]))
     group = np.cumsum(np.concatenate([[True], begins]))[: len(rows)] - 1
     table = np.full((int(group.max(initial=-1)) + 1, len(names)), -1, np.int64)
     table[group, order] = rows
     complete = np.all(table[:, required] >= 0, axis=1)
     whole = table[complete]
-    of_time = [name == _time_message(readout) for name in names]
+    of_time = [name == _message_of("time_s", readout) for name in names]
     groups = _Groups(
         rows=whole.max(axis=1, initial=-1),
         arrival_s=stamps_s[whole[:, int(np.argmax(required))]],
@@ -245,7 +245,7 @@ def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
     Frames that are ready at once are sent in the order of their identifiers, unless the map gives another.
     """
     members = readout.map.messages_of_epoch()
-    time_message = _time_message(readout)
+    time_message = _message_of("time_s", readout)
     if time_message is not None:
         members.add(time_message)
     if readout.map.epoch_messages is None:
@@ -254,12 +254,8 @@ def _messages_in_order(reader: BlockReader, readout: Readout) -> list[str]:
     return [*first, *(name for name in readout.map.epoch_messages if name in members)]
 
 
-def _time_message(readout: Readout) -> str | None:
-    return readout.signals["time_s"].message if "time_s" in readout.signals else None
-
-
-def _counter_message(readout: Readout) -> str | None:
-    return readout.signals["epoch_counter"].message if "epoch_counter" in readout.signals else None
+def _message_of(path: str, readout: Readout) -> str | None:
+    return readout.signals[path].message if path in readout.signals else None
 
 
 def _modulus(readout: Readout, path: str) -> float:

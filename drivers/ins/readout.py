@@ -46,7 +46,6 @@ class Reader(Protocol):
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
         """Last value that had arrived at each moment, NaN before the first."""
-        ...
 
 
 class Readout:

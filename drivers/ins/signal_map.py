@@ -63,9 +63,9 @@ class SignalSource(StrictModel):
     """A signal and its conversion to the quantity."""
 
     signal: SignalName = Field(description="MESSAGE.SIGNAL as the DBC file names them")
-    sign: Literal[1, -1] = Field(default=1, description="-1 where the signal has the opposite sign")
-    scale: float = Field(default=1.0, description="factor on the value in the unit of the DBC")
-    unit: str | None = Field(default=None, description="unit in place of the DBC's")
+    sign: Literal[1, -1] = Field(1, description="-1 where the signal has the opposite sign")
+    scale: float = Field(1.0, description="factor on the value in the unit of the DBC")
+    unit: str | None = Field(None, description="unit in place of the DBC's")
 
 
 Source = Annotated[
@@ -84,10 +84,10 @@ class AxesMap(StrictModel):
 class SequenceMap(StrictModel):
     """The Euler sequence: fixed, or by a signal."""
 
-    fixed: _SequenceName | None = Field(default=None, description="the sequence, where it never changes")
-    signal: SignalName | None = Field(default=None, description="signal of the sequence")
-    rpy_321: int = Field(default=0, description="its value for roll, pitch, yaw")
-    pry_231: int = Field(default=1, description="its value for pitch, roll, yaw")
+    fixed: _SequenceName | None = Field(None, description="the sequence, where it never changes")
+    signal: SignalName | None = Field(None, description="signal of the sequence")
+    rpy_321: int = Field(0, description="its value for roll, pitch, yaw")
+    pry_231: int = Field(1, description="its value for pitch, roll, yaw")
 
     @model_validator(mode="after")
     def _either(self) -> SequenceMap:
@@ -126,11 +126,9 @@ class QuaternionMap(StrictModel):
 class AttitudeMap(StrictModel):
     """Attitude in one of two forms, and the signal that is zero where it is invalid."""
 
-    euler: EulerMap | None = Field(default=None, description="attitude as Euler angles")
-    quaternion: QuaternionMap | None = Field(default=None, description="attitude as a unit quaternion")
-    valid: SignalName | None = Field(
-        default=None, description="signal that is zero where the attitude is invalid"
-    )
+    euler: EulerMap | None = Field(None, description="attitude as Euler angles")
+    quaternion: QuaternionMap | None = Field(None, description="attitude as a unit quaternion")
+    valid: SignalName | None = Field(None, description="signal that is zero where the attitude is invalid")
 
     @model_validator(mode="after")
     def _one_form(self) -> AttitudeMap:
@@ -170,39 +168,33 @@ class SignalMap(StrictModel):
     """Signals of the INS's output."""
 
     time_s: Source | None = Field(
-        default=None,
-        description="time on the clock of the INS; sent with every epoch if there is no epoch counter",
+        None, description="time on the clock of the INS; sent with every epoch if there is no epoch counter"
     )
-    time_ns: Source | None = Field(default=None, description="nanoseconds, added to time_s")
-    epoch_counter: Source | None = Field(default=None, description="counter of epochs")
+    time_ns: Source | None = Field(None, description="nanoseconds, added to time_s")
+    epoch_counter: Source | None = Field(None, description="counter of epochs")
     epoch_period_s: float = Field(gt=0.0, le=10.0, description="time between epochs, s")
     epoch_messages: list[str] | None = Field(
-        default=None,
-        description="messages of one epoch in the order in which they are sent; default: by identifier",
+        None, description="messages of one epoch in the order in which they are sent; default: by identifier"
     )
     velocity_east: Source = Field(description="velocity East")
     velocity_north: Source = Field(description="velocity North")
-    velocity_up: Source | None = Field(default=None, description="velocity Up")
+    velocity_up: Source | None = Field(None, description="velocity Up")
     attitude: AttitudeMap = Field(description="attitude of the body axes")
-    gyro_optics_temperature: AxesMap | None = Field(
-        default=None, description="temperatures of the gyros' optics"
-    )
+    gyro_optics_temperature: AxesMap | None = Field(None, description="temperatures of the gyros' optics")
     gyro_electronics_temperature: AxesMap | None = Field(
-        default=None, description="temperatures of the gyros' electronics"
+        None, description="temperatures of the gyros' electronics"
     )
-    case_temperature: Source | None = Field(default=None, description="temperature of the case")
-    mode: ModeMap | None = Field(default=None, description="mode of the INS; other values count as booting")
+    case_temperature: Source | None = Field(None, description="temperature of the case")
+    mode: ModeMap | None = Field(None, description="mode of the INS; other values count as booting")
     alignment: AlignmentMap | None = Field(
-        default=None, description="progress of alignment; other values count as none"
+        None, description="progress of alignment; other values count as none"
     )
-    compensation: SignalName | None = Field(
-        default=None, description="not zero where a compensation is in use"
-    )
+    compensation: SignalName | None = Field(None, description="not zero where a compensation is in use")
     compensation_in_use: SignalName | None = Field(
-        default=None, description="checksum of the compensation in use, 0 for none"
+        None, description="checksum of the compensation in use, 0 for none"
     )
     compensation_loaded: SignalName | None = Field(
-        default=None,
+        None,
         description="checksum of the loaded compensation: CRC-32 of all numbers as little-endian "
         "32-bit floats, gyro by gyro in the order of their indices",
     )

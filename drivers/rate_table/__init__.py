@@ -52,25 +52,21 @@ class RateTable(Protocol):
 
     def identify(self) -> str:
         """Maker, model, serial number and firmware, as the controller reports them."""
-        ...
 
     def prepare(self) -> None:
         """Clear latched faults, close the servos and set the limits given before, if any.
 
         Raises FaultError if a servo does not close.
         """
-        ...
 
     def set_limits(self, rate_dps: float, acceleration_dps2: float, jerk_dps3: float) -> None:
         """Limit every later motion of every axis."""
-        ...
 
     def limits(self) -> tuple[AxisLimits, ...]:
         """Read the controller's limits of each axis, in ascending order of their numbers.
 
         Raises RefusedError if they can't be read.
         """
-        ...
 
     def move_to(self, angles_deg: Mapping[int, float], rate_dps: float) -> None:
         """Start to move axes to absolute angles, all at the same moment.
@@ -78,38 +74,30 @@ class RateTable(Protocol):
         An angle 360 deg away is a full turn away, and the sign of the difference is the direction
         of the turn: axes must be set up with position limits, not as continuous axes.
         """
-        ...
 
     def in_position(self) -> bool:
         """Whether all axes of the last move have reached their angles.
 
         Raises FaultError if an axis is not under servo control and will not reach its angle.
         """
-        ...
 
     def turn_at(self, axis: int, rate_dps: float) -> None:
         """Turn one axis at a constant rate until the next command."""
-        ...
 
     def read(self) -> TableReading:
         """Position and rate of all axes at one moment."""
-        ...
 
     def faults(self) -> list[str]:
         """Latched faults, in words."""
-        ...
 
     def stop(self) -> None:
         """Begin a controlled stop of all axes."""
-        ...
 
     def release(self) -> None:
         """Stop, wait for rest, and open the servos: the state in which to leave the table."""
-        ...
 
     def close(self) -> None:
         """Close the line; the table continues unchanged."""
-        ...
 
 
 class NoOptions(StrictModel):

@@ -81,17 +81,7 @@ INTERLOCKS = {
 
 
 class Acutrol3000:
-    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`.
-
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    axes : sequence of int
-        Numbers of the axes in use.
-    reply_timeout_s : float
-        Time allowed from a command to the end of its reply.
-    """
+    """A table behind an Acutrol 3000; implements :class:`gyrobench.drivers.rate_table.RateTable`."""
 
     def __init__(self, line: SerialLine, axes: Sequence[int] = (1, 2), reply_timeout_s: float = 2.0) -> None:
         self._line = line
@@ -339,8 +329,4 @@ def set_bits(register: int, names: Mapping[int, str], other: str) -> list[str]:
     return [names.get(bit, f"{other} {bit}") for bit in range(register.bit_length()) if register >> bit & 1]
 
 
-def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> Acutrol3000:  # noqa: ARG001
-    return Acutrol3000(line, axes)
-
-
-DIALECT = TableDialect(_open, NoOptions, LineDefaults(tcp_port=9878))
+DIALECT = TableDialect(lambda line, axes, _: Acutrol3000(line, axes), NoOptions, LineDefaults(tcp_port=9878))

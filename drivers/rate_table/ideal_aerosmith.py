@@ -14,7 +14,7 @@ no public manual. So the driver relies on little:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from gyrobench.bench.foundations.errors import FaultError, RefusedError
 from gyrobench.drivers.rate_table import (
@@ -42,14 +42,7 @@ _PROMPT_TIME_S = 0.2
 class IdealAerosmith:
     """A table with one axis; implements :class:`gyrobench.drivers.rate_table.RateTable`.
 
-    Parameters
-    ----------
-    line : SerialLine
-        Closed by :meth:`close`.
-    axis : int
-        Number of the axis for the bench; the controller has none.
-    reply_timeout_s : float
-        Time allowed from a command to the end of its reply.
+    ``axis`` is the bench's number of the axis; the controller has none.
     """
 
     def __init__(self, line: SerialLine, axis: int = 1, reply_timeout_s: float = 1.0) -> None:
@@ -193,9 +186,6 @@ def _plain(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def _open(line: SerialLine, axes: Sequence[int], options: NoOptions) -> IdealAerosmith:  # noqa: ARG001
-    (axis,) = axes
-    return IdealAerosmith(line, axis)
-
-
-DIALECT = TableDialect(_open, NoOptions, LineDefaults(baudrate=9600), max_axes=1)
+DIALECT = TableDialect(
+    lambda line, axes, _: IdealAerosmith(line, *axes), NoOptions, LineDefaults(baudrate=9600), max_axes=1
+)

@@ -73,9 +73,8 @@ class Serial(ClockedPort):
 class ReplayScript:
     """The transfers of a recording that are still to come.
 
-    A reply arrives as long after its request as recorded.
-
-    ``now_s``: time at which the line is opened, on the same clock as the times of the methods.
+    A reply arrives as long after its request as recorded. ``now_s`` is the time at which the line is opened,
+    on the same clock as the times of the methods.
     """
 
     def __init__(self, recording: Recording, now_s: float) -> None:

@@ -30,9 +30,9 @@ class Call(StrictModel):
     """A call of the driver during the recording, and its result."""
 
     ask: str = Field(pattern="^[a-z][a-z_]*$", description="method of the driver")
-    arguments: dict[str, Any] = Field(default={}, description="arguments by name")
-    gives: str | None = Field(default=None, description="returned value, as Python's repr")
-    fails: str | None = Field(default=None, description="kind of the error that it raised instead")
+    arguments: dict[str, Any] = Field({}, description="arguments by name")
+    gives: str | None = Field(None, description="returned value, as Python's repr")
+    fails: str | None = Field(None, description="kind of the error that it raised instead")
 
     def outcome(self) -> str:
         """Result or error, in words."""
@@ -42,22 +42,22 @@ class Call(StrictModel):
 class RecordingHeader(StrictModel):
     """What was recorded."""
 
-    recording: Literal[1] = Field(default=1, description="version of the format")
+    recording: Literal[1] = Field(1, description="version of the format")
     instrument: Literal["table", "chamber", "ins"] = Field(description="kind of instrument")
-    dialect: str = Field(default="", max_length=80, description="dialect, as in a station file")
+    dialect: str = Field("", max_length=80, description="dialect, as in a station file")
     options: dict[str, str | int | float | bool] = Field(
-        default={}, description="additional keys of the dialect in the station file"
+        {}, description="additional keys of the dialect in the station file"
     )
-    axes: list[int] = Field(default=[], max_length=9, description="numbers of the table's axes in use")
-    baudrate: int | None = Field(default=None, gt=0, description="bit/s of a serial device")
-    parity: Literal["N", "E", "O"] | None = Field(default=None, description="of a serial device")
+    axes: list[int] = Field([], max_length=9, description="numbers of the table's axes in use")
+    baudrate: int | None = Field(None, gt=0, description="bit/s of a serial device")
+    parity: Literal["N", "E", "O"] | None = Field(None, description="of a serial device")
     source: Literal["instrument", "emulator", "manual"] = Field(
-        default="instrument", description="source of the replies; manual: written from published bytes"
+        "instrument", description="source of the replies; manual: written from published bytes"
     )
-    identity: str = Field(default="", max_length=1000, description="identification by the instrument")
-    recorded_utc: str = Field(default="", max_length=40, description="begin, ISO 8601")
-    note: str = Field(default="", max_length=2000, description="a remark, for instance on a peculiarity")
-    calls: list[Call] = Field(default=[], description="calls of the driver, in order")
+    identity: str = Field("", max_length=1000, description="identification by the instrument")
+    recorded_utc: str = Field("", max_length=40, description="begin, ISO 8601")
+    note: str = Field("", max_length=2000, description="a remark, for instance on a peculiarity")
+    calls: list[Call] = Field([], description="calls of the driver, in order")
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,8 @@ def _transfers(path: Path, lines: list[str], first: int) -> Iterable[Transfer]:
 class RecordingFile:
     """A recording that is being written; each transfer is in the file at once.
 
-    ``path``: must not exist. ``clock``: gives the times; the recording begins now. Raises RunFolderError if
-    the file can't be created.
+    ``path`` must not exist. The recording begins now, on ``clock``. Raises RunFolderError if the file can't
+    be created.
     """
 
     def __init__(self, path: Path, header: RecordingHeader, clock: Clock) -> None:
@@ -187,8 +187,8 @@ _recordings: list[tuple[Path, Mapping[str, RecordingHeader]]] = []
 def recording_lines(folder: Path, headers: Mapping[str, RecordingHeader]) -> Iterator[None]:
     """Record every line that is opened meanwhile, into a new file at each opening.
 
-    ``folder``: created if absent. Files are named after the instrument and numbered. ``headers``: by the
-    instrument's name in errors: "rate table", "chamber". Lines of other instruments are not recorded. Raises
+    ``folder`` is created if absent; files are named after the instrument and numbered. ``headers`` are by the
+    instrument's name in errors ("rate table", "chamber"); lines of other instruments are not recorded. Raises
     RunFolderError if the folder can't be created; opening a line raises it if its file can't be.
     """
     make_folder(folder)

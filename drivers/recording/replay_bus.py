@@ -13,9 +13,9 @@ from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
 class ReplayBus(can.BusABC):
     """A bus that replays the frames of a log with their time stamps and intervals.
 
-    ``channel``: a log that python-can reads: ``.log`` (candump), ``.asc``, ``.blf`` and others. ``clock``:
-    name of its clock; wall time without one. Raises can.CanInitializationError if the log can't be read, or
-    there is no such clock.
+    ``channel`` is a log that python-can reads: ``.log`` (candump), ``.asc``, ``.blf`` and others. Without the
+    name of a clock it runs on wall time. Raises can.CanInitializationError if the log can't be read, or there
+    is no such clock.
     """
 
     def __init__(self, channel: str, clock: str = "", **options: Any) -> None:

@@ -119,7 +119,7 @@ class TableChecks:
             "outer": rules.outer_angle.range_deg(section.outer_limits_deg),
             "inner": rules.inner_angle.range_deg(section.inner_limits_deg),
         }
-        self._silence_s = rules.table_silence.limit_or_default_s(station.instruments_period_s)
+        self._silence_s = rules.table_silence.limit_or_default_s(station.file.instruments_period_s)
         self._rates: tuple[float, tuple[float, float]] = (-math.inf, (0.0, 0.0))
         self._accelerations_dps2 = (0.0, 0.0)
         self._prepared = False
@@ -190,10 +190,12 @@ class ChamberChecks:
         rules, limits = station.file.interlocks, station.file.chamber.limits
         self._range_c = rules.chamber_air.range_c((limits.low_c, limits.high_c))
         self._rate_c_per_min = rules.chamber_air_rate.limit_or_default_c_per_min(limits.ramp_c_per_min)
-        self._rate = RateWindow.for_readings(rules.chamber_air_rate.window_s, station.instruments_period_s)
+        self._rate = RateWindow.for_readings(
+            rules.chamber_air_rate.window_s, station.file.instruments_period_s
+        )
         self._tolerance_c = rules.chamber_command.tolerance_c
         self._deviation_c = rules.chamber_deviation.tolerance_c
-        self._silence_s = rules.chamber_silence.limit_or_default_s(station.instruments_period_s)
+        self._silence_s = rules.chamber_silence.limit_or_default_s(station.file.instruments_period_s)
         self._commanded: tuple[float | None, bool | None] = (None, None)
         self._commanded_s = -math.inf
 
@@ -292,7 +294,7 @@ class _WatchedTemperature:
         self.rate_c_per_min = source.rate.limit_or_default_c_per_min(
             station.file.chamber.limits.ramp_c_per_min
         )
-        self.rate = RateWindow.for_readings(source.rate.window_s, station.instruments_period_s)
+        self.rate = RateWindow.for_readings(source.rate.window_s, station.file.instruments_period_s)
         self.value_c = math.nan
         self.known_s = -math.inf
 
@@ -311,7 +313,7 @@ class InsChecks:
 
     def __init__(self, station: Station) -> None:
         self._silence_s = station.file.interlocks.ins_silence.limit_s
-        self._period_s = station.instruments_period_s + 2.0 * station.tick_s
+        self._period_s = station.file.instruments_period_s + 2.0 * station.file.tick_s
         self._temperatures = [_WatchedTemperature(each, station) for each in ins_temperatures(station)]
         self._observed_s = -math.inf
         self._on = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
@@ -94,8 +94,10 @@ class InterlockWatch:
         Only readings newer than the first call with a command in ``expected`` are compared with it.
         """
         found: dict[str, list[Finding]] = {name: [] for name in self._rules}
-        for finding in self._findings(now_s, expected):
-            found[finding.interlock].append(finding)
+        if self._readings is not None:
+            for checks in self._checks:
+                for finding in checks.findings(self._readings, expected, now_s):
+                    found[finding.interlock].append(finding)
         for name, findings in found.items():
             if findings:
                 self._good_since_s.pop(name, None)
@@ -106,8 +108,3 @@ class InterlockWatch:
     def good_since_s(self, name: str) -> float | None:
         """Time of the call of :meth:`trips` since which an interlock is good; None while it is tripped."""
         return self._good_since_s.get(name)
-
-    def _findings(self, now_s: float, expected: ExpectedState) -> Iterator[Finding]:
-        if self._readings is not None:
-            for checks in self._checks:
-                yield from checks.findings(self._readings, expected, now_s)

@@ -107,7 +107,7 @@ def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: 
     subject, what = "disk", "free space"
     if math.isnan(frames_per_s):
         return Check.skipped(subject, what, "the data rate is unknown: nothing was received from the CAN bus")
-    telemetry_per_s = len(COLUMNS) * _BYTES_PER_VALUE / station.instruments_period_s
+    telemetry_per_s = len(COLUMNS) * _BYTES_PER_VALUE / station.file.instruments_period_s
     per_h = 3600.0 * (frames_per_s * _BYTES_PER_FRAME + telemetry_per_s)
     existing = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
     free = shutil.disk_usage(existing).free

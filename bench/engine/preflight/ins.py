@@ -61,14 +61,8 @@ def ins_checks(
 ) -> list[Check]:
     """Check whether it sends what it should; an INS that the bench can switch on is on during the check.
 
-    Parameters
-    ----------
-    outputs
-        Switch the supply of the INS.
-    ins : callable
-        Returns the driver, or raises where it can't be opened.
-    traffic : CanTraffic
-        Is filled with what is received from the bus.
+    ``outputs`` switch its supply. ``ins`` returns the driver, or raises where it can't be opened. ``traffic``
+    is filled with what is received from the bus.
     """
     try:
         opened = ins()
@@ -95,7 +89,7 @@ def _running(
         yield _silent(station, error)
         return
     try:
-        _observe(ins, clock, station.poll_period_s, traffic)
+        _observe(ins, clock, station.file.poll_period_s, traffic)
     except InstrumentError as error:
         yield failed(_SUBJECT, "frames", error)
         return
@@ -105,7 +99,7 @@ def _running(
 
 
 def _silent(station: Station, error: InstrumentError) -> Check:
-    if station.unit.power == "operator" and isinstance(error, NoReplyError):
+    if station.file.unit.power == "operator" and isinstance(error, NoReplyError):
         why = "sends nothing; the operator switches it on"
         return Check.skipped(_SUBJECT, "answers", why, "Switch it on to check it.")
     return unanswered(_SUBJECT, error)
@@ -113,7 +107,7 @@ def _silent(station: Station, error: InstrumentError) -> Check:
 
 def _switch_on(station: Station, outputs: Outputs, switched: ExitStack) -> None:
     """Switch the supply on if the bench can and it is off; the stack switches it off."""
-    unit = station.unit
+    unit = station.file.unit
     if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
         switched.callback(outputs.power_unit, False)
         outputs.power_unit(True)
@@ -129,7 +123,7 @@ def _is_sending(ins: CanIns, clock: Clock, limit_s: float) -> bool:
 
 
 def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
-    deadline = Deadline(clock, _START_S if station.unit.power == "chamber_event" else 0.0)
+    deadline = Deadline(clock, _START_S if station.file.unit.power == "chamber_event" else 0.0)
     while not _is_sending(ins, clock, _FIRST_FRAME_S):
         if deadline.expired():
             raise NoReplyError(

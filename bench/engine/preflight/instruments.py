@@ -23,26 +23,16 @@ DriverT = TypeVar("DriverT", RateTable, Chamber)
 
 def answered(subject: str, identification: str, expected: str) -> Check:
     """Check whether an instrument that answered is the one in the station file."""
-    return Check.of(
-        subject,
-        ANSWERS,
-        expected in identification,
-        identification
-        if expected in identification
-        else f"identifies as {identification}, which lacks {expected!r}",
-        "Connect the right instrument, or correct `identity` in the station file.",
-    )
+    is_right = expected in identification
+    found = identification if is_right else f"identifies as {identification}, which lacks {expected!r}"
+    advice = "Connect the right instrument, or correct `identity` in the station file."
+    return Check.of(subject, ANSWERS, is_right, found, advice)
 
 
 def unanswered(subject: str, error: InstrumentError) -> Check:
     """Report why an instrument does not answer."""
-    return Check.of(
-        subject,
-        ANSWERS,
-        False,
-        str(error).removeprefix(f"{subject}: "),
-        "Nothing else is checked until it answers.",
-    )
+    found = str(error).removeprefix(f"{subject}: ")
+    return Check.of(subject, ANSWERS, False, found, "Nothing else is checked until it answers.")
 
 
 def failed(subject: str, what: str, error: InstrumentError) -> Check:

@@ -288,9 +288,8 @@ def sensitivity_sentence(closure: Closure) -> str:
     """Size of the smallest effect that a search without a finding would have found."""
     return (
         f"An effect on one gyro is found from about {size_text(smallest_visible_dph(closure))} deg/h rms, "
-        "unless it "
-        "is correlated with temperature or with the constants of the runs. An effect of several terms has to "
-        "be larger."
+        "unless it is correlated with temperature or with the constants of the runs. An effect of several "
+        "terms has to be larger."
     )
 
 

@@ -25,9 +25,9 @@ CONFIRMED, IMPROVED, NOT_CONFIRMED, INCONCLUSIVE = "confirmed", "improved", "not
 
 _CONSTANT = (
     "Bias is the rms over all gyros including the constant of the power cycle, which changes at each "
-    "power-on and "
-    "can't be predicted. Varying is the same without each gyro's mean over the run. The spread between "
-    "positions and the 24 h of a rotational INS do not depend on the constant, the velocity East does."
+    "power-on and can't be predicted. Varying is the same without each gyro's mean over the run. The spread "
+    "between positions and the 24 h of a rotational INS do not depend on the constant, the velocity East "
+    "does."
 )
 _NOISE = (
     "Noise is the value expected from the uncertainty of the measurement alone: the rms, or the median of a "
@@ -36,8 +36,7 @@ _NOISE = (
 )
 _DAY = (
     "24 h is the largest position error within a day at rest of a dual-axis rotational INS with these "
-    "biases. It "
-    "turns through all six positions, each at two azimuths half a turn apart, with rests of 3 min."
+    "biases. It turns through all six positions, each at two azimuths half a turn apart, with rests of 3 min."
 )
 _SAME_SEED = (
     "All runs had the same emulated world and seed, different from the campaign: they have the same "
@@ -153,9 +152,8 @@ def new_conditions_sentence(result: VerificationResult) -> str:
     temperatures = listed([f"{row.gyro_c:.0f} °C" for row in new])
     return (
         f"All measurements are new. {len(new)} of {len(rows)} plateaus are at gyro temperatures that were "
-        "not fitted"
-        f"{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {result.dwells} dwells begin in a "
-        "position and azimuth that are not in the campaign."
+        f"not fitted{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {result.dwells} dwells "
+        "begin in a position and azimuth that are not in the campaign."
     )
 
 

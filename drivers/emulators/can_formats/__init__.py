@@ -16,8 +16,7 @@ FRAME_S = 0.00025
 class CanFormat(ABC):
     """A set of frames.
 
-    ``world``: its unit is the INS. ``epoch_unix_s``: calendar time at world time zero, for the frames' time
-    stamps.
+    ``epoch_unix_s`` is the calendar time at world time zero, for the frames' time stamps.
     """
 
     def __init__(self, world: World, epoch_unix_s: float) -> None:

@@ -120,7 +120,7 @@ class CounterJump(Fault):
     by: int = Field(ge=1, le=65535, description="size of the jump, epochs")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        bench.ins.skip_epochs(self.by)
+        bench.ins.format.skip_epochs(self.by)
         return None
 
 

@@ -54,14 +54,8 @@ class InjectionLog(list[Injection]):
 class Schedule:
     """Starts and ends of one entry in order of time, computed from its timing alone.
 
-    Parameters
-    ----------
-    timing : Timing
-        The entry.
-    random : Generator
-        For the spacing of ``every_s``: exponential gaps, so the rate is constant.
-    start_s : float
-        Start of the bench. Occurrences that ended before it are skipped; one that still lasts starts there.
+    Gaps of ``every_s`` are exponential, so the rate is constant. Occurrences that ended before ``start_s``,
+    the start of the bench, are skipped; one that still lasts starts there.
     """
 
     def __init__(self, timing: Timing, random: np.random.Generator, start_s: float = 0.0) -> None:
@@ -125,21 +119,9 @@ class Schedule:
 class Injector:
     """Advances the world in steps that end where a fault starts or ends.
 
-    Phases of the bench are evaluated at each step, and at least once a second.
-
-    Parameters
-    ----------
-    faults : sequence of Fault
-        The list.
-    bench : BenchParts
-        What they act on.
-    seed : int
-        Seed of the faults' random numbers. Each entry has a separate stream, so its times do not
-        depend on the other entries; another start has other times.
-    start_s : float
-        Time at which the bench starts.
-    log : InjectionLog
-        Receives every fault that takes effect.
+    Phases of the bench are evaluated at each step, and at least once a second. Each entry has a separate
+    stream of random numbers, so its times do not depend on the other entries; another ``start_s`` has other
+    times. ``log`` receives every fault that takes effect.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ class InsRestarts(Fault):
         if bench.world.unit.powered:
             bench.world.power_unit(False)
             bench.world.power_unit(True)
-            bench.ins.reset_counters()
+            bench.ins.format.reset_counters()
             occurrence.record()
         return None
 

@@ -60,12 +60,7 @@ class Epochs:
 class InertialUnit:
     """State of the INS.
 
-    Parameters
-    ----------
-    behaviour : InsBehaviour
-        From the world file.
-    latitude, height : float
-        Where the bench stands, rad and m.
+    ``latitude`` is in rad, ``height`` in m.
 
     Attributes
     ----------

@@ -124,10 +124,7 @@ class InsCompensation:
     def update(self, history: TemperatureHistory, up_body: FloatArray) -> None:
         """Update the subtracted bias.
 
-        Parameters
-        ----------
-        up_body : ndarray, shape (3,)
-            Up in body axes as estimated by the INS; zero before alignment.
+        ``up_body`` (3,) is Up in body axes as estimated by the INS; zero before alignment.
         """
         _follow(self._play_c, history.optics_c, self._table)
         self.bias_dph = _bias_dph(

@@ -147,16 +147,8 @@ def move(
 class Motion:
     """A motion from its start on, without end.
 
-    Parameters
-    ----------
-    start_s, start
-        Start time and state.
-    pieces : sequence of Piece
-        After them the axis is at rest, unless the last one is endless.
-    settling : Settling
-        Overshoot after the last piece.
-    target_deg : float, optional
-        Position of rest, free of the rounding of the pieces.
+    After the pieces the axis is at rest, unless the last one is endless. ``target_deg`` is the position of
+    rest, free of the rounding of the pieces.
     """
 
     def __init__(

@@ -25,24 +25,11 @@ class ThermalNetwork:
         self._paths = paths / np.linalg.norm(paths, axis=1, keepdims=True)
         #: Shape (7,). All temperatures: case, then optics and electronics of the x, y and z gyro.
         self.nodes_c = np.full(7, float(start_c))
+        #: optics_c, electronics_c: Shape (3,). Of each gyro; views of ``nodes_c``.
+        self.optics_c, self.electronics_c = self.nodes_c[1:4], self.nodes_c[4:7]
         self.optics_rate_c_per_h = np.zeros(3)  #: Shape (3,). Change of each gyro's optics in the last step.
         #: Shape (3,). The part of the heat flow from electronics to optics that depends on attitude.
         self.convected_w = np.zeros(3)
-
-    @property
-    def case_c(self) -> float:
-        """Temperature of the case."""
-        return float(self.nodes_c[0])
-
-    @property
-    def optics_c(self) -> FloatArray:
-        """Temperature of each gyro's optics, shape (3,)."""
-        return self.nodes_c[1:4]
-
-    @property
-    def electronics_c(self) -> FloatArray:
-        """Temperature of each gyro's electronics, shape (3,)."""
-        return self.nodes_c[4:7]
 
     def step(self, dt_s: float, air_c: float, up_body: FloatArray) -> None:
         """Advance by ``dt_s`` (about a second) in air of that temperature; ``up_body`` (3,) is Up."""

@@ -33,15 +33,9 @@ _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
 class World:
     """The simulated physics behind the emulated instruments.
 
-    Parameters
-    ----------
-    file : WorldFile
-        Properties of the bench.
-    seed : int
-        Seed of all random numbers, together with the start.
-    start_s : int
-        Whole second at which this world starts: at room temperature, the unit off, the table at
-        zero. Effects that depend on time count it from zero.
+    ``seed`` is that of all random numbers, together with ``start_s``: the whole second at which this world
+    starts, at room temperature, the unit off, the table at zero. Effects that depend on time count it from
+    zero.
     """
 
     def __init__(self, file: WorldFile, seed: int, start_s: int = 0) -> None:
@@ -51,7 +45,7 @@ class World:
         # A separate stream: the unit's own readings do not change the other random numbers.
         self._unit_random = np.random.default_rng((seed, 1, start_s) if start_s else (seed, 1))
         self._latitude = math.radians(file.latitude_deg)
-        self._geometry = _Geometry(file.table)
+        self._geometry = _geometry(file.table)
         axis = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
         #: The table's axes: 1 outer, 2 inner.
         self.axes = {number: TableAxis(axis) for number in (OUTER, INNER)}
@@ -100,10 +94,7 @@ class World:
         """True ``C_nb`` (3, 3) at this moment."""
         time_s = np.array([self._sample * _DT_S])
         outer, inner = (np.radians(self.axes[n].position_deg(time_s))[0] for n in (OUTER, INNER))
-        geometry = self._geometry
-        return np.asarray(
-            table_attitude(geometry.outer_axis, geometry.inner_axis, geometry.mounting, outer, inner)
-        )
+        return np.asarray(table_attitude(*self._geometry, outer, inner))
 
     def advance(self, time_s: float) -> None:
         """Advance to ``time_s``; an earlier time changes nothing."""
@@ -172,7 +163,7 @@ class World:
         # Drawn sample by sample: the noise does not depend on how the time is split.
         noise = self._random.standard_normal((count, 2, 3)) * math.sqrt(_DT_S)
         if self._sensor_errors is None:
-            case_c = np.full(3, self.thermal.case_c - self.file.reference_temperature_c)
+            case_c = np.full(3, self.thermal.nodes_c[0] - self.file.reference_temperature_c)
             self._sensor_errors = self._gyro_errors(), self._accelerometer.at(case_c)
         (gyro_bias, gyro_matrix), accelerometer = self._sensor_errors
         if self.unit.compensation is not None:
@@ -193,11 +184,9 @@ class World:
     def _ideal_increments(self, count: int) -> tuple[FloatArray, FloatArray]:
         edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
         outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
-        geometry = self._geometry
         rotation, velocity = true_increments(
-            geometry.outer_axis, geometry.inner_axis, geometry.mounting, outer, inner,
-            self._latitude, self.file.height_m, _DT_S,
-        )  # fmt: skip
+            *self._geometry, outer, inner, self._latitude, self.file.height_m, _DT_S
+        )
         return rotation, velocity
 
     def _gyro_errors(self) -> tuple[FloatArray, FloatArray]:
@@ -205,15 +194,12 @@ class World:
         return bias + self._power_on_bias + self.undeclared_bias(), matrix
 
 
-class _Geometry:
-    """True table axes in ENU and mounting of the unit, with their errors."""
-
-    def __init__(self, table: TableGeometry) -> None:
-        tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()
-        self.outer_axis: FloatArray = tilt @ np.array(_OUTER_AXES[table.outer_axis])
-        self.inner_axis: FloatArray = tilt @ np.array(_INNER_AXES[table.outer_axis])
-        error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
-        self.mounting: FloatArray = np.ascontiguousarray(tilt @ error)
+def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """True outer and inner table axis in ENU and mounting of the unit, with their errors."""
+    tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()
+    error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
+    axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
+    return *axes, np.ascontiguousarray(tilt @ error)
 
 
 def _sensed(

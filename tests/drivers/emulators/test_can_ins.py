@@ -186,7 +186,7 @@ def test_time_stamps_increase_and_belong_to_the_epochs(bus):
 
 
 def test_counters_go_up_by_one_and_wrap(bus):
-    bus.ins._format._epoch_counter = bus.ins._format._status_counter = 0xFFFF - 3
+    bus.ins.format._epoch_counter = bus.ins.format._status_counter = 0xFFFF - 3
     frames = bus.run(7.0)
 
     def counted(name, signal):

@@ -34,7 +34,7 @@ def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, mak
         ),
         ("yaw_positive: down", "yaw_positive: north", "'up' or 'down'"),
         ("    yaw_positive: down\n", "", "the key 'yaw_positive' is missing"),
-        ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: 321", "SequenceMap"),
+        ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: 321", "must have keys and values; found 321"),
         ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: rpy", "expected MESSAGE.SIGNAL"),
         ("sequence: INS_STATUS.EULER_SEQUENCE", "sequence: {rpy_321: 4}", "the signal of the sequence"),
         ("VELOCITY_NE.VELOCITY_EAST", "A.B.C", "expected MESSAGE.SIGNAL"),

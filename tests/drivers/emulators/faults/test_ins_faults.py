@@ -114,4 +114,4 @@ def test_a_frozen_temperature_sensor_keeps_a_plausible_value(rig):
     frozen_c = temperatures_c(bench, 45.0)[6]
     bench.world.air.disturb(-30.0)
     assert temperatures_c(bench, 300.0)[6] == frozen_c
-    assert bench.world.thermal.case_c < frozen_c - 5.0
+    assert bench.world.thermal.nodes_c[0] < frozen_c - 5.0

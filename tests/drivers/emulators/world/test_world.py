@@ -229,7 +229,7 @@ def test_a_world_that_begins_later_is_switched_off_and_in_the_present(make_world
     world.on_epochs = spoken.append
     world.power_unit(True)
     world.advance(150_100.0)
-    assert world.thermal.case_c == pytest.approx(file.chamber.ambient_c, abs=5.0)
+    assert world.thermal.nodes_c[0] == pytest.approx(file.chamber.ambient_c, abs=5.0)
     samples = np.concatenate([epochs.sample for epochs in spoken])
     assert samples[-1] == 15_010_000
     assert samples[0] > 15_000_000
