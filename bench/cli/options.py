@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
 from gyrobench.bench.runs.folder import RUNS, RunFolder
 
@@ -18,10 +19,7 @@ Completion = Callable[[str], list[str]]
 
 
 def _shipped(kind: str) -> Completion:
-    def complete(incomplete: str) -> list[str]:
-        return _beginning_with(incomplete, shipped_names(kind))
-
-    return complete
+    return lambda incomplete: _beginning_with(incomplete, shipped_names(kind))
 
 
 complete_procedure = _shipped("procedures")
@@ -36,18 +34,12 @@ def complete_template(incomplete: str) -> list[str]:
     return _beginning_with(incomplete, [*TEMPLATES, *shipped_names("procedures")])
 
 
-def complete_table(incomplete: str) -> list[str]:
-    """Installed dialects of rate tables."""
-    from gyrobench.bench.foundations.packages import RATE_TABLES, installed
-
-    return _beginning_with(incomplete, installed(RATE_TABLES))
+def _installed(dialects: str) -> Completion:
+    return lambda incomplete: _beginning_with(incomplete, installed(dialects))
 
 
-def complete_chamber(incomplete: str) -> list[str]:
-    """Installed dialects of chambers."""
-    from gyrobench.bench.foundations.packages import CHAMBERS, installed
-
-    return _beginning_with(incomplete, installed(CHAMBERS))
+complete_table = _installed(RATE_TABLES)
+complete_chamber = _installed(CHAMBERS)
 
 
 def complete_run(incomplete: str) -> list[str]:

@@ -87,6 +87,7 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
     offsets = _offsets_s(logs, log_map)
     origins = [index for index, log in enumerate(logs) for _ in log.valid_windows]
     cycles = _cycles(windows, origins, offsets, log_map)
+    azimuth_deg = log_map.earth_rate.azimuth_deg if log_map.earth_rate else None
     rows = []
     for index, (window, log, cycle) in enumerate(zip(windows, origins, cycles, strict=True), 1):
         since_start_s = window.start_s + (0.0 if log_map.each_log_is_a_run else offsets[log])
@@ -107,7 +108,7 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
                 gyro_rate_c_per_h=slope,
                 bias_dph=_triple(window.rate_dph - earth),
                 sigma_dph=_triple(sigma_dph),
-                azimuth_deg=_azimuth_deg(log_map),
+                azimuth_deg=np.nan if azimuth_deg is None else azimuth_deg,
                 chamber_set_c=window.means.get("chamber_set_c", np.nan),
                 chamber_c=window.means.get("chamber_c", np.nan),
                 case_c=window.means.get("case_c", np.nan),
@@ -185,8 +186,3 @@ def _means(window: Window, what: str) -> Triple:
 def _triple(values: FloatArray) -> Triple:
     x, y, z = (float(value) for value in values)
     return x, y, z
-
-
-def _azimuth_deg(log_map: LogMap) -> float:
-    azimuth = log_map.earth_rate.azimuth_deg if log_map.earth_rate else None
-    return np.nan if azimuth is None else azimuth

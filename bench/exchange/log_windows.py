@@ -56,7 +56,11 @@ class SampleReader:
     def __init__(self, path: Path, log_map: LogMap) -> None:
         self._path = path
         self._map = log_map
-        self._log = _open(path, log_map)
+        self._log = (
+            RecordLog(path, log_map.records)
+            if log_map.records
+            else TextLog(path, log_map.text or TextFormat())
+        )
         self._quantities = _quantities(log_map)
         self.first_s = 0.0
         self.bad_status = 0
@@ -160,12 +164,6 @@ def read_recording(path: Path, log_map: LogMap) -> RateRecording:
         return RateRecording(samples["time_s"], rates, force)
     except MeasurementError as error:
         raise MeasurementError(f"{path}: {error}") from error
-
-
-def _open(path: Path, log_map: LogMap) -> TextLog | RecordLog:
-    if log_map.records is not None:
-        return RecordLog(path, log_map.records)
-    return TextLog(path, log_map.text or TextFormat())
 
 
 def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:

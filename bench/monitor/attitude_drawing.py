@@ -5,23 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.monitor.snapshot import Attitude
 from gyrobench.bench.navigation.positions import AXES
 
 #: Width and height of the drawing.
 SIZE = 240.0
 
-Vector = tuple[float, float, float]
-
 #: The viewpoint is south-east of the unit and above it; its distance is in lengths of an axis.
 _EYE_AZIMUTH, _EYE_HEIGHT, _EYE_DISTANCE = math.radians(-55.0), math.radians(26.0), 6.0
 _ZOOM = 425.0
-_CENTRE = (0.0, 0.0, 0.05)
-_WORLD: tuple[tuple[str, Vector], ...] = (
-    ("E", (1.0, 0.0, 0.0)),
-    ("N", (0.0, 1.0, 0.0)),
-    ("U", (0.0, 0.0, 1.0)),
-)
+_CENTRE = np.array([0.0, 0.0, 0.05])
 _WORLD_LENGTH, _BODY_LENGTH = 1.3, 1.0
 #: Labels of the world are behind the tip, those of the body beside it, where no other arrow ends.
 _BEHIND_TIP, _BESIDE_TIP = 12.0, 15.0
@@ -59,8 +55,10 @@ class AxesDrawing:
 
 def axes_drawing(attitude: Attitude) -> AxesDrawing:
     """Draw the unit's attitude."""
-    body = [_column(attitude, index) for index in range(len(AXES))]
-    arrows = [(f"world {name}", name, axis, _WORLD_LENGTH) for name, axis in _WORLD]
+    body = np.array(attitude.body_in_enu).T
+    arrows = [
+        (f"world {name}", name, axis, _WORLD_LENGTH) for name, axis in zip("ENU", np.eye(3), strict=True)
+    ]
     arrows += [(f"body gyro-{name}", name, axis, _BODY_LENGTH) for name, axis in zip(AXES, body, strict=True)]
     arrows.sort(key=lambda arrow: _towards_eye(arrow[2]))
     return AxesDrawing(
@@ -72,51 +70,41 @@ def axes_drawing(attitude: Attitude) -> AxesDrawing:
     )
 
 
-def _column(attitude: Attitude, index: int) -> Vector:
-    east, north, up = (row[index] for row in attitude.body_in_enu)
-    return (east, north, up)
+#: Directions from the eye: to the right, upwards and ahead, as columns.
+_EYE = np.array(
+    [
+        [-math.sin(_EYE_AZIMUTH), math.cos(_EYE_AZIMUTH), 0.0],
+        [
+            -math.sin(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
+            -math.sin(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
+            math.cos(_EYE_HEIGHT),
+        ],
+        [
+            -math.cos(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
+            -math.cos(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
+            -math.sin(_EYE_HEIGHT),
+        ],
+    ]
+).T
 
 
-_FORWARD: Vector = (
-    -math.cos(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
-    -math.cos(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
-    -math.sin(_EYE_HEIGHT),
-)
-_RIGHT: Vector = (-math.sin(_EYE_AZIMUTH), math.cos(_EYE_AZIMUTH), 0.0)
-_UPWARD: Vector = (
-    -math.sin(_EYE_HEIGHT) * math.cos(_EYE_AZIMUTH),
-    -math.sin(_EYE_HEIGHT) * math.sin(_EYE_AZIMUTH),
-    math.cos(_EYE_HEIGHT),
-)
+def _towards_eye(axis: FloatArray) -> float:
+    return -float(axis @ _EYE[:, 2])
 
 
-def _dot(one: Vector, other: Vector) -> float:
-    return sum(a * b for a, b in zip(one, other, strict=True))
-
-
-def _towards_eye(axis: Vector) -> float:
-    return -_dot(axis, _FORWARD)
-
-
-def _seen(point: Vector) -> tuple[float, float]:
+def _seen(point: FloatArray) -> tuple[float, float]:
     """Place of a point in the drawing."""
-    from_centre = tuple(a - b for a, b in zip(point, _CENTRE, strict=True))
-    east, north, up = from_centre
-    scale = _ZOOM / (_EYE_DISTANCE + _dot((east, north, up), _FORWARD))
-    right, upward = _dot((east, north, up), _RIGHT), _dot((east, north, up), _UPWARD)
+    right, upward, ahead = ((point - _CENTRE) @ _EYE).tolist()
+    scale = _ZOOM / (_EYE_DISTANCE + ahead)
     return (round(SIZE / 2.0 + scale * right, 1), round(SIZE / 2.0 - scale * upward, 1))
-
-
-def _scaled(axis: Vector, length: float) -> Vector:
-    return (axis[0] * length, axis[1] * length, axis[2] * length)
 
 
 def _points(points: list[tuple[float, float]]) -> str:
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
 
 
-def _arrow(look: str, label: str, axis: Vector, length: float) -> Arrow:
-    start, tip = _seen((0.0, 0.0, 0.0)), _seen(_scaled(axis, length))
+def _arrow(look: str, label: str, axis: FloatArray, length: float) -> Arrow:
+    start, tip = _seen(np.zeros(3)), _seen(length * axis)
     along = _direction_on_paper(start, tip)
     is_body = length == _BODY_LENGTH
     shift = (
@@ -150,24 +138,19 @@ def _floor() -> tuple[str, ...]:
     low, high = places[0], places[-1]
     lines = [((low, at, _FLOOR), (high, at, _FLOOR)) for at in places]
     lines += [((at, low, _FLOOR), (at, high, _FLOOR)) for at in places]
-    return tuple(_points([_seen(start), _seen(end)]) for start, end in lines)
+    return tuple(_points([_seen(np.array(end)) for end in ends]) for ends in lines)
 
 
-def _box(body: list[Vector]) -> tuple[str, ...]:
+def _box(body: FloatArray) -> tuple[str, ...]:
     """Faces of the unit, the farthest first."""
     faces: list[tuple[float, str]] = []
     for normal in range(len(body)):
         first, second = (index for index in range(len(body)) if index != normal)
         for sign in (-1.0, 1.0):
-            outward = _scaled(body[normal], sign * _BOX[normal])
+            outward = sign * _BOX[normal] * body[normal]
             corners = [
-                _sum(outward, _scaled(body[first], a * _BOX[first]), _scaled(body[second], b * _BOX[second]))
+                outward + a * _BOX[first] * body[first] + b * _BOX[second] * body[second]
                 for a, b in ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
             ]
             faces.append((_towards_eye(outward), _points([_seen(corner) for corner in corners])))
     return tuple(points for _, points in sorted(faces))
-
-
-def _sum(*vectors: Vector) -> Vector:
-    east, north, up = (sum(parts) for parts in zip(*vectors, strict=True))
-    return (east, north, up)

@@ -14,7 +14,6 @@ from typing import Any, Generic, TypeVar
 from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.monitor.recorder import live_bins, measured_dwells, planned_profile, profile_of_telemetry
 from gyrobench.bench.monitor.snapshot import (
     MAX_MESSAGES,
     Attitude,
@@ -25,6 +24,12 @@ from gyrobench.bench.monitor.snapshot import (
     RunSnapshot,
     RunState,
     read_snapshot,
+)
+from gyrobench.bench.monitor.snapshot_recorder import (
+    live_bins,
+    measured_dwells,
+    planned_profile,
+    profile_of_telemetry,
 )
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure

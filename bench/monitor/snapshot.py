@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, PlainSerializer, TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import read_limited
@@ -231,8 +231,9 @@ FORMAT = 1
 #: Series are thinned so that a snapshot stays small in a run of any length.
 MAX_PLANNED, MAX_MEASURED, MAX_WINDOW_SAMPLES, MAX_ESTIMATES, MAX_MESSAGES = 400, 600, 200, 200, 50
 _MAX_BYTES = 20_000_000
-#: Texts of states in snapshots written by the version before.
-_FORMER_STATES = {"waiting for a person": "waiting for the operator"}
+#: State by its text in live.json, a format that other readers rely on, where it differs.
+_STATES_IN_FILE = {"waiting for a person": "waiting for the operator"}
+_TEXTS_IN_FILE = {state: text for text, state in _STATES_IN_FILE.items()}
 
 
 class RunState(StrEnum):
@@ -285,7 +286,11 @@ class RunSnapshot(StrictRecord):
     unit: str
     started_utc: str
     updated_utc: str
-    state: Annotated[RunState, BeforeValidator(lambda value: RunState(_FORMER_STATES.get(value, value)))]
+    state: Annotated[
+        RunState,
+        BeforeValidator(lambda value: RunState(_STATES_IN_FILE.get(value, value))),
+        PlainSerializer(lambda state: _TEXTS_IN_FILE.get(state, str(state)), when_used="json"),
+    ]
     now_s: float
     left_s: float
     planned_s: float

@@ -189,8 +189,19 @@ def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool)
     if not windows:
         why = "the INS is not navigating yet" if snapshot.dwell else "no dwell in progress"
         return _beside([position, [Text(why, "dim")]], (_AXES_WIDTH, 2 * each + 1), height)
-    velocity = _velocity(windows, each, height, is_ascii)
-    heading = _heading(windows, each, height, is_ascii)
+    time_s, end_s = _joined_time_s(windows)
+
+    def graph(title: Text, values: dict[str, tuple[str, list[float]]], min_span: float) -> list[Text]:
+        curves = [Curve(time_s, series, style, letter) for letter, (style, series) in values.items()]
+        labels = ("0", f"{end_s / 60.0:.2g} min")
+        return [title, *plot(curves, each, height - 1, (0.0, end_s), labels, min_span, is_ascii)]
+
+    east = [1e3 * value for window in windows for value in (*window.velocity_east_mps, math.nan)]
+    north = [1e3 * value for window in windows for value in (*window.velocity_north_mps, math.nan)]
+    change = [_ARCSEC * value for window in windows for value in (*window.heading_change_deg, math.nan)]
+    title = Text.assemble(("mm/s  ", "dim"), ("E East", _CHAMBER), "  ", ("N North", _NORTH))
+    velocity = graph(title, {"E": (_CHAMBER, east), "N": (_NORTH, north)}, _MIN_SPAN_MMPS)
+    heading = graph(Text("change of heading, arcsec", "dim"), {"H": (_GYRO, change)}, _MIN_SPAN_ARCSEC)
     return _beside([position, velocity, heading], (_AXES_WIDTH, each, each), height)
 
 
@@ -232,25 +243,6 @@ def _position(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
         below.append(Text(f"table {angles}", "dim"))
     drawing = axes_drawing(attitude, _AXES_WIDTH, height - 1 - len(below), is_ascii)
     return [title, *drawing, *below]
-
-
-def _velocity(windows: Sequence[WindowTrace], width: int, height: int, is_ascii: bool) -> list[Text]:
-    time_s, end_s = _joined_time_s(windows)
-    east = [1e3 * value for window in windows for value in (*window.velocity_east_mps, math.nan)]
-    north = [1e3 * value for window in windows for value in (*window.velocity_north_mps, math.nan)]
-    curves = [Curve(time_s, east, _CHAMBER, "E"), Curve(time_s, north, _NORTH, "N")]
-    title = Text.assemble(("mm/s  ", "dim"), ("E East", _CHAMBER), "  ", ("N North", _NORTH))
-    labels = ("0", f"{end_s / 60.0:.2g} min")
-    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_MMPS, is_ascii)]
-
-
-def _heading(windows: Sequence[WindowTrace], width: int, height: int, is_ascii: bool) -> list[Text]:
-    time_s, end_s = _joined_time_s(windows)
-    change = [_ARCSEC * value for window in windows for value in (*window.heading_change_deg, math.nan)]
-    title = Text("change of heading, arcsec", "dim")
-    labels = ("0", f"{end_s / 60.0:.2g} min")
-    curves = [Curve(time_s, change, _GYRO, "H")]
-    return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_ARCSEC, is_ascii)]
 
 
 def _joined_time_s(windows: Sequence[WindowTrace]) -> tuple[list[float], float]:

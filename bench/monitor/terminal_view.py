@@ -22,8 +22,8 @@ from gyrobench.bench.engine.observers import ObserverGroup, RunObserver, RunOutc
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.monitor.recorder import SnapshotRecorder
 from gyrobench.bench.monitor.snapshot import RunSnapshot
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal import (
     BackgroundStream,
     Keyboard,

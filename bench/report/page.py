@@ -179,12 +179,8 @@ def read_findings_file(folder: Path) -> Findings:
 
 
 def _with_pictures(section: Section, folder: Path) -> Section:
-    pictures = [replace(each, figure=folder / f"{each.name}.png") for each in section.figures]
-    return replace(section, figures=[each for each in pictures if _is_file(each.figure)])
-
-
-def _is_file(figure: Figure | Path | None) -> bool:
-    return isinstance(figure, Path) and figure.is_file()
+    pictures = [(each, folder / f"{each.name}.png") for each in section.figures]
+    return replace(section, figures=[replace(each, figure=path) for each, path in pictures if path.is_file()])
 
 
 def _as_file(folder: Path, drawn: SectionFigure) -> SectionFigure:

@@ -43,7 +43,6 @@ from gyrobench.bench.report.journal_sections import durations_section, events_se
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 
 _PROGRAMS = ("gyrobench", "python", "platform")
@@ -253,6 +252,7 @@ def head_lines(content: RunContent) -> dict[str, str]:
     """Unit, procedure, bench, operator and times of a run; unknown ones are left out."""
     facts, own = content.facts, content.provenance
     options = {**own.get("options", {}), **facts.options}
+    resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
     begun = parsed_utc(own.get("started_utc") or facts.started_utc)
     lines = {
         "unit": serial_number_of(content) or "serial number unknown",
@@ -262,16 +262,11 @@ def head_lines(content: RunContent) -> dict[str, str]:
         "started by": " on ".join(str(own[name]) for name in ("operator", "host") if own.get(name)),
         "started": _both_times(begun, 0.0, own),
         "ended": _both_times(begun, facts.last_s, own) if facts.ended else "",
-        "duration": _duration(facts),
+        "duration": f"{hours_minutes(facts.last_s)} h{resumed}" if facts.last_s else "",
         "dwells": _dwells_text(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),
     }
     return {name: str(value) for name, value in lines.items() if value}
-
-
-def _duration(facts: RunFacts) -> str:
-    more = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
-    return f"{hours_minutes(facts.last_s)} h{more}" if facts.last_s else ""
 
 
 def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> str:

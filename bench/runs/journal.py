@@ -194,11 +194,13 @@ def _with(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
         case "dwell_finished":
             return replace(facts, dwells=facts.dwells + 1)
         case "run_ended":
+            found = entry.get("safe_state")
+            actions = found if isinstance(found, list) else []
             return replace(
                 facts,
                 ended=_text(entry, "ended"),
                 reason=_text(entry, "reason"),
-                safe_state=_safe_state(entry.get("safe_state")),
+                safe_state=tuple(each for each in actions if isinstance(each, Mapping)),
             )
     return facts
 
@@ -224,7 +226,3 @@ def _text(entry: Mapping[str, Any], key: str) -> str:
 def _time_s(entry: Mapping[str, Any]) -> float:
     value = entry.get("time_s")
     return float(value) if isinstance(value, int | float) and 0.0 <= value <= MAX_RUN_S else 0.0
-
-
-def _safe_state(actions: object) -> tuple[Mapping[str, Any], ...]:
-    return tuple(each for each in actions if isinstance(each, Mapping)) if isinstance(actions, list) else ()

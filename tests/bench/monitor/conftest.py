@@ -9,8 +9,8 @@ from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.monitor.recorder import SnapshotRecorder
 from gyrobench.bench.monitor.snapshot import RunSnapshot
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.folder import RunFolder

@@ -13,8 +13,8 @@ from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.monitor.recorder import SnapshotRecorder, Thinned
 from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, read_snapshot
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder, Thinned
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
