@@ -1,10 +1,16 @@
 """Order of the tests, which of them one worker runs, and where their locks are."""
 
+import signal
+
 import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
 from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
+
+# A shell that starts the tests in the background leaves these ignored, for every process that a test starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # A busy machine must not make a test fail.
 hypothesis.settings.register_profile("no deadline", deadline=None)

@@ -156,7 +156,7 @@ class Resumption:
         lines = [
             f"{self.folder.path}: {plan.procedure.procedure}{f', unit {state.unit}' if state.unit else ''}; "
             f"the run {how}.",
-            f"{len(state.finished)} of {plan.dwell_count} dwells are finished and stay"
+            f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"
             f"{f', {len(state.skipped)} were skipped' if state.skipped else ''}.",
         ]
         if state.in_progress:

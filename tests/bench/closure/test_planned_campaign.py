@@ -65,9 +65,9 @@ def test_without_a_chamber_there_is_no_set_point():
     assert np.isnan(planned_campaign(plan, PlannedUnit()).set_c).all()
 
 
-def test_a_verification_gives_no_campaign():
-    _, plan = shipped("verification")
-    with pytest.raises(MeasurementError, match="verification has no dwell that measures a bias"):
+def test_a_calibration_check_gives_no_campaign():
+    _, plan = shipped("calibration_check")
+    with pytest.raises(MeasurementError, match="calibration_check has no dwell that measures a bias"):
         planned_campaign(plan, PlannedUnit())
 
 
