@@ -35,7 +35,7 @@ def test_the_wheel_holds_one_package(site):
     for file in (
         "py.typed",
         "drivers/ins/gyrobench_ins.dbc",
-        "bench/report/templates/report.html.j2",
+        "bench/report/templates/page.html.j2",
         "procedures/six_position_fig7.yaml",
         "stations/emulated.yaml",
         "worlds/gyro_a.yaml",

@@ -47,7 +47,6 @@ _EMULATED = "emulator"
 #: A process that only checks whether a lock is held takes it for an instant.
 _MAX_CHECK_S = 0.3
 _POLL_S = 0.05
-_CHECKS, _CHECK_PAUSE_S = 3, 0.002
 #: Flags that not all systems have.
 _FLAGS = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK"))
 
@@ -216,11 +215,7 @@ def _present_holder(path: Path) -> Holder | None:
     except OSError:
         return None
     try:
-        for _ in range(_CHECKS):  # another process that only checks has released it by the next attempt
-            if _locked(descriptor):
-                return None
-            WallClock().sleep(_CHECK_PAUSE_S)
-        return _parsed(os.pread(descriptor, _MAX_BYTES, 0))
+        return None if _is_free(descriptor) else _parsed(os.pread(descriptor, _MAX_BYTES, 0))
     finally:
         os.close(descriptor)
 
@@ -233,6 +228,19 @@ def _locked(descriptor: int) -> bool:
         if error.errno == errno.ENOSYS:
             return True
         raise
+
+
+def _is_free(descriptor: int) -> bool:
+    """Whether no process holds the lock; a shared lock, so that checks never take each other for a holder."""
+    try:
+        import fcntl
+    except ImportError:  # a system without shared locks
+        return _locked(descriptor)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno == errno.ENOSYS
+    return True
 
 
 def _port_files(station: Station) -> dict[str, Path]:
