@@ -23,6 +23,7 @@ def unpacked(tmp_path):
     return unpack
 
 
+@pytest.mark.long
 def test_an_interrupted_run_is_resumed_and_keeps_its_finished_dwells(unpacked):
     folder = unpacked("interrupted")
     before = read_dwells(folder / "dwells.csv")

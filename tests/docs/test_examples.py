@@ -37,6 +37,7 @@ def test_the_tutorial_s_hidden_effect_is_found_under_its_name(tmp_path_factory):
     assert "The search names hysteresis" in page
 
 
+@pytest.mark.long
 def test_the_session_of_the_python_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     code = "\n".join(block.text for block in blocks(DOCS / "python.md") if block.language == "python")

@@ -14,6 +14,8 @@ from tests.bench.report.made_up_closure import made_up_rows
 POSIX_MODULES = ["fcntl", "termios", "tty", "pty", "pwd", "grp", "resource"]
 OPTIONAL_PACKAGES = ["dask", "distributed", "duckdb", "fsspec", "weasyprint", "asammdf"]
 
+pytestmark = pytest.mark.long
+
 #: Runs commands one after the other in a process in which modules can't be imported: POSIX modules not by
 #: this package (pyserial and others choose theirs by the operating system), optional packages not at all.
 PROGRAM = """
