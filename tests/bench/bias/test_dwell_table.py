@@ -19,7 +19,7 @@ from gyrobench.bench.bias.dwell_table import (
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.navigation.positions import POSITIONS
 
-CASES = Path(__file__).parents[5] / "shared" / "cases" / "dev"
+CASES = Path(__file__).parents[4] / "shared" / "cases" / "dev"
 
 ROW = DwellRow(
     unit="U7",
