@@ -143,8 +143,8 @@ def before_sentence(closure: Closure) -> str:
     p = p_phrase(closure.before.p_value)
     residual = (
         "The residual of the declared model (a cubic in each gyro's temperature and one constant per "
-        f"power cycle) is {size_text(size)} deg/h rms in the {closure.searched.sum()} dwells searched; the noise "
-        f"of a measured bias is {size_text(closure.noise_dph)} deg/h."
+        f"power cycle) is {size_text(size)} deg/h rms in the {closure.searched.sum()} dwells searched; the "
+        f"noise of a measured bias is {size_text(closure.noise_dph)} deg/h."
     )
     if closure.before.p_value < LACK_OF_FIT_P:
         return (
@@ -288,8 +288,8 @@ def sensitivity_sentence(closure: Closure) -> str:
     """Size of the smallest effect that a search without a finding would have found."""
     return (
         f"An effect on one gyro is detectable from about {size_text(smallest_visible_dph(closure))} deg/h "
-        "rms, unless it is correlated with temperature or with the constants of the power cycles. An effect of "
-        "several terms must be larger."
+        "rms, unless it is correlated with temperature or with the constants of the power cycles. An effect "
+        "of several terms must be larger."
     )
 
 

@@ -59,7 +59,10 @@ def topics(pairs: Iterable[tuple[str, str]]) -> Table:
 
 
 _COLUMNS = 80
-_P_VALUE = "p equal: probability of differences this large if the bias were the same in all positions; * significant."
+_P_VALUE = (
+    "p equal: probability of differences this large if the bias were the same in all positions; "
+    "* significant."
+)
 _PAPER = "paper"
 _PAPER_METHOD = (
     f"{_PAPER}: result of the paper's method, which neglects the Schuler loop, the coupling by the Earth's "
