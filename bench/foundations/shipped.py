@@ -55,7 +55,7 @@ def find_document(kind: str, name: str) -> Path:
         candidate = folder / f"{renamed or name}.yaml"
         if candidate.is_file():
             return candidate
-    raise DocumentError(f"{name}: neither a file nor shipped{_suggestion(kind, name)}")
+    raise DocumentError(f"{name}: no such file or shipped name{_suggestion(kind, name)}")
 
 
 def _suggestion(kind: str, name: str) -> str:

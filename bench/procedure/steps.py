@@ -91,7 +91,7 @@ _MAX_SOAK_S = 14_400.0
 
 
 class Chamber(Step):
-    """Bring the chamber to a temperature at a rate and wait until its air is there."""
+    """Ramp the chamber to a temperature and wait until the air reaches it."""
 
     name = "chamber"
     temperature_c: Celsius = Field(description="set point, degC")
@@ -267,7 +267,8 @@ class Navigate(Step):
     at_position = True
     duration_s: Duration | None = Field(default=None, description="navigation time, s")
     until: Until | None = Field(
-        default=None, description="end as soon as the biases are known this well; only after a turn"
+        default=None,
+        description="end as soon as the standard uncertainties are this small; only after a turn",
     )
     at_least_s: Duration = Field(
         default=MIN_NAVIGATION_S, description="with until: navigate this long in any case, s"

@@ -40,7 +40,7 @@ _BIAS_FIGURE = (
 )
 _BOTH_SIDES = ", on the left by the state-space estimator, on the right by the paper's method"
 _COMPARED = (
-    "Comparison of positions{}. p: probability of such differences if the bias were the same in all "
+    "Comparison of positions{}. p: probability of differences this large if the bias were the same in all "
     "positions. Spread: difference of the positions' mean temperatures inside the bin."
 )
 _PAPER_P = "; in grey by the paper's method, whose systematic errors are not in its p"

@@ -280,7 +280,7 @@ def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> st
         if not isinstance(offset_s, int | float) or not abs(offset_s) < _MAX_OFFSET_S:
             return text
         if not offset_s:
-            return f"{text}, also local time"
+            return f"{text} (local time is UTC)"
         local = moment.astimezone(timezone(timedelta(seconds=offset_s)))
     except OverflowError:
         return ""

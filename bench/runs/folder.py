@@ -129,7 +129,7 @@ def open_run_folder(path: Path) -> RunFolder:
             )
     if not folder.journal.is_file():
         raise RunFolderError(
-            f"{path}: is not a run folder (it has no {folder.journal.name}). A run interrupted before its "
-            "start can't be resumed; start it again"
+            f"{path}: is not a run folder (it has no {folder.journal.name}). Give the folder of a "
+            "run that has started"
         )
     return folder

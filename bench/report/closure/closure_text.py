@@ -142,9 +142,9 @@ def before_sentence(closure: Closure) -> str:
     size = rms(residuals_dph(closure, closure.declared)[closure.searched])
     p = p_phrase(closure.before.p_value)
     residual = (
-        "The residual of the declared model (a cubic in each gyro's temperature and one constant per run) "
-        f"is {size_text(size)} deg/h rms in the {closure.searched.sum()} dwells searched; the noise of a "
-        f"measured bias is {size_text(closure.noise_dph)} deg/h."
+        "The residual of the declared model (a cubic in each gyro's temperature and one constant per "
+        f"power cycle) is {size_text(size)} deg/h rms in the {closure.searched.sum()} dwells searched; the "
+        f"noise of a measured bias is {size_text(closure.noise_dph)} deg/h."
     )
     if closure.before.p_value < LACK_OF_FIT_P:
         return (
@@ -287,9 +287,9 @@ def after_sentence(closure: Closure) -> str:
 def sensitivity_sentence(closure: Closure) -> str:
     """Size of the smallest effect that a search without a finding would have found."""
     return (
-        f"An effect on one gyro is found from about {size_text(smallest_visible_dph(closure))} deg/h rms, "
-        "unless it is correlated with temperature or with the constants of the runs. An effect of several "
-        "terms has to be larger."
+        f"An effect on one gyro is detectable from about {size_text(smallest_visible_dph(closure))} deg/h "
+        "rms, unless it is correlated with temperature or with the constants of the power cycles. An effect "
+        "of several terms must be larger."
     )
 
 

@@ -60,7 +60,8 @@ def topics(pairs: Iterable[tuple[str, str]]) -> Table:
 
 _COLUMNS = 80
 _P_VALUE = (
-    "p equal: probability of such differences if the bias were the same in all positions; * significant."
+    "p equal: probability of differences this large if the bias were the same in all positions; "
+    "* significant."
 )
 _PAPER = "paper"
 _PAPER_METHOD = (

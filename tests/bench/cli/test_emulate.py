@@ -78,11 +78,11 @@ def test_operators_are_reported_where_it_is_and_the_emulators_end_with_it_even_i
 def test_what_the_emulators_find_wrong_is_shown_with_its_exit_code(tmp_path):
     result = gyrobench_process("emulate", "--for-s", "1", "--world", "atlantis", cwd=tmp_path)
     assert result.returncode == 2
-    assert result.stderr.startswith("gyrobench emulate: atlantis: neither a file nor shipped")
+    assert result.stderr.startswith("gyrobench emulate: atlantis: no such file or shipped name")
     assert "Traceback" not in result.stderr
 
 
 def test_a_station_that_is_wrong_is_printed_before_anything_starts(tmp_path):
     result = gyrobench("emulate", "--station", "atlantis", cwd=tmp_path)
     assert result.returncode == 2
-    assert "atlantis: neither a file nor shipped" in result.stderr
+    assert "atlantis: no such file or shipped name" in result.stderr

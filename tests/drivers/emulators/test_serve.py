@@ -119,7 +119,7 @@ def test_a_wrong_world_ends_it_with_a_message():
     result = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert result.returncode == 2
     assert result.stdout == ""
-    assert result.stderr.startswith("gyrobench emulate: atlantis: neither a file nor shipped")
+    assert result.stderr.startswith("gyrobench emulate: atlantis: no such file or shipped name")
     assert "gyro_a, gyro_b, ideal" in result.stderr
     assert "Traceback" not in result.stderr
 

@@ -80,7 +80,7 @@ def test_a_clean_search_has_no_effect_and_no_shares_to_draw():
     sections = {section.title: section for section in closure_sections(clean())}
     assert "Effect" not in sections
     assert not sections["Candidate effects"].figures
-    assert any("is found from about" in text for text in sections["Candidate effects"].paragraphs)
+    assert any("is detectable from about" in text for text in sections["Candidate effects"].paragraphs)
 
 
 def test_an_unexplained_residual_has_a_warning():

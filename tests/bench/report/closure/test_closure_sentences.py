@@ -110,7 +110,7 @@ def test_scatter_above_the_stated_uncertainties_is_stated():
 
 def test_a_clean_search_states_its_sensitivity():
     assert dict(closure_text.chain(clean()))["Sensitivity"].startswith(
-        "An effect on one gyro is found from about 0.00076 deg/h"
+        "An effect on one gyro is detectable from about 0.00076 deg/h"
     )
     assert "Sensitivity" not in dict(closure_text.chain(explained()))
 

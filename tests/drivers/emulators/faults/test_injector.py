@@ -133,7 +133,7 @@ def test_a_log_that_can_not_be_written_is_reported_at_the_start(tmp_path):
 
 def test_the_error_for_a_missing_list_names_the_shipped_ones():
     clock = VirtualClock()
-    with pytest.raises(DocumentError, match=r"neither a file nor shipped. Shipped faults: every_kind"):
+    with pytest.raises(DocumentError, match=r"no such file or shipped name. Shipped faults: every_kind"):
         emulated_bench(BenchAddress(clock.name, "quick", 0, "atlantis"))
 
 
