@@ -63,7 +63,7 @@ def test_vertical_gyros_that_part_are_not_taken_for_a_rate(shift_runs):
     folder, _ = shift_runs["gyro_a"]
     *stops, together = read_joint_plateaus(folder.joint)
     assert [row.chamber_set_c for row in stops] == [57.0, 22.0, -13.0]
-    assert (together.stop, together.finding) == (0, "different")
+    assert (together.plateau, together.finding) == (0, "different")
     assert stops[0].finding == "not_contradicted"  # above 50 degC there is nothing to part them
     assert all(math.isnan(row.corrected_dph) for row in read_joint_biases(folder.joint_biases))
 
