@@ -196,7 +196,9 @@ def test_a_campaign_that_the_ins_compensated_already_is_refused(campaign, tmp_pa
         (tmp_path / name).write_bytes((run.path / name).read_bytes())
     entry = {"event": "compensation", "in_use": {"active": True, "checksum": "0badcafe"}}
     compensated.journal.write_text(json.dumps(entry) + "\n")
-    with pytest.raises(DocumentError, match=r"measured while the INS applied a stored compensation \(0badcafe\)"):
+    with pytest.raises(
+        DocumentError, match=r"measured while the INS applied a stored compensation \(0badcafe\)"
+    ):
         VerificationRuns(
             compensated, closure, procedure, str(run.station), new_emulation(run), tmp_path / "out"
         )
