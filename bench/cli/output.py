@@ -70,7 +70,7 @@ def print_json(content: dict[str, Any]) -> None:
 
 
 def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType) -> None:
-    """Print a result as a JSON object, or as views with paths on lines of their own."""
+    """Print a result as a JSON object, or as views with each path on a separate line."""
     if as_json:
         print_json(content)
         return

@@ -1,6 +1,6 @@
 """Statistics of the units of one batch: mean, spread between units and between runs, outliers.
 
-Each quantity has a model of its own: the level of each gyro in each temperature bin, the difference of
+Each quantity has a separate model: the level of each gyro in each temperature bin, the difference of
 each position from that, and the size of each effect. The value of run r of unit u is
 
     m + b_u + c_ur + e_ur

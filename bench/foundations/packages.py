@@ -37,7 +37,7 @@ def require(module: str) -> Any:
     """Import a module of an optional package, as ``require("asammdf")``.
 
     Type checkers see the module's types with ``if TYPE_CHECKING: import asammdf``. Raises MissingPackageError
-    if the package or one of its own dependencies is not installed; the message names the extra.
+    if the package or one of its dependencies is not installed; the message names the extra.
     """
     package = module.partition(".")[0]
     try:

@@ -1,4 +1,4 @@
-"""The files that come with the project: procedures, stations, worlds, ... in folders of their own.
+"""The files that come with the project: procedures, stations, worlds, ... in one folder per kind.
 
 They are in the top folder of the repository, and inside the package ``gyrobench`` where it is installed.
 """

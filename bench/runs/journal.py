@@ -36,7 +36,7 @@ class Journal:
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
-        self._writing = threading.Lock()  # messages are sent by threads of their own
+        self._writing = threading.Lock()  # messages are sent by separate threads
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         except OSError as error:

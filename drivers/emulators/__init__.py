@@ -2,5 +2,5 @@
 
 Three layers, each in its own files: the physics of the bench (:mod:`gyrobench.drivers.emulators.world`),
 each instrument's state machine and wire protocol (one file a dialect), and the ways to reach
-them (a pyserial URL, a python-can interface, or processes of their own).
+them (a pyserial URL, a python-can interface, or separate processes).
 """
