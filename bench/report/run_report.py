@@ -111,7 +111,8 @@ def write_report(
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
-    shown = (content.telemetry, content.dwells, content.bins, content.acceptance, content.noise)
+    # A model pickles the set of its given fields, whose order differs from process to process.
+    shown = (content.telemetry, content.dwells, content.bins, repr(content.acceptance), content.noise)
     code = sorted(file_sha256(each) for each in Path(__file__).parent.glob("figures/*.py"))
     inputs = shown, content.station, before.bins if before else None, marked_c, code, matplotlib.__version__
     return hashlib.sha256(pickle.dumps(inputs)).hexdigest()
