@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.readout import InsMode
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Capture:
 
     def _pack(self) -> None:
         if self._messages:
-            self._blocks.append(FrameBlock.from_messages(self._messages))
+            self._blocks.append(FrameBlock.from_messages(self._messages).data_frames())
             self._messages = []
 
 
@@ -320,7 +320,7 @@ class LiveBench:
 
     def end_capture(self) -> FrameBlock:
         """Stop keeping frames and return them, with log and telemetry written to the disk."""
-        frames = self.capture.frames() if self.capture else FrameBlock.from_messages([])
+        frames = self.capture.frames() if self.capture else concatenate([])
         self.capture = None
         if self._can_log and self._telemetry:
             self._can_log.cut()
