@@ -203,4 +203,3 @@ def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]
     error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
     axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
     return *axes, np.ascontiguousarray(tilt @ error)
-
