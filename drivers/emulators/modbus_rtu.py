@@ -139,7 +139,9 @@ class ModbusRtuDevice:
             case _:
                 return self._read(function, first, request.count)
         failure = self._write(first, values)
-        return exception_frame(self._address, function, failure) if failure else _framed(self._address, answer)
+        return (
+            exception_frame(self._address, function, failure) if failure else _framed(self._address, answer)
+        )
 
     def _read(self, function: int, first: int, count: int) -> bytes:
         try:
