@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
-    from gyrobench.drivers.ins.can_bus import FrameBlock
+    from gyrobench.drivers.frames import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
 __all__ = ["Run", "close_loop", "estimate_bias", "open_run", "run"]
