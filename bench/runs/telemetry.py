@@ -115,8 +115,18 @@ def _read_part(path: Path) -> dict[str, FloatArray]:
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
         table = part.read(columns=list(COLUMNS))
-        return {name: np.asarray(table.column(name).cast(pa.float64())) for name in COLUMNS}
+        return {name: _values(table.column(name)) for name in COLUMNS}
     except (OSError, KeyError, ValueError, pa.ArrowException) as error:
         if isinstance(error, RunFolderError):
             raise
         raise RunFolderError(f"{path}: can't be read: {error}") from error
+
+
+def _values(column: pa.ChunkedArray) -> FloatArray:
+    """Values of a column; without to_numpy, which imports pandas where it is installed."""
+    if column.type != pa.float64() or column.null_count:
+        column = column.cast(pa.float64()).fill_null(math.nan)
+    chunks = (
+        np.frombuffer(each.buffers()[1], np.float64, len(each), 8 * each.offset) for each in column.chunks
+    )
+    return np.concatenate([np.empty(0), *chunks])

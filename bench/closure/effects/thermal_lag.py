@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
-from scipy.signal import lfilter
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed, no_ins_term
@@ -17,8 +17,18 @@ def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArra
     """
     keep = np.exp(-step_s / tau_s)
     slopes = np.diff(temperature_c, axis=0, prepend=temperature_c[:1]) / step_s
-    behind: FloatArray = lfilter([-(1.0 - keep) * tau_s], [1.0, -keep], slopes, axis=0)
+    behind: FloatArray = _lagged(-(1.0 - keep) * tau_s * slopes, keep)
     return behind
+
+
+@numba.njit(cache=True)
+def _lagged(steps: FloatArray, keep: float) -> FloatArray:
+    """Sum of all steps (m, 3) so far, each of which decays by the factor ``keep`` per instant."""
+    total = steps.copy()
+    for instant in range(1, len(steps)):
+        for gyro in range(steps.shape[1]):
+            total[instant, gyro] += keep * total[instant - 1, gyro]
+    return total
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
