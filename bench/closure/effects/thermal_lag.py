@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import numba
+from itertools import accumulate
+
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
@@ -17,18 +18,10 @@ def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArra
     """
     keep = np.exp(-step_s / tau_s)
     slopes = np.diff(temperature_c, axis=0, prepend=temperature_c[:1]) / step_s
-    behind: FloatArray = _lagged(-(1.0 - keep) * tau_s * slopes, keep)
-    return behind
-
-
-@numba.njit(cache=True)
-def _lagged(steps: FloatArray, keep: float) -> FloatArray:
-    """Sum of all steps (m, 3) so far, each of which decays by the factor ``keep`` per instant."""
-    total = steps.copy()
-    for instant in range(1, len(steps)):
-        for gyro in range(steps.shape[1]):
-            total[instant, gyro] += keep * total[instant - 1, gyro]
-    return total
+    steps = -(1.0 - keep) * tau_s * slopes.T
+    return np.array(
+        [list(accumulate(each, lambda sofar, step: step + keep * sofar)) for each in steps.tolist()]
+    ).T
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
