@@ -85,9 +85,9 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 )
 
 
-def new_figure(height_in: float) -> Figure:
+def new_figure(height_in: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
     """Make an empty figure that is drawn without a display."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
