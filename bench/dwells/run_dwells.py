@@ -10,8 +10,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-import can
-
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
@@ -64,10 +62,10 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     pending = {marks.log_part: marks for marks in finished}
     if len(pending) < len(finished):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
-    for number, messages in read_can_log(folder.can) if pending else ():
+    for number, frames in read_can_log(folder.can) if pending else ():
         marks = pending.pop(number, None)
         if marks is not None:
-            yield marks, _frames(folder, marks, messages)
+            yield marks, _frames(folder, marks, frames)
     if pending:
         raise RunFolderError(f"{folder.can}: lacks the parts {sorted(pending)} that the journal names")
 
@@ -93,8 +91,8 @@ def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
     marks = {each.dwell: each for each in finished_marks(folder)}.get(dwell)
     if marks is None:
         raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}")
-    for _, messages in read_can_log(folder.can, {marks.log_part}):
-        return _frames(folder, marks, messages)
+    for _, frames in read_can_log(folder.can, {marks.log_part}):
+        return _frames(folder, marks, frames)
     raise RunFolderError(f"{folder.can}: lacks part {marks.log_part}, which dwell {dwell} needs. Restore it")
 
 
@@ -103,8 +101,8 @@ def _finished(folder: RunFolder) -> list[DwellMarks]:
     return list({marks.dwell: marks for marks in finished_marks(folder)}.values())
 
 
-def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -> FrameBlock:
-    frames, needed = FrameBlock.from_messages(messages).data_frames(), marks.frame_count
+def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+    frames, needed = logged.data_frames(), marks.frame_count
     if len(frames) < needed:
         raise RunFolderError(
             f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "
