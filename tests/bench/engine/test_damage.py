@@ -111,7 +111,6 @@ def test_lost_dwells_at_two_temperatures_are_each_approached(run, tmp_path):
     assert rows[1].chamber_set_c == 35.0
     assert rows[4].chamber_set_c == 25.0
 
-
     # The same run, killed while its report was written: results and report come without the bench.
     journal = (run / "journal.jsonl").read_bytes()
     over = gyrobench(*BOTH, cwd=tmp_path)
