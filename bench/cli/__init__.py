@@ -1,4 +1,4 @@
-"""The command line: one module a command, imported with its command; it imports what it needs when it runs."""
+"""The command line: one module a command. Each is loaded, and imports what it needs, when it is used."""
 
 from __future__ import annotations
 
