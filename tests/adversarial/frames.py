@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from tests.adversarial.strapdown import EPOCH_S, Angles, Floats, Output
 
 _PER_S = round(1.0 / EPOCH_S)
@@ -65,7 +65,7 @@ def dwell_frames(
     place = np.concatenate(at)
     order = np.argsort(place, kind="stable")
     place = place[order]
-    frames = FrameBlock(
+    frames = FrameBlock.from_columns(
         place // 10 * EPOCH_S + place % 10 * 2.5e-4,
         np.concatenate(identifiers)[order],
         np.full(len(order), 8, np.uint8),
