@@ -78,15 +78,15 @@ class TickLateness:
     """Histogram of how late ticks were; a percentile is accurate to the width of a bin, 5 %."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(_DECADES * _PER_DECADE + 1, np.int64)
+        self._counts = [0] * (_DECADES * _PER_DECADE + 1)
         self._max_s = 0.0
         self._missed = 0
         self._last_s: float | None = None
 
     def add(self, due_s: float, now_s: float, period_s: float) -> None:
         """Count the tick that was due at ``due_s`` and came at ``now_s``."""
-        late_s = max(0.0, now_s - due_s)
-        place = math.ceil(_PER_DECADE * math.log10(max(late_s, _LOWEST_S) / _LOWEST_S))
+        late_s = now_s - due_s
+        place = math.ceil(_PER_DECADE * math.log10(late_s / _LOWEST_S)) if late_s > _LOWEST_S else 0
         self._counts[min(place, len(self._counts) - 1)] += 1
         self._max_s = max(self._max_s, late_s)
         if self._last_s is not None:
@@ -96,7 +96,7 @@ class TickLateness:
     def summary(self) -> dict[str, float | int]:
         """Return the number of ticks, of ticks missed because one took too long, and the lateness in s."""
         return {
-            "count": int(self._counts.sum()),
+            "count": sum(self._counts),
             "missed": self._missed,
             "late_median_s": self._late_s(0.5),
             "late_99_percent_s": self._late_s(0.99),
@@ -105,7 +105,7 @@ class TickLateness:
 
     def _late_s(self, share: float) -> float:
         """Lateness that this share of the ticks does not exceed."""
-        total = self._counts.sum()
+        total = sum(self._counts)
         place = int(np.searchsorted(np.cumsum(self._counts), share * total)) if total else 0
         late_s = _LOWEST_S * 10.0 ** (place / _PER_DECADE) if place else 0.0
         return round(min(late_s, self._max_s), 6)
