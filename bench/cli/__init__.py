@@ -19,6 +19,8 @@ from gyrobench.bench.foundations.errors import BenchInUseError, DocumentError, G
 
 # The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Processes that a command starts import nothing from the current folder, which another user may write.
+os.environ["PYTHONSAFEPATH"] = "1"
 
 app = typer.Typer(
     epilog=EXIT_CODES_HELP,

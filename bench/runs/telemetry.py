@@ -98,6 +98,17 @@ def read_telemetry(folder: Path) -> dict[str, FloatArray]:
     return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in COLUMNS}
 
 
+def damaged_telemetry(folder: Path) -> dict[Path, str]:
+    """Parts that can't be read, and why. Raises RunFolderError if the folder can't be read."""
+    damaged = {}
+    for path in find_parts(folder, _SUFFIX).values():
+        try:
+            _read_part(path)
+        except RunFolderError as error:
+            damaged[path] = str(error)
+    return damaged
+
+
 def last_reading_s(folder: Path) -> float:
     """Time of the last reading of a run, zero where there is none; may be later than its last journal entry.
 
