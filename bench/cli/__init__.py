@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from typing import Annotated
 
@@ -51,6 +52,8 @@ def options(
 
 def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
+    # Nearly all objects are freed without it: at the default it takes a tenth of a command's time.
+    gc.set_threshold(50_000, 20, 20)
     try:
         app()
     except DocumentError as error:

@@ -20,6 +20,8 @@ from gyrobench.bench.foundations.files import write_whole
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2
 _PNG_DPI = 160
+#: Takes half as long as the default level, for 6 % larger files.
+_PNG = {"compress_level": 3}
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
 
@@ -138,7 +140,7 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     metadata = {"Software": None} | ({_KEY: key} if key else {})
     figure.set_dpi(_PNG_DPI)
     # Unlike savefig, which draws everything twice.
-    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata)  # type: ignore[no-untyped-call]
+    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata, pil_kwargs=_PNG)  # type: ignore[no-untyped-call]
     figure.set_dpi(dpi)
     return buffer.getvalue()
 
