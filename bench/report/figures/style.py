@@ -87,7 +87,7 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 )
 
 
-def new_figure(height_in: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
+def new_figure(height_in: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """Make an empty figure that is drawn without a display."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout=layout)
     FigureCanvasAgg(figure)
