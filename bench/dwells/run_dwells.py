@@ -11,8 +11,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import can
-
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
@@ -65,10 +63,10 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     pending = {marks.log_part: marks for marks in finished}
     if len(pending) < len(finished):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
-    for number, messages in read_can_log(folder.can) if pending else ():
+    for number, frames in read_can_log(folder.can) if pending else ():
         marks = pending.pop(number, None)
         if marks is not None:
-            yield marks, _frames(folder, marks, messages)
+            yield marks, _frames(folder, marks, frames)
     if pending:
         raise RunFolderError(f"{folder.can}: lacks the parts {sorted(pending)} that the journal names")
 
@@ -109,15 +107,15 @@ def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
 
 def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
     """Frames of a dwell by its marks. Raises RunFolderError if the log lacks them."""
-    for _, messages in read_can_log(folder.can, {marks.log_part}):
-        return _frames(folder, marks, messages)
+    for _, frames in read_can_log(folder.can, {marks.log_part}):
+        return _frames(folder, marks, frames)
     raise RunFolderError(
         f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
     )
 
 
-def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -> FrameBlock:
-    frames, needed = FrameBlock.from_messages(messages).data_frames(), marks.frame_count
+def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+    frames, needed = logged.data_frames(), marks.frame_count
     if len(frames) < needed:
         raise RunFolderError(
             f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "

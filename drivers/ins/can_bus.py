@@ -65,11 +65,11 @@ def is_garbage(bus: can.BusABC, error: Exception) -> bool:
     return undecodable or isinstance(error, (ValueError, LookupError))
 
 
-def stamp_in_time_of(clock: Clock, bus: can.BusABC, messages: list[can.Message]) -> None:
+def stamped_in_time_of(clock: Clock, bus: can.BusABC, block: FrameBlock) -> FrameBlock:
     """Convert stamps by the host's calendar, which slcan alone has, into times of a faster clock."""
-    if clock.speed != 1.0 and isinstance(bus, slcanBus):
-        for message in messages:
-            message.timestamp = clock.stamp_s(message.timestamp)
+    if clock.speed == 1.0 or not isinstance(bus, slcanBus):
+        return block
+    return block.with_fields(time_s=[clock.stamp_s(time_s) for time_s in block.timestamp_s])
 
 
 def drop_half_line(bus: can.BusABC) -> None:

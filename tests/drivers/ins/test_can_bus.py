@@ -63,7 +63,7 @@ def open_descriptors():
 def receive(driver, count):
     received = []
     while len(received) < count:
-        received += driver.poll()
+        received += driver.poll().messages()
     return received
 
 
