@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -51,6 +52,10 @@ def options(
 
 def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        fail(GyrobenchError("the current folder was deleted. Change to another one"), EXIT_WRONG_INPUT)
     try:
         app()
     except DocumentError as error:

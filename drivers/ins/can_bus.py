@@ -13,7 +13,7 @@ import can
 from can.interfaces.slcan import slcanBus
 
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
 from gyrobench.drivers.frames import FrameBlock
 
 # python-can warns at each frame that socketcand delivers in two pieces, which is normal over TCP.
@@ -39,6 +39,8 @@ def open_bus(
         options["clock"] = clock.name
     try:
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+    except DocumentError:
+        raise
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         raise ConnectionFailedError(
             INSTRUMENT,
