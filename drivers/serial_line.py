@@ -94,9 +94,9 @@ class SerialLine:
         self.close()
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
-        except DocumentError:
-            raise
         except _port_errors(ValueError) as error:
+            if isinstance(error.__cause__, DocumentError):
+                raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",

@@ -27,14 +27,14 @@ from gyrobench.drivers.rate_table import TableDialect
 _SMALLEST, _LARGEST = 1e-9, 1e9
 
 
-def _zero_or_sizeable(value: float) -> float:
+def _sizeable(value: float) -> float:
     if 0.0 < value < _SMALLEST:
-        raise ValueError(f"expected 0, or at least {_SMALLEST:g}")
+        raise ValueError(f"a number of at least {_SMALLEST:g} is expected")
     return value
 
 
-Positive = Annotated[float, Field(ge=_SMALLEST, le=_LARGEST)]
-NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST), AfterValidator(_zero_or_sizeable)]
+Positive = Annotated[float, Field(gt=0.0, le=_LARGEST), AfterValidator(_sizeable)]
+NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST), AfterValidator(_sizeable)]
 Direction = Literal["east", "north", "up", "west", "south", "down"]
 
 _USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")

@@ -11,7 +11,7 @@ import can.typechecking
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import BoolArray
-from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
 from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock, concatenate
 
@@ -21,7 +21,7 @@ class EmulatorBus(can.BusABC):
 
     The options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and ``frames``: a
     name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`. Raises can.CanInitializationError if
-    there is no such channel or clock, and DocumentError if the world or the list of faults is wrong.
+    there is no such channel, clock, world or list of faults.
     """
 
     def __init__(self, channel: str = "ins", frames: str = "", **options: Any) -> None:
@@ -33,8 +33,6 @@ class EmulatorBus(can.BusABC):
             self._bench.advance()
             if frames:
                 self._bench.ins.use_format(frames)
-        except DocumentError:
-            raise  # the world's file, not the bus, is wrong
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
         self._connection = self._bench.connections["ins"]

@@ -9,7 +9,7 @@ from collections import deque
 
 from serial.serialutil import PortNotOpenError, SerialException
 
-from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.clocked_port import ClockedPort
 from gyrobench.drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
 from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
@@ -30,8 +30,6 @@ class Serial(ClockedPort):  # the name that pyserial looks for
             name, address = parse_address(self.portstr or "")
             self._bench = emulated_bench(address)
             self._bench.advance()
-        except DocumentError:
-            raise  # the world's file, not the port, is wrong
         except GyrobenchError as error:
             raise SerialException(str(error)) from error
         if name not in self._bench.serial:

@@ -31,7 +31,8 @@ def open_bus(
 ) -> can.BusABC:
     """Open a CAN bus by its python-can interface name, without python-can's configuration files.
 
-    Raises ConnectionFailedError if the interface or channel does not exist or can't be opened.
+    Raises ConnectionFailedError if the interface or channel does not exist or can't be opened. Raises
+    DocumentError if the world behind an emulated bus is wrong.
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
@@ -39,9 +40,9 @@ def open_bus(
         options["clock"] = clock.name
     try:
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
-    except DocumentError:
-        raise
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        if isinstance(error.__cause__, DocumentError):  # the world behind an emulated bus is wrong
+            raise error.__cause__ from None
         raise ConnectionFailedError(
             INSTRUMENT,
             f"can't open the CAN interface '{interface}', channel {channel}: {error}. "
