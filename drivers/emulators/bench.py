@@ -20,7 +20,7 @@ from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, clock_named
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
@@ -155,7 +155,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     """Find the bench of that address, or create it.
 
     Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, no
-    clock has that name, or the bench has other dialects.
+    clock has that name. Raises GyrobenchError if the bench has other dialects.
     """
     clock: Clock
     try:
@@ -178,7 +178,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
         )
     for name, dialect in (("table", address.table), ("chamber", address.chamber)):
         if dialect and dialect != bench.dialects[name]:
-            raise DocumentError(
+            raise GyrobenchError(
                 f"emulator address: the {name} of this bench is a {bench.dialects[name]}, not a {dialect}"
             )
     return bench
