@@ -37,7 +37,7 @@ from gyrobench.bench.runs.tables.joint_table import (
     write_joint,
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 
 def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
@@ -60,15 +60,11 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     finished = finished_marks(folder)
-    pending = {marks.log_part: marks for marks in finished}
-    if len(pending) < len(finished):
+    parts = [marks.log_part for marks in finished if marks.windows]
+    if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
-    for number, frames in read_can_log(folder.can) if pending else ():
-        marks = pending.pop(number, None)
-        if marks is not None:
-            yield marks, _frames(folder, marks, frames)
-    if pending:
-        raise RunFolderError(f"{folder.can}: lacks the parts {sorted(pending)} that the journal names")
+    for marks in finished:
+        yield marks, read_frames(folder, marks)
 
 
 def finished_marks(folder: RunFolder) -> list[DwellMarks]:
@@ -106,7 +102,12 @@ def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
 
 
 def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
-    """Frames of a dwell by its marks. Raises RunFolderError if the log lacks them."""
+    """Frames of a dwell by its marks, none if the INS never navigated in it.
+
+    Raises RunFolderError if the log lacks them.
+    """
+    if not marks.windows:
+        return concatenate([])
     for _, frames in read_can_log(folder.can, {marks.log_part}):
         return _frames(folder, marks, frames)
     raise RunFolderError(

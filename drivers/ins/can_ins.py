@@ -13,21 +13,13 @@ from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
     FaultError,
-    InstrumentError,
     NoReplyError,
     RefusedError,
     ReplyError,
 )
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.can_bus import (
-    INSTRUMENT,
-    block_receiver,
-    close_bus,
-    drop_half_line,
-    is_garbage,
-    stamped_in_time_of,
-)
+from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
 from gyrobench.drivers.ins.command_map import Command, CommandMap, Compensation, check_commands, checksum
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
@@ -47,6 +39,7 @@ class InsHealth:
     frames: int
     error_frames: int
     commands: int
+    lost: int  #: Frames that arrived while the queue between adapter and bench was full.
 
 
 class CanIns:
@@ -78,7 +71,7 @@ class CanIns:
         self._clock = clock
         self.on_frames = on_frames
         self._newest = NewestFrames(self.codec)
-        self._frames = self._error_frames = self._sent = 0
+        self._frames = self._error_frames = self._sent = self._lost = 0
 
     def close(self) -> None:
         """Close the bus; a second call does nothing."""
@@ -87,33 +80,26 @@ class CanIns:
     def replace_bus(self, bus: can.BusABC) -> None:
         """Close the bus and continue on another, after bus-off or a lost adapter; counts and state stay."""
         close_bus(self._bus)
+        self._lost += _lost(self._bus)
         self._bus, self._receive = bus, block_receiver(bus)
 
     def poll(self) -> FrameBlock:
         """Take the frames that have arrived, in order; frames from before an error come first.
 
         Raises ConnectionFailedError if the bus is gone. Raises ReplyError if the adapter sent bytes that are
-        no frame.
+        no frame, or frames are lost.
         """
         try:
             block = self._receive()
-        except (can.CanError, OSError, ValueError, LookupError) as error:
-            raise self._failed(error) from error
+        except (ValueError, LookupError) as error:
+            raise ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}") from error
+        except (can.CanError, OSError) as error:
+            raise self._gone(error) from error
         if len(block):
             self._take(block)
         return block
 
-    def _failed(self, error: Exception) -> InstrumentError:
-        if not is_garbage(self._bus, error):
-            return self._gone(error)
-        try:
-            drop_half_line(self._bus)
-        except (can.CanError, OSError) as gone:
-            return self._gone(gone)
-        return ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}")
-
     def _take(self, block: FrameBlock) -> None:
-        block = stamped_in_time_of(self._clock, self._bus, block)
         data_frames = block.data_frames()
         self._frames += len(data_frames)
         self._error_frames += len(block) - len(data_frames)
@@ -130,7 +116,7 @@ class CanIns:
 
     def health(self) -> InsHealth:
         """Counts of frames and commands so far."""
-        return InsHealth(self._frames, self._error_frames, self._sent)
+        return InsHealth(self._frames, self._error_frames, self._sent, self._lost + _lost(self._bus))
 
     def identity(self, timeout_s: float = REPLY_TIMEOUT_S) -> dict[str, int]:
         """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
@@ -279,3 +265,7 @@ class CanIns:
 
     def _no_command(self, name: str) -> RefusedError:
         return RefusedError(INSTRUMENT, f"has no command '{name}'; add it to the station file's ins.commands")
+
+
+def _lost(bus: can.BusABC) -> int:
+    return int(getattr(bus, "lost", 0))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
 
 import can
 import numba
@@ -36,7 +35,8 @@ _SLOW_IDS = (
     ELECTRONICS_TEMPERATURE,
 )  # fmt: skip
 _SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
-_SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), 3
+_FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
+_SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
@@ -67,20 +67,24 @@ class GyrobenchFormat(CanFormat):
     def frames(self, epochs: Epochs) -> FrameBlock:
         first, last = int(epochs.sample[0]), int(epochs.sample[-1])
         seconds = range(-(-first // SAMPLE_RATE_HZ), last // SAMPLE_RATE_HZ + 1)
-        slow = np.frombuffer(b"".join([self._slow_data(second, epochs) for second in seconds]), np.uint8)
+        slow = b"".join([self._slow_data(second, epochs) for second in seconds])
+        temperatures_c = np.empty((len(seconds), 7))
+        for row in temperatures_c:
+            row[:] = self._world.temperatures_c()
         count = len(epochs.sample)
-        rows = np.zeros(len(seconds) * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE)
+        frames = FrameBlock(np.zeros(len(seconds) * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
         valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
         _encode(
-            rows, slow, epochs.sample, euler_output(epochs.states, self._world.unit.pitch_first),
+            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data,
+            np.frombuffer(slow, np.uint8).reshape(-1, _SLOW_FRAMES, 8), temperatures_c,
+            epochs.sample, euler_output(epochs.states, self._world.unit.pitch_first),
             self._epoch_unix_s, self._epoch_counter, int(epochs.alignment), valid,
         )  # fmt: skip
         self.skip_epochs(count)
-        return FrameBlock(rows)
+        return frames
 
     def _slow_data(self, second: int, epochs: Epochs) -> bytes:
         unit, file = self._world.unit, self._world.file
-        case, *gyros = (_within_16_bits(100.0 * each_c) for each_c in self._world.temperatures_c().tolist())
         counter = self._status_counter
         self._status_counter = (counter + 1) & 0xFFFF
         applied = unit.compensation
@@ -91,51 +95,55 @@ class GyrobenchFormat(CanFormat):
             applied is not None, 0, counter,
             file.ins.serial_number, _FIRMWARE, _HARDWARE,
             0 if applied is None else applied.checksum, checksum(unit.loaded_table),
-            *gyros[:3], counter,
-            *gyros[3:], case,
+            0, 0, 0, counter,
+            0, 0, 0, 0,
         )  # fmt: skip
-
-
-def _within_16_bits(value: float) -> int:
-    return max(-32768, min(32767, round(value)))
 
 
 @numba.njit(cache=True)
 def _encode(
-    rows: Any, slow: NDArray[np.uint8], sample: IntArray, output: FloatArray,
+    frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
+    slow: NDArray[np.uint8], temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
     epoch_unix_s: float, counter: int, alignment: int, valid: bool,
 ) -> None:  # fmt: skip
-    """Fill the frames of the epochs; ``slow``: data of the slow frames of all whole seconds among them."""
-    row = used = 0
+    """Fill the columns of the frames of some epochs, with m whole seconds among them.
+
+    ``slow``, shape (m, 7, 8): data of the slow frames, in which ``temperatures_c``, (m, 7), are missing.
+    """
+    length[:] = 8
+    row = second = 0
     for k in range(sample.size):
         time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
         if sample[k] % SAMPLE_RATE_HZ == 0:
             for place in range(_SLOW_FRAMES):
-                rows[row]["time_s"] = time_s + place * FRAME_S
-                rows[row]["id"], rows[row]["length"] = _SLOW_IDS[place], 8
+                frame_s[row + place] = time_s + place * FRAME_S
+                identifier[row + place] = _SLOW_IDS[place]
                 for byte in range(8):
-                    rows[row]["data"][byte] = slow[used + byte]
-                row, used = row + 1, used + 8
+                    data[row + place, byte] = slow[second, place, byte]
+            row += _SLOW_FRAMES
+            for i in range(3):
+                _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[second, 1 + i])
+                _put(data[row - 1], 2 * i, 2, 100.0 * temperatures_c[second, 4 + i])
+            _put(data[row - 1], 6, 2, 100.0 * temperatures_c[second, 0])
             time_s += _SLOW_FRAMES * FRAME_S
-        north, east = output[k, 0] * _VELOCITY_LSB_PER_MPS, output[k, 1] * _VELOCITY_LSB_PER_MPS
-        roll, pitch = output[k, 2] * _ANGLE_LSB_PER_RAD, output[k, 3] * _ANGLE_LSB_PER_RAD
-        heading = _within_32_bits(output[k, 4] * _ANGLE_LSB_PER_RAD) % _FULL_TURN
-        _put_two(rows[row], time_s, VELOCITY_NE, _within_32_bits(north), _within_32_bits(east))
-        _put_two(rows[row + 1], time_s + FRAME_S, ROLL_PITCH, _within_32_bits(roll), _within_32_bits(pitch))
-        last = (counter + k & 0xFFFF) | alignment << 16 | int(valid) << 24
-        _put_two(rows[row + 2], time_s + 2 * FRAME_S, HEADING, heading, last)
+            second += 1
+        for place in range(_FAST_FRAMES):
+            frame_s[row + place] = time_s + place * FRAME_S
+            identifier[row + place] = _FAST_IDS[place]
+        _put(data[row], 0, 4, output[k, 0] * _VELOCITY_LSB_PER_MPS)
+        _put(data[row], 4, 4, output[k, 1] * _VELOCITY_LSB_PER_MPS)
+        _put(data[row + 1], 0, 4, output[k, 2] * _ANGLE_LSB_PER_RAD)
+        _put(data[row + 1], 4, 4, output[k, 3] * _ANGLE_LSB_PER_RAD)
+        _put(data[row + 2], 0, 4, np.rint(output[k, 4] * _ANGLE_LSB_PER_RAD) % _FULL_TURN)
+        data[row + 2, 4], data[row + 2, 5] = counter + k & 0xFF, counter + k >> 8 & 0xFF
+        data[row + 2, 6], data[row + 2, 7] = alignment, valid
         row += _FAST_FRAMES
 
 
 @numba.njit(cache=True)
-def _within_32_bits(value: float) -> int:
-    return int(min(max(np.rint(value), _INT32_MIN), _INT32_MAX))
-
-
-@numba.njit(cache=True)
-def _put_two(row: Any, time_s: float, identifier: int, first: int, second: int) -> None:
-    """Make a frame of two 32-bit integers."""
-    row["time_s"], row["id"], row["length"] = time_s, identifier, 8
-    for byte in range(4):
-        row["data"][byte] = first >> 8 * byte & 0xFF
-        row["data"][4 + byte] = second >> 8 * byte & 0xFF
+def _put(data: NDArray[np.uint8], place: int, size: int, value: float) -> None:
+    """Put a signed integer of ``size`` bytes, rounded and within its range, into the data of a frame."""
+    limit = 2.0 ** (8 * size - 1)
+    number = int(min(max(np.rint(value), -limit), limit - 1.0))
+    for byte in range(size):
+        data[place + byte] = number >> 8 * byte & 0xFF
