@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -57,6 +58,10 @@ def options(
 def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
     gc.set_threshold(*_GC_THRESHOLD)
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        fail(GyrobenchError("the current folder was deleted. Change to another one"), EXIT_WRONG_INPUT)
     try:
         app()
     except DocumentError as error:
