@@ -8,8 +8,9 @@ gyro). The sums are evaluated once a second, so the result does not depend on ho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ class Alignment(IntEnum):
     FINE = 2
 
 
-@dataclass(frozen=True)
-class Epochs:
+class Epochs(NamedTuple):
     """Navigation output at the INS's epochs."""
 
     sample: IntArray  #: Shape (n,). Sample index since the world began (time = sample / 100 s).
@@ -147,7 +147,8 @@ class InertialUnit:
         if self.mode is Mode.NAVIGATE:
             self._up_body = matrix_of(self._state[:4])[2]
         elif self._second_samples:
-            self._up_body = self._second_sums[1] / np.linalg.norm(self._second_sums[1])
+            up = self._second_sums[1]
+            self._up_body = up / math.sqrt(up @ up)
         if self.compensation is not None:
             self.compensation.update(self._temperatures, self._up_body)
 
@@ -181,7 +182,8 @@ class InertialUnit:
                 add_up(rotation, self._second_sums[0])
                 add_up(velocity, self._second_sums[1])
                 self._second_samples += n
-            states = np.repeat(self._state[None], len(samples), axis=0)
+            states = np.empty((len(samples), STATE_SIZE))
+            states[:] = self._state
         return Epochs(samples, states, self.mode, self.alignment)
 
     def _reset_state(self) -> None:
@@ -205,7 +207,7 @@ class InertialUnit:
                 self.mode = Mode.STANDBY
         elif self.mode is Mode.ALIGN:
             limit = _MOTION_RADPS * _DT_S * self._second_samples + _PULSES_RAD
-            if np.abs(self._second_sums[0]).max() > limit:
+            if max(map(abs, self._second_sums[0].tolist())) > limit:
                 self._reset_state()
             else:
                 self._add_second()
