@@ -94,6 +94,11 @@ class Campaign:
         return 0.5 * (self.start_s + self.end_s)
 
     @cached_property
+    def computed_terms(self) -> dict[object, FloatArray]:
+        """Terms of effects (n, 3, k) that have been computed for these dwells, by form and parameters."""
+        return {}
+
+    @cached_property
     def power_on_s(self) -> FloatArray:
         """Times of power-on, in order; at least one."""
         if self.part_of is not None:
