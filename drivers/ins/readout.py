@@ -135,7 +135,8 @@ class Readout:
         sequence = self.euler_sequence(rows)
         for index, name in enumerate(EulerSequence):
             chosen = sequence == index
-            matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
+            if chosen.any():
+                matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
         return matrices
 
     def _from_quaternion(self, rows: IntArray) -> FloatArray:
@@ -147,7 +148,8 @@ class Readout:
 def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
     codes = np.full(len(values), other, np.int8)
     for code, raw in meanings.items():
-        codes[np.isin(values, raw)] = code
+        for each in raw:
+            codes[values == each] = code
     codes[np.isnan(values)] = -1
     return codes
 
