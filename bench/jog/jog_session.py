@@ -148,6 +148,9 @@ class _Session:
             self._display.print("Chamber, INS power and servos are left as they are.")
             return True
         actions = self._control.make_safe()
+        if self._control.bench.instruments.is_ramping:
+            self._display.print("The chamber's set point is moved to its safe value; Ctrl-C ends that.")
+            actions += self._control.finish_ramp()
         for action in actions:
             self._display.print(action.text)
         return not any(action.problem for action in actions)

@@ -9,19 +9,25 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
-from typing import Self, TypeVar
+from typing import Self, TypeVar, cast
 from urllib.parse import urlencode, urlsplit
 
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.errors import (
+    ConnectionFailedError,
+    GyrobenchError,
+    InstrumentError,
+    RefusedError,
+)
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import InsSection
-from gyrobench.drivers.chamber import Chamber, ChamberDialect
+from gyrobench.drivers.chamber import Chamber, ChamberDialect, running_profile
+from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -138,6 +144,22 @@ class Outputs:
             self._chamber = self._opened(CHAMBER, open_chamber)
         return self._chamber
 
+    @property
+    def is_ramping(self) -> bool:
+        """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
+        return isinstance(self._chamber, SoftwareRamp) and self._chamber.is_moving
+
+    def require_no_profile(self) -> None:
+        """Raise RefusedError if the chamber runs a profile that the station file does not let a run end."""
+        if getattr(self._station.file.chamber, "running_profile", "refuse") == "refuse" and (
+            profile := running_profile(self.chamber)
+        ):
+            raise RefusedError(
+                CHAMBER,
+                f"runs {profile} by itself. End it at its panel, or set chamber.running_profile: end in the "
+                "station file. Nothing was moved.",
+            )
+
     def power_unit(self, on: bool) -> None:
         """Switch the supply of the unit, if the bench can."""
         unit = self._station.file.unit
@@ -152,7 +174,10 @@ class Outputs:
         if instrument == RATE_TABLE:
             self._table = self._reopened(RATE_TABLE, self._table, open_table)
         elif instrument == CHAMBER:
-            self._chamber = self._reopened(CHAMBER, self._chamber, open_chamber)
+            before = self._chamber
+            self._chamber = self._reopened(CHAMBER, before, open_chamber)
+            if isinstance(before, SoftwareRamp) and isinstance(self._chamber, SoftwareRamp):
+                self._chamber.continue_from(before)
         else:
             raise ValueError(f"no instrument is called {instrument!r}")
 
@@ -232,13 +257,14 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
 
 
 def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
-    """Open the chamber; raises InstrumentError if it can't be opened or does not answer."""
+    """Open the chamber, with ramps; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
     with _silent_line(
         CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation)
     ) as line:
-        return dialect.open(line, section)
+        driver = dialect.open(line, section)
+    return driver if getattr(driver, "can_ramp", True) else cast(Chamber, SoftwareRamp(driver, clock))
 
 
 def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
