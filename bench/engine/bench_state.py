@@ -181,12 +181,11 @@ class BenchState:
         safe = self._station.file.safe_state
         for action in actions:
             match action.part:
-                case SafePart.CHAMBER if action.problem:
-                    self.chamber_state_unknown()
                 case SafePart.CHAMBER if safe.chamber_c is None:
-                    self.chamber_switched(False)
+                    self._expect(chamber_on=None if action.problem else False, chamber_reached=False)
                 case SafePart.CHAMBER:
-                    self._expect(chamber_set_c=safe.chamber_c, chamber_reached=False)
+                    set_c = None if action.problem else safe.chamber_c
+                    self._expect(chamber_set_c=set_c, chamber_reached=False)
                 case SafePart.TABLE_AT_REST:
                     self._expect(table_prepared=False, table_stopped=not action.problem)
                 case SafePart.TABLE_RELEASED:

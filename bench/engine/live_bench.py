@@ -197,6 +197,8 @@ class LiveBench:
         while (now_s := self.clock.now()) < next_tick_s:
             self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
             self.poll_ins()
+        if self.instruments.is_ramping:
+            self._asked("chamber", self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
@@ -362,7 +364,9 @@ class LiveBench:
             for what, action in self.failed_safe_actions.items()
             if action.instrument not in self._failing and self.clock.now() >= self._next_safe_s
         ]
-        actions = make_safe(self.station, self.instruments, only=due, meanwhile=meanwhile) if due else []
+        if not due:
+            return []
+        actions = make_safe(self.station, self.instruments, only=due, meanwhile=meanwhile)
         self._made_safe(actions)
         return actions
 

@@ -253,7 +253,7 @@ class ManualControl:
         return self.bench.make_safe(meanwhile=self._beat_guard)
 
     def finish_ramp(self) -> list[SafeAction]:
-        """Wait until the chamber's set point has its safe value where the bench moves it; a signal ends it."""
+        """Wait until the chamber's set point has its safe value or a signal comes."""
 
         def stopped() -> str:
             try:

@@ -149,6 +149,11 @@ class Outputs:
         """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
         return isinstance(self._chamber, SoftwareRamp) and self._chamber.is_moving
 
+    def advance_ramp(self) -> None:
+        """Move the chamber's set point on along such a ramp; to be called at every tick."""
+        if isinstance(self._chamber, SoftwareRamp):
+            self._chamber.advance()
+
     def require_no_profile(self) -> None:
         """Raise RefusedError if the chamber runs a profile that the station file does not let a run end."""
         if getattr(self._station.file.chamber, "running_profile", "refuse") == "refuse" and (

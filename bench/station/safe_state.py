@@ -86,7 +86,7 @@ def finish_ramp(
     who ends it before that, empty for no one.
     """
     action = SafeAction("chamber's set point moved to its safe value", SafePart.CHAMBER)
-    step = _Step(action, _EXCHANGE_TIME_S, lambda: instruments.chamber.read())
+    step = _Step(action, _EXCHANGE_TIME_S, instruments.advance_ramp)
     taken: list[SafeAction] = []
     while instruments.is_ramping and not any(each.problem for each in taken):
         taken = [_taken(step, instruments, meanwhile)]

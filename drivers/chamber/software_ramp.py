@@ -28,9 +28,9 @@ class _Ramp:
 class SoftwareRamp:
     """A chamber with the ramps that its controller lacks; all else is the chamber's driver's.
 
-    Each reading moves the set point on, so the chamber has to be read every few seconds. It starts at the
-    air's temperature, and ends where the chamber is switched off, commanded otherwise, or changed at its
-    panel. Readings have the end of the ramp as set point while the controller holds what was commanded.
+    :meth:`advance` moves the set point on and has to be called every few seconds. A ramp starts at the air's
+    temperature, and ends where the chamber is switched off, commanded otherwise, or changed at its panel.
+    Readings have the end of the ramp as set point while the controller holds what was commanded.
     """
 
     def __init__(self, chamber: Chamber, clock: Clock) -> None:
@@ -59,7 +59,7 @@ class SoftwareRamp:
         self._check(temperature_c, rate_c_per_min)
         air_c, now_s = self._chamber.read().temperature_c, self._clock.now()
         self._ramp = _Ramp(temperature_c, rate_c_per_min / 60.0, air_c, now_s)
-        self._move(self._ramp)
+        self.advance()
 
     def set_point_c(self) -> float:
         """End of the ramp, or the temperature last commanded."""
@@ -72,19 +72,40 @@ class SoftwareRamp:
         self._chamber.switch(on)
 
     def read(self) -> ChamberReading:
-        """Read the chamber, and move the set point on."""
+        """Read the chamber."""
         reading, ramp = self._chamber.read(), self._ramp
-        if ramp is None:
-            return reading
-        if ramp.held_c not in (None, reading.set_point_c):
-            self._ramp = None  # changed at the panel, which the interlocks report
-            return reading
-        try:
-            self._move(ramp)
-        except RefusedError:
-            self._ramp = None  # the interlocks report the set point, and the next command why
+        if ramp is None or ramp.held_c not in (None, reading.set_point_c):
             return reading
         return replace(reading, set_point_c=ramp.target_c)
+
+    def advance(self) -> None:
+        """Move the set point on if a step is due.
+
+        Raises RefusedError, at the end of the ramp, if the controller refuses the step or was changed at its
+        panel.
+        """
+        ramp = self._ramp
+        if ramp is None:
+            return
+        now_s = self._clock.now()
+        way_c = ramp.target_c - ramp.at_c
+        step_c = ramp.c_per_s * min(now_s - ramp.moved_s, _MAX_PAUSE_S)
+        is_last = abs(way_c) <= step_c
+        if ramp.held_c is not None and step_c < _STEP_C and not is_last:
+            return
+        try:
+            if ramp.held_c not in (None, held_c := self._chamber.set_point_c()):
+                raise self._refused(f"its set point was changed from {ramp.held_c} to {held_c} °C in a ramp")
+            # Unknown until it is read back: a reply may be lost although the command was executed.
+            ramp.held_c, ramp.moved_s = None, now_s
+            ramp.at_c = ramp.target_c if is_last else ramp.at_c + math.copysign(step_c, way_c)
+            self._chamber.set_temperature(ramp.at_c, None)
+            ramp.held_c = self._chamber.set_point_c()
+        except RefusedError:
+            self._ramp = None
+            raise
+        if is_last:
+            self._ramp = None
 
     def _check(self, temperature_c: float, rate_c_per_min: float) -> None:
         """Raise RefusedError if the end of a ramp would be refused."""
@@ -97,21 +118,6 @@ class SoftwareRamp:
         if not low_c <= temperature_c <= high_c:
             limits = f"the controller's limits, {low_c} to {high_c} °C"
             raise self._refused(f"a set point of {temperature_c} °C is outside {limits}")
-
-    def _move(self, ramp: _Ramp) -> None:
-        now_s = self._clock.now()
-        way_c = ramp.target_c - ramp.at_c
-        step_c = ramp.c_per_s * min(now_s - ramp.moved_s, _MAX_PAUSE_S)
-        is_last = abs(way_c) <= step_c
-        if ramp.held_c is not None and step_c < _STEP_C and not is_last:
-            return
-        # Unknown until it is read back: a reply may be lost although the command was executed.
-        ramp.held_c, ramp.moved_s = None, now_s
-        ramp.at_c = ramp.target_c if is_last else ramp.at_c + math.copysign(step_c, way_c)
-        self._chamber.set_temperature(ramp.at_c, None)
-        ramp.held_c = self._chamber.set_point_c()
-        if is_last:
-            self._ramp = None
 
     def _refused(self, message: str) -> RefusedError:
         return RefusedError("chamber", message)
