@@ -75,7 +75,7 @@ def test_a_table_whose_port_was_gone_in_a_move_is_stopped_as_soon_as_it_answers(
 
 def test_a_table_that_moves_although_it_was_stopped_trips(tmp_path):
     def turn(emulated, now_s):
-        if 260.0 < now_s < 262.0:  # in the hold: another program commands the table
+        if 260.0 <= now_s <= 262.0:  # in the hold: another program commands the table
             emulated.table.feed(b":Interlock:Close 1;Close 2\r\n", now_s)
             emulated.table.feed(b":Demand:Rate 2,0.3;:Mode:Rate 2\r\n", now_s)
 
