@@ -132,9 +132,8 @@ class Run:
         from gyrobench.bench.report.run_report import run_figures
 
         run = read_run(self.folder)
-        return dict(
-            run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
-        )
+        drawn = run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+        return {name: draw() for name, draw in drawn}
 
     def _block(self, dwell: int) -> FrameBlock:
         from gyrobench.bench.dwells.run_dwells import read_dwell_frames
