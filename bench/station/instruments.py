@@ -9,7 +9,7 @@ from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
 from typing import Self, TypeVar, cast
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlencode
 
 import can
 
@@ -305,21 +305,13 @@ def _silent_line(
 ) -> Iterator[SerialLine]:
     """Open a line and wait until it is silent; an error of the driver closes it."""
     baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
-    line = SerialLine(instrument, _with_tcp_port(url, usual), clock, baudrate, parity)
+    line = SerialLine(instrument, usual.completed(url), clock, baudrate, parity)
     try:
         line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         yield line
     except BaseException:
         line.close()
         raise
-
-
-def _with_tcp_port(url: str, usual: LineDefaults) -> str:
-    """Complete ``socket://host`` with the usual TCP port of the dialect."""
-    parts = urlsplit(url)
-    if parts.scheme != "socket" or usual.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
-        return url
-    return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{usual.tcp_port}").geturl()
 
 
 def _addressed(section: DialectSection, station: Station, clock: Clock, emulation: Emulation) -> str:
