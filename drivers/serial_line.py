@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import serial
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, NoReplyError, ReplyError
 from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.recording_file import RecordingFile, new_line_recording
 
@@ -97,11 +97,14 @@ class SerialLine:
         """Close the port and open it again with the same settings; unread input is lost.
 
         Raises ConnectionFailedError if the port can't be opened; it stays closed and can be reopened later.
+        Raises DocumentError if the world behind an emulated port is wrong.
         """
         self.close()
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
         except _port_errors(ValueError) as error:
+            if isinstance(error.__cause__, DocumentError):
+                raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,
                 f"can't open {self.url}: {error}. Check the station file's port and the cable.",

@@ -16,6 +16,7 @@
     ├── InvalidDwellError                 a dwell in progress can't give a result any more
     ├── RunStoppedError                   a command or an answer stops the run
     ├── MeasurementError (ValueError)     measured data that can't give a result
+    │   └── SignalMapError                they contradict the signs or axes of the signal map
     ├── RunFolderError (OSError)          a run folder that can't be written or read
     └── MissingPackageError (ImportError) an optional package is not installed
 
@@ -90,6 +91,10 @@ class RunStoppedError(GyrobenchError):
 
 class MeasurementError(GyrobenchError, ValueError):
     """Measured data that can't give a result: a window too short, gaps, not a number."""
+
+
+class SignalMapError(MeasurementError):
+    """Measured data contradict the signs or axes in the signal map of the station file."""
 
 
 class RunFolderError(GyrobenchError, OSError):

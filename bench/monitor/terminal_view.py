@@ -21,7 +21,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import ObserverGroup, RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal import (
@@ -35,7 +35,6 @@ from gyrobench.bench.monitor.terminal_screen import MAX_HEIGHT, MAX_WIDTH, scree
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Chamber
-from gyrobench.bench.procedure.timeline import hours_minutes
 
 
 class TerminalOperator:
