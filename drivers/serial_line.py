@@ -8,6 +8,7 @@ handlers of the last two in the packages named below; the emulators are not impo
 from __future__ import annotations
 
 import contextlib
+import re
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
@@ -66,6 +67,12 @@ def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return (serial.SerialException, OSError, termios.error, *others)
 
 
+def system_reason(error: Exception) -> str:
+    """What the system says about a port that can't be opened, without the name of the port again."""
+    found = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
+    return found[-1].strip() if found else str(error)
+
+
 class SerialLine:
     """Bytes to and from one instrument.
 
@@ -107,7 +114,8 @@ class SerialLine:
                 raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,
-                f"can't open {self.url}: {error}. Check the station file's port and the cable.",
+                f"can't open {self.url}: {system_reason(error)}. "
+                "Check the station file's port and the cable.",
             ) from error
         self._port, self._open = port, True
         self._recording = new_line_recording(self.instrument, self.clock, self._baudrate, self._parity)
