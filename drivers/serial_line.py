@@ -8,7 +8,9 @@ handlers of the last two in the packages named below; the emulators are not impo
 from __future__ import annotations
 
 import contextlib
+import re
 from dataclasses import dataclass
+from urllib.parse import urlsplit
 
 import serial
 
@@ -36,6 +38,13 @@ class LineDefaults:
     parity: str = "N"  #: Parity bit; eight data bits and one stop bit always.
     tcp_port: int | None = None  #: TCP port for an address without one; None if there is no usual port.
 
+    def completed(self, url: str) -> str:
+        """Complete ``socket://host`` with the usual TCP port."""
+        parts = urlsplit(url)
+        if parts.scheme != "socket" or self.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
+            return url
+        return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{self.tcp_port}").geturl()
+
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:
     """Open a port exclusively; raises what pyserial raises."""
@@ -56,6 +65,12 @@ def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
     except ImportError:  # not a POSIX system
         return (serial.SerialException, OSError, *others)
     return (serial.SerialException, OSError, termios.error, *others)
+
+
+def system_reason(error: Exception) -> str:
+    """What the system says about a port that can't be opened, without the name of the port again."""
+    found = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
+    return found[-1].strip() if found else str(error)
 
 
 class SerialLine:
@@ -99,7 +114,8 @@ class SerialLine:
                 raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,
-                f"can't open {self.url}: {error}. Check the station file's port and the cable.",
+                f"can't open {self.url}: {system_reason(error)}. "
+                "Check the station file's port and the cable.",
             ) from error
         self._port, self._open = port, True
         self._recording = new_line_recording(self.instrument, self.clock, self._baudrate, self._parity)

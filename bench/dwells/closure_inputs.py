@@ -34,13 +34,15 @@ def read_campaign(path: Path) -> Campaign:
 
     ``path``: a dwell table, or a run folder. Raises DocumentError if there is no dwell table, or it is wrong.
     Raises RunFolderError if the folder is not a run folder, or its telemetry can't be read. Raises
-    MeasurementError if the table has no good dwells, or dwells of several units.
+    MeasurementError if there are no good dwells, or dwells of several units.
     """
     record = None
     table = path
     if path.is_dir():
         folder = open_run_folder(path)
         table = folder.dwells
+        if not table.exists():
+            raise MeasurementError(f"{path}: no dwell was finished in this run: nothing to search")
         record = temperature_record(read_telemetry(folder.telemetry))
     try:
         return campaign_of(read_dwells(table), record)

@@ -132,6 +132,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         patience_s = _GUARD_TIME_S if start.state.last_s else 0.0
         bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
         instruments = opened.enter_context(Instruments(job.station, clock, job.emulation))
+        instruments.require_no_profile()
         folder = start.open_folder()
         bench_lock.sign(folder.path)
         run_lock = opened.enter_context(RunLock(folder.path, clock))

@@ -18,6 +18,7 @@
     ├── MeasurementError (ValueError)     measured data that can't give a result
     │   └── SignalMapError                they contradict the signs or axes of the signal map
     ├── RunFolderError (OSError)          a run folder that can't be written or read
+    │   └── MissingRunError               there is no run where one was named
     └── MissingPackageError (ImportError) an optional package is not installed
 
 A message says what happened, where, and what to do about it. Kinds that only the engine
@@ -99,6 +100,10 @@ class SignalMapError(MeasurementError):
 
 class RunFolderError(GyrobenchError, OSError):
     """A run folder can't be written, or what it holds can't be read."""
+
+
+class MissingRunError(RunFolderError):
+    """No run is in the folder that was named, or there is no such folder."""
 
 
 class MissingPackageError(GyrobenchError, ImportError):

@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
-from typing import Self, TypeVar
-from urllib.parse import urlencode, urlsplit
+from typing import Any, Self, TypeVar, cast
+from urllib.parse import urlencode
+from uuid import uuid4
 
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.errors import (
+    ConnectionFailedError,
+    GyrobenchError,
+    InstrumentError,
+    RefusedError,
+)
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.chamber import Chamber, ChamberDialect
+from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
+from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.dbc_codec import load_dbc
-from gyrobench.drivers.rate_table import RateTable, TableDialect
+from gyrobench.drivers.rate_table import RateTable, TableDialect, TableReading
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 _POLL_S = 0.25
@@ -136,6 +144,27 @@ class Outputs:
             self._chamber = self._opened(CHAMBER, open_chamber)
         return self._chamber
 
+    @property
+    def is_ramping(self) -> bool:
+        """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
+        return isinstance(self._chamber, SoftwareRamp) and self._chamber.is_moving
+
+    def advance_ramp(self) -> None:
+        """Move the chamber's set point on along such a ramp; to be called at every tick."""
+        if isinstance(self._chamber, SoftwareRamp):
+            self._chamber.advance()
+
+    def require_no_profile(self) -> None:
+        """Raise RefusedError if the chamber runs a profile that the station file does not let a run end."""
+        if getattr(self._station.file.chamber, "running_profile", "refuse") == "refuse" and (
+            profile := running_profile(self.chamber)
+        ):
+            raise RefusedError(
+                CHAMBER,
+                f"runs {profile} by itself. End it at its panel, or set chamber.running_profile: end in the "
+                "station file. Nothing was moved.",
+            )
+
     def power_unit(self, on: bool) -> None:
         """Switch the supply of the unit, if the bench can."""
         unit = self._station.file.unit
@@ -150,7 +179,10 @@ class Outputs:
         if instrument == RATE_TABLE:
             self._table = self._reopened(RATE_TABLE, self._table, open_table)
         elif instrument == CHAMBER:
-            self._chamber = self._reopened(CHAMBER, self._chamber, open_chamber)
+            before = self._chamber
+            self._chamber = self._reopened(CHAMBER, before, open_chamber)
+            if isinstance(before, SoftwareRamp) and isinstance(self._chamber, SoftwareRamp):
+                self._chamber.continue_from(before)
         else:
             raise ValueError(f"no instrument is called {instrument!r}")
 
@@ -184,17 +216,40 @@ class Outputs:
 class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
 
-    Raises ConnectionFailedError if one can't be opened; the others are closed again.
+    ``may_be_absent``: whether an instrument that can't be opened is left out, if another answers. It then
+    reads nothing and refuses commands. Raises ConnectionFailedError if one, or all, can't be opened; the
+    others are closed again.
     """
 
-    def __init__(self, station: Station, clock: Clock, emulation: Emulation) -> None:
+    def __init__(
+        self, station: Station, clock: Clock, emulation: Emulation, may_be_absent: bool = False
+    ) -> None:
         super().__init__(station, clock, emulation)
+        #: Instruments that are left out, and why.
+        self.absent: dict[str, InstrumentError] = {}
         with contextlib.ExitStack() as opened:
             opened.callback(super().close)
-            self.table  # noqa: B018 - opens it
-            self.chamber  # noqa: B018
-            self.ins = self._opened(INS, open_ins)
+            try:
+                self.table  # noqa: B018 - opens it
+            except InstrumentError as error:
+                self._leave_out(error, may_be_absent)
+                self._table = cast(RateTable, _AbsentTable(error, len(station.file.rate_table.axis_numbers)))
+            try:
+                self.chamber  # noqa: B018
+            except InstrumentError as error:
+                self._leave_out(error, may_be_absent)
+                self._chamber = cast(Chamber, _AbsentChamber(error))
+            try:
+                self.ins = self._opened(INS, open_ins)
+            except InstrumentError as error:
+                self._leave_out(error, may_be_absent and len(self.absent) < _OTHERS)
+                self.ins = _silent_ins(station, clock)
             opened.pop_all()
+
+    def _leave_out(self, error: InstrumentError, may_be: bool) -> None:
+        if not may_be:
+            raise error
+        self.absent[error.instrument] = error
 
     def reopen(self, instrument: str) -> None:
         """Close and reopen one instrument, also the INS; see :meth:`Outputs.reopen`.
@@ -219,6 +274,57 @@ class Instruments(Outputs):
         super().close()
 
 
+#: Instruments beside the INS.
+_OTHERS = 2
+
+
+class _Absent:
+    """In place of an instrument that does not answer: refuses every command."""
+
+    def __init__(self, error: InstrumentError) -> None:
+        self._instrument = error.instrument
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        def refuse(*_: object, **__: object) -> None:
+            raise RefusedError(self._instrument, "did not answer when the bench was opened")
+
+        return refuse
+
+    def close(self) -> None:
+        """Do nothing: it has no port."""
+
+
+class _AbsentTable(_Absent):
+    def __init__(self, error: InstrumentError, axes: int) -> None:
+        super().__init__(error)
+        self._nothing = TableReading((math.nan,) * axes, (math.nan,) * axes, is_servoed=False)
+
+    def read(self) -> TableReading:
+        """Read nothing."""
+        return self._nothing
+
+    def faults(self) -> tuple[str, ...]:
+        """Report none."""
+        return ()
+
+
+class _AbsentChamber(_Absent):
+    def read(self) -> ChamberReading:
+        """Read nothing."""
+        return ChamberReading(math.nan)
+
+    def alarms(self) -> tuple[str, ...]:
+        """Report none."""
+        return ()
+
+
+def _silent_ins(station: Station, clock: Clock) -> CanIns:
+    """The INS on a bus of this process, on which no other sends."""
+    section = station.file.ins
+    bus = open_bus("virtual", f"absent INS {uuid4()}", clock)
+    return CanIns(bus, section.signals, load_dbc(station.dbc_path), clock, section.commands)
+
+
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
     """Open the rate table; raises InstrumentError if it can't be opened."""
     section = station.file.rate_table
@@ -230,13 +336,14 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
 
 
 def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
-    """Open the chamber; raises InstrumentError if it can't be opened or does not answer."""
+    """Open the chamber, with ramps; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
     with _silent_line(
         CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation)
     ) as line:
-        return dialect.open(line, section)
+        driver = dialect.open(line, section)
+    return driver if getattr(driver, "can_ramp", True) else cast(Chamber, SoftwareRamp(driver, clock))
 
 
 def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
@@ -274,21 +381,13 @@ def _silent_line(
 ) -> Iterator[SerialLine]:
     """Open a line and wait until it is silent; an error of the driver closes it."""
     baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
-    line = SerialLine(instrument, _with_tcp_port(url, usual), clock, baudrate, parity)
+    line = SerialLine(instrument, usual.completed(url), clock, baudrate, parity)
     try:
         line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         yield line
     except BaseException:
         line.close()
         raise
-
-
-def _with_tcp_port(url: str, usual: LineDefaults) -> str:
-    """Complete ``socket://host`` with the usual TCP port of the dialect."""
-    parts = urlsplit(url)
-    if parts.scheme != "socket" or usual.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
-        return url
-    return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{usual.tcp_port}").geturl()
 
 
 def _addressed(section: DialectSection, station: Station, clock: Clock, emulation: Emulation) -> str:

@@ -14,6 +14,7 @@ from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.text_buses import SlcanBus, SocketcandBus
+from gyrobench.drivers.serial_line import system_reason
 
 #: Name of the instrument in errors.
 INSTRUMENT = "INS"
@@ -46,7 +47,7 @@ def open_bus(
             raise error.__cause__ from None
         raise ConnectionFailedError(
             INSTRUMENT,
-            f"can't open the CAN interface '{interface}', channel {channel}: {error}. "
+            f"can't open the CAN interface '{interface}', channel {channel}: {system_reason(error)}. "
             "Check the station file's interface, channel and options, and the adapter.",
         ) from error
 

@@ -67,7 +67,7 @@ class NewestFrames:
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
-        self._stamp_s = float(frames.timestamp_s[-1])
+        self._stamp_s = frames.timestamp_s.item(-1)
         self._append(frames, now_s)
         while self._arrivals[0].received_s < now_s - _KEPT_S:
             self._arrivals.popleft()
