@@ -156,10 +156,11 @@ class LinesView(RunObserver):
             text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
+    def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
         """Show the present biases with the next update."""
-        pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
-        self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
+        if self._status and (so_far := estimate()):
+            pairs = zip(AXES, 1e3 * so_far.bias_dph, 1e3 * so_far.sigma_dph, strict=True)
+            self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell, the table head above the first one, and the reasons below a flagged one."""
