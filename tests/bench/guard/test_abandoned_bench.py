@@ -23,7 +23,9 @@ def begun(served, tmp_path):
     """Folder of a run that began on the served bench and has no end."""
     folder = RunFolder(tmp_path / "run")
     folder.path.mkdir()
-    folder.procedure.write_text("procedure: hot\nsteps:\n  - chamber: {temperature_c: 60, ramp_c_per_min: 2}\n")
+    folder.procedure.write_text(
+        "procedure: hot\nsteps:\n  - chamber: {temperature_c: 60, ramp_c_per_min: 2}\n"
+    )
     folder.station.write_bytes(served.station.path.read_bytes())
     dbc = served.station.dbc_path
     (folder.path / dbc.name).write_bytes(dbc.read_bytes())
