@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erfc
 
 from gyrobench.bench.bias import parameters, window_filter
+from gyrobench.bench.bias.bias_steps import BiasStep, Passage, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -31,6 +32,10 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+
+
+#: A rate of damping of which nothing is known beforehand, 1/s.
+_WIDE_DAMPING = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +67,11 @@ class StateSpaceEstimate(BiasEstimate):
     fit: GoodnessOfFit  #: Whether the model explains the data.
     #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
+    step: BiasStep | None  #: Most significant step of the biases in the dwell; None in very short windows.
+    #: damping, damping_sigma: Rate at which the INS damps its velocity, and its standard uncertainty, 1/s; zero
+    #: where it is free inertial, which the biases presume.
+    damping: float
+    damping_sigma: float
     information: DwellInformation  #: For the joint solution of several dwells.
 
 
@@ -83,6 +93,7 @@ class BiasFilter:
         self._earth_rate = earth_rate_enu(site.latitude)
         self._windows: list[WindowFilter] = []
         self._expansions: list[FloatArray] = []
+        self._passages: list[Passage] = []
         self._reference_c: FloatArray | None = None
         self._last_k = np.zeros(3)
 
@@ -113,7 +124,13 @@ class BiasFilter:
                     f"a window begins at {time_s:.3f} s, but the previous one has epochs until "
                     f"{self._windows[-1].last_s:.3f} s. Add windows in order, none of them empty"
                 )
-            state[:, : -parameters.PER_WINDOW], known, covariance = self._through_turn(time_s, turn)
+            last = self._windows[-1]
+            passage, driven, noise = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
+            self._passages.append(passage)
+            before = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
+            state[:, : -parameters.PER_WINDOW] = passage.transition @ before + driven
+            known = passage.transition @ last.columns[:, window_filter.DATA]
+            covariance = passage.transition @ last.covariance @ passage.transition.T + noise
         state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
         state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
         self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
@@ -167,6 +184,7 @@ class BiasFilter:
         information = self.information()
         unknowns, covariance = self._solved(information)
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
+        damping, damping_sigma = self._damping(information)
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
@@ -174,6 +192,9 @@ class BiasFilter:
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
             fit=self._goodness_of_fit(unknowns, covariance),
             steady_p_value=self._steady_p_value(information),
+            step=find_bias_step(self._windows, self._passages, self._expansions, unknowns, covariance),
+            damping=damping,
+            damping_sigma=damping_sigma,
             information=information,
         )
 
@@ -198,16 +219,24 @@ class BiasFilter:
         away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
         return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
 
+    def _damping(self, information: DwellInformation) -> tuple[float, float]:
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
+        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        sigma = math.sqrt(covariance[parameters.DAMPING, parameters.DAMPING])
+        return float(unknowns[parameters.DAMPING]), sigma
+
     def _from_first(self, gyro_c: FloatArray) -> FloatArray:
         if self._reference_c is None:
             self._reference_c = gyro_c[0].copy()
         return gyro_c - self._reference_c
 
-    def _through_turn(self, time_s: float, turn: TurnPath) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What each unknown, the data and the noise made of the state when a turn ends at ``time_s``."""
+    def _through_turn(
+        self, time_s: float, turn: TurnPath, count: int
+    ) -> tuple[Passage, FloatArray, FloatArray]:
+        """What the state before a turn, each parameter (6, count) and the noise make of that after it."""
         last = self._windows[-1]
-        state = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
-        known, covariance = last.columns[:, window_filter.DATA], last.covariance
+        through, state, covariance = np.eye(STATES), np.zeros((STATES, count)), np.zeros((STATES, STATES))
         # At rest until the turn begins, and again when it is over; the INS's own attitude before the
         # turn, carried on by the table.
         edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
@@ -218,13 +247,12 @@ class BiasFilter:
         steps = integrate(self._site, durations, noise.angle_random_walk, noise.velocity_random_walk)
         for k in np.flatnonzero(durations > 0.0):
             rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
-            driven = parameters.inputs(middle[k], rate_body, state.shape[1])
+            driven = parameters.inputs(middle[k], rate_body, count)
             driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k
             transition = steps.transition[k]
-            state = transition @ state + steps.response[k] @ driven
-            known = transition @ known
+            through, state = transition @ through, transition @ state + steps.response[k] @ driven
             covariance = transition @ covariance @ transition.T + steps.covariance[k]
-        return state, known, covariance
+        return Passage(through, state[:, parameters.GYRO_BIAS]), state, covariance
 
     def information(self) -> DwellInformation:
         """What has been added so far says of the unknowns, without prior knowledge."""
@@ -282,7 +310,7 @@ def navigation_fit(
 
 
 def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
-    """What each column of a window (15) is of the unknowns (p), given its first state (6, p)."""
+    """What each column of a window is of the unknowns (p), given its first state (6, p)."""
     count = state.shape[1]
     expansion = np.zeros((window_filter.DATA, count))
     expansion[: window_filter.INPUT] = state
@@ -290,12 +318,16 @@ def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> F
         C_nb, C_nb.T @ earth_rate, count
     )
     expansion[window_filter.HEADING, count - parameters.PER_WINDOW + parameters.HEADING] = 1.0
-    expansion[window_filter.SLOPE : window_filter.DATA, parameters.GYRO_SLOPE] = np.eye(3)
+    expansion[window_filter.SLOPE : window_filter.TRANSIENT, parameters.GYRO_SLOPE] = np.eye(3)
+    expansion[window_filter.TRANSIENT : window_filter.DAMPING, count - parameters.PER_WINDOW :][
+        :, parameters.TRANSIENT
+    ] = np.eye(2)
+    expansion[window_filter.DAMPING, parameters.DAMPING] = 1.0
     return expansion
 
 
 def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
-    """Rows of a window (n, 16) for all unknowns of the dwell (n, count)."""
+    """Rows of a window (n, c) for all unknowns of the dwell (n, count)."""
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
     return result
