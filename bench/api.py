@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
-    from gyrobench.drivers.ins.can_bus import FrameBlock
+    from gyrobench.drivers.frames import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
 __all__ = ["Run", "close_loop", "estimate_bias", "open_run", "run"]
@@ -132,9 +132,8 @@ class Run:
         from gyrobench.bench.report.run_report import run_figures
 
         run = read_run(self.folder)
-        return dict(
-            run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
-        )
+        drawn = run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+        return {name: draw() for name, draw in drawn}
 
     def _block(self, dwell: int) -> FrameBlock:
         from gyrobench.bench.dwells.run_dwells import read_dwell_frames

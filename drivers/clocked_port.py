@@ -49,6 +49,13 @@ class ClockedPort(SerialBase):
     def read(self, size: int = 1, /) -> bytes:
         """Read up to ``size`` bytes, waiting on the clock until the time-out."""
         self._collect()
+        if len(self._arrived) < size:
+            self._await(size)
+        data = bytes(self._arrived[:size])
+        del self._arrived[:size]
+        return data
+
+    def _await(self, size: int) -> None:
         end_s = None if self.timeout is None else self.clock.now() + self.timeout * self.clock.speed
         while len(self._arrived) < size:
             due_s = self.next_due_s()
@@ -58,9 +65,6 @@ class ClockedPort(SerialBase):
                 break
             self.clock.sleep_until(due_s)
             self._collect()
-        data = bytes(self._arrived[:size])
-        del self._arrived[:size]
-        return data
 
     def flush(self) -> None:
         """Do nothing: written bytes are sent at once."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import struct
 from enum import IntEnum
+from functools import lru_cache
 
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import RefusedError, ReplyError
@@ -38,6 +39,7 @@ def _crc_entry(byte: int) -> int:
 _CRC_TABLE = tuple(_crc_entry(byte) for byte in range(256))
 
 
+@lru_cache(maxsize=1024)
 def crc16(data: bytes) -> int:
     """CRC-16/MODBUS; zero for an intact frame."""
     crc = 0xFFFF
@@ -46,6 +48,7 @@ def crc16(data: bytes) -> int:
     return crc
 
 
+@lru_cache(maxsize=1024)
 def framed(content: bytes) -> bytes:
     """Append the CRC, low byte first."""
     return content + crc16(content).to_bytes(2, "little")
@@ -70,14 +73,16 @@ class ModbusRtu:
         request = struct.pack(">BBHH", self._address, _READ, register, count)
         start = bytes((self._address, _READ, 2 * count))
         reply = self._exchange(request, start, len(start) + 2 * count + 2, PAUSE_AFTER_READ_S)
-        self._raise_exception(reply, f"read {_label(register)}")
+        if reply[1] & _EXCEPTION_BIT:
+            raise self._refused(reply, f"read {_label(register)}")
         return struct.unpack(f">{count}h", reply[len(start) : -2])
 
     def write(self, register: int, value: int) -> None:
         """Write one register as a signed 16-bit number; raises what :meth:`read` raises."""
         request = struct.pack(">BBHh", self._address, _WRITE, register, value)
         reply = self._exchange(request, request, len(request) + 2, PAUSE_AFTER_WRITE_S)
-        self._raise_exception(reply, f"write {value} to {_label(register)}")
+        if reply[1] & _EXCEPTION_BIT:
+            raise self._refused(reply, f"write {value} to {_label(register)}")
 
     def _exchange(self, request: bytes, start: bytes, size: int, pause_s: float) -> bytes:
         """Send a request; return its reply, ``size`` bytes beginning with ``start``, or an exception."""
@@ -112,13 +117,10 @@ class ModbusRtu:
             f"sent {request.hex(' ')}, received {reply.hex(' ')} on {self._line.url}: {problem}",
         )
 
-    def _raise_exception(self, reply: bytes, attempt: str) -> None:
-        if reply[1] & _EXCEPTION_BIT:
-            code = reply[2]
-            meaning = _EXCEPTIONS.get(code, "unknown")
-            raise RefusedError(
-                self._line.instrument, f"refused to {attempt}: exception {code:02d}, {meaning}"
-            )
+    def _refused(self, reply: bytes, attempt: str) -> RefusedError:
+        code = reply[2]
+        meaning = _EXCEPTIONS.get(code, "unknown")
+        return RefusedError(self._line.instrument, f"refused to {attempt}: exception {code:02d}, {meaning}")
 
 
 def _label(register: int) -> str:

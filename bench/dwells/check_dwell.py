@@ -20,7 +20,7 @@ from gyrobench.bench.dwells.dwell import (
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 
 

@@ -32,7 +32,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData, decode_navigation
 from gyrobench.drivers.ins.readout import InsMode

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.dwells.dwell import MeasurementSetup, rest_output
 from gyrobench.bench.dwells.marks import WindowMark
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
 #: Frames before the new ones that are decoded with them, for the status that they belong to.

@@ -38,7 +38,7 @@ from gyrobench.bench.runs.tables.joint_table import (
     write_joint,
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 
 
 def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
@@ -104,7 +104,7 @@ def _finished(folder: RunFolder) -> list[DwellMarks]:
 
 
 def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -> FrameBlock:
-    frames, needed = FrameBlock.from_messages(messages), marks.frame_count
+    frames, needed = FrameBlock.from_messages(messages).data_frames(), marks.frame_count
     if len(frames) < needed:
         raise RunFolderError(
             f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "

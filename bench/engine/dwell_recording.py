@@ -17,7 +17,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: A single reading of the table may differ by this much from the one at the window's begin, deg.
 _STILL_DEG = 0.001
@@ -98,7 +98,7 @@ class DwellRecorder:
 
     def _frames(self, first: int) -> FrameBlock:
         capture = self._bench.capture
-        return capture.frames(first) if capture else FrameBlock.from_messages([])
+        return capture.frames(first) if capture else concatenate([])
 
     def disturb(self, text: str) -> None:
         """Note a disturbance of the dwell in progress, which keeps it out of the bins."""

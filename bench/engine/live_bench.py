@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.readout import InsMode
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Capture:
 
     def _pack(self) -> None:
         if self._messages:
-            self._blocks.append(FrameBlock.from_messages(self._messages))
+            self._blocks.append(FrameBlock.from_messages(self._messages).data_frames())
             self._messages = []
 
 
@@ -88,15 +88,15 @@ class TickLateness:
     """Histogram of how late ticks were; a percentile is accurate to the width of a bin, 5 %."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(_DECADES * _PER_DECADE + 1, np.int64)
+        self._counts = [0] * (_DECADES * _PER_DECADE + 1)
         self._max_s = 0.0
         self._missed = 0
         self._last_s: float | None = None
 
     def add(self, due_s: float, now_s: float, period_s: float) -> None:
         """Count the tick that was due at ``due_s`` and came at ``now_s``."""
-        late_s = max(0.0, now_s - due_s)
-        place = math.ceil(_PER_DECADE * math.log10(max(late_s, _LOWEST_S) / _LOWEST_S))
+        late_s = now_s - due_s
+        place = math.ceil(_PER_DECADE * math.log10(late_s / _LOWEST_S)) if late_s > _LOWEST_S else 0
         self._counts[min(place, len(self._counts) - 1)] += 1
         self._max_s = max(self._max_s, late_s)
         if self._last_s is not None:
@@ -106,7 +106,7 @@ class TickLateness:
     def summary(self) -> dict[str, float | int]:
         """Return the number of ticks, of ticks missed because one took too long, and the lateness in s."""
         return {
-            "count": int(self._counts.sum()),
+            "count": sum(self._counts),
             "missed": self._missed,
             "late_median_s": self._late_s(0.5),
             "late_99_percent_s": self._late_s(0.99),
@@ -115,7 +115,7 @@ class TickLateness:
 
     def _late_s(self, share: float) -> float:
         """Lateness that this share of the ticks does not exceed."""
-        total = self._counts.sum()
+        total = sum(self._counts)
         place = int(np.searchsorted(np.cumsum(self._counts), share * total)) if total else 0
         late_s = _LOWEST_S * 10.0 ** (place / _PER_DECADE) if place else 0.0
         return round(min(late_s, self._max_s), 6)
@@ -320,7 +320,7 @@ class LiveBench:
 
     def end_capture(self) -> FrameBlock:
         """Stop keeping frames and return them, with log and telemetry written to the disk."""
-        frames = self.capture.frames() if self.capture else FrameBlock.from_messages([])
+        frames = self.capture.frames() if self.capture else concatenate([])
         self.capture = None
         if self._can_log and self._telemetry:
             self._can_log.cut()

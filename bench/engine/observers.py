@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
@@ -92,23 +93,23 @@ class RunObserver:
         """The bench is safe and the run is over."""
 
 
+_EVENTS = [name for name in vars(RunObserver) if not name.startswith("_")]
+
+
 class ObserverGroup(RunObserver):
-    """Notifies each of its members, in their order."""
+    """Notifies each of its members that needs an event, in their order."""
 
     def __init__(self, *members: RunObserver) -> None:
-        self._members = members
+        for name in _EVENTS:
+            ignores = getattr(RunObserver, name)
+            methods = [getattr(member, name) for member in members]
+            needed = [method for method in methods if getattr(method, "__func__", None) is not ignores]
+            setattr(self, name, partial(_notify, needed))
 
 
-def _for_each_member(name: str) -> Callable[..., None]:
-    def notify(self: ObserverGroup, *details: object) -> None:
-        for member in self._members:
-            getattr(member, name)(*details)
-
-    return notify
-
-
-for _name in [name for name in vars(RunObserver) if not name.startswith("_")]:
-    setattr(ObserverGroup, _name, _for_each_member(_name))
+def _notify(methods: Sequence[Callable[..., None]], *details: object) -> None:
+    for method in methods:
+        method(*details)
 
 
 class ObservedOperator:

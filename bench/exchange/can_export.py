@@ -28,7 +28,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
 #: Column of calendar times.
@@ -149,7 +149,7 @@ def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> I
 
 def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
     """Table of one part; frames beyond those of its dwell belong to none."""
-    data = setup.decode(FrameBlock.from_messages(part.messages))
+    data = setup.decode(FrameBlock.from_messages(part.messages).data_frames())
     values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))
     columns = {name: pa.array(column, pa.float64(), from_pandas=True) for name, column in values.items()}
     in_dwell = data.row < (marks.frame_count if marks else 0)

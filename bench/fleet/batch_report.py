@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -293,7 +294,7 @@ def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
         (False, "Levels", "Mean bias of all positions by gyro temperature."),
         (True, "Differences between positions", "Bias of a position minus the mean of all positions."),
     ):
-        figure = batch_figure(batch, of_positions=of_positions)
+        figure = partial(batch_figure, batch, of_positions=of_positions)
         name = "batch_positions" if of_positions else "batch_levels"
         sections.append(Section(title, figures=[SectionFigure(name, f"{what} {_BAND}", figure)]))
     positions = [stats for stats in batch if stats not in levels(batch)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -341,7 +342,7 @@ def before_after_section(before: RunContent, after: RunContent, marked_c: Sequen
         SectionFigure(
             f"before_after_{gyro}",
             _FIGURE.format(gyro_label(gyro)),
-            before_after_figure(gyro, before.bins, after.bins, marked_c),
+            partial(before_after_figure, gyro, before.bins, after.bins, marked_c),
         )
         for gyro in AXES
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ())
     if not both:
         return None
     drawn = (
-        [SectionFigure("estimators", _DIFFERENCES, estimators_figure(both, marked_c))]
+        [SectionFigure("estimators", _DIFFERENCES, partial(estimators_figure, both, marked_c))]
         if len(both) > 1
         else []
     )
@@ -89,7 +90,9 @@ def fit_section(rows: Sequence[DwellRow]) -> Section | None:
     if not sentence:
         return None
     caption = _FIT_P_VALUES if has_distribution(rows) else _FIT_SIZES
-    return Section("Goodness of fit", [_FIT, sentence], [SectionFigure("fit", caption, fit_figure(rows))])
+    return Section(
+        "Goodness of fit", [_FIT, sentence], [SectionFigure("fit", caption, partial(fit_figure, rows))]
+    )
 
 
 def _difference_table(rows: Sequence[DwellRow]) -> SectionTable:
@@ -288,7 +291,7 @@ def noise_section(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> Se
     return Section(
         "Noise of the INS",
         [_TEXT if declared else f"{_TEXT} {_ESTIMATED}"],
-        [SectionFigure("noise", _FIGURE, noise_figure(noise, declared))],
+        [SectionFigure("noise", _FIGURE, partial(noise_figure, noise, declared))],
         tables,
     )
 

@@ -6,7 +6,7 @@ Pages of findings (search, verification, batch) and the report of a run are all 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,7 +19,7 @@ from pydantic.dataclasses import dataclass
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
-from gyrobench.bench.report.figures.style import save_figure
+from gyrobench.bench.report.figures.style import is_drawn, save_figure
 
 #: Name of the file that keeps findings beside their page, for the report of the run.
 FINDINGS_FILE = "findings.json"
@@ -47,11 +47,11 @@ class SectionTable:
 
 @dataclass(frozen=True, eq=False, config=_CONFIG)
 class SectionFigure:
-    """A figure, or its PNG file; the name of the file without suffix; and a caption."""
+    """How to draw a figure, or its PNG file; the name of the file without suffix; and a caption."""
 
     name: Annotated[str, Field(pattern="^[a-z0-9_]{1,80}$")]
     caption: str
-    figure: Annotated[Figure | Path | None, _NOT_SAVED] = None
+    figure: Annotated[Callable[[], Figure] | Path | None, _NOT_SAVED] = None
 
 
 @dataclass(frozen=True, config=_CONFIG)
@@ -139,13 +139,16 @@ def render_page(page: Section, source: str, title: str = "", sign_off: str | Non
     )
 
 
-def with_figure_files(folder: Path, sections: Iterable[Section]) -> list[Section]:
+def with_figure_files(folder: Path, sections: Iterable[Section], key: str = "") -> list[Section]:
     """Draw the figures of sections into an existing folder; gives the sections with PNG files.
+
+    Files that hold the key, a hash of all that the figures show, are kept.
 
     Raises RunFolderError if a file can't be written.
     """
     return [
-        replace(section, figures=[_as_file(folder, each) for each in section.figures]) for section in sections
+        replace(section, figures=[_as_file(folder, each, key) for each in section.figures])
+        for section in sections
     ]
 
 
@@ -183,11 +186,12 @@ def _with_pictures(section: Section, folder: Path) -> Section:
     return replace(section, figures=[replace(each, figure=path) for each, path in pictures if path.is_file()])
 
 
-def _as_file(folder: Path, drawn: SectionFigure) -> SectionFigure:
-    if not isinstance(drawn.figure, Figure):
+def _as_file(folder: Path, drawn: SectionFigure, key: str) -> SectionFigure:
+    if drawn.figure is None or isinstance(drawn.figure, Path):
         return drawn
     path = folder / f"{drawn.name}.png"
-    save_figure(drawn.figure, path)
+    if not is_drawn(path, key):
+        save_figure(drawn.figure(), path, key)
     return replace(drawn, figure=path)
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 
+import matplotlib
 from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
@@ -15,7 +19,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES
@@ -37,7 +41,6 @@ from gyrobench.bench.report.estimator_sections import (
     noise_section,
 )
 from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph, position_difference_figure
-from gyrobench.bench.report.figures.style import save_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
@@ -92,15 +95,27 @@ def write_report(
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
+    earlier = read_run(before) if before else None
+    compared = [before_after_section(earlier, content, marked_c)] if earlier else []
     drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
-    figures = []
-    for name, figure in drawn:
-        figures.append(into.figures / f"{name}.png")
-        save_figure(figure, figures[-1])
-    compared = [before_after_section(read_run(before), content, marked_c)] if before else []
-    sections = with_figure_files(into.figures, [*compared, *_analysis_sections(content, marked_c)])
-    write_whole(into.report, render(content, figures, sections, hashes, by).encode())
+    figures = Section("", figures=[SectionFigure(name, "", figure) for name, figure in drawn])
+    [own, *sections] = with_figure_files(
+        into.figures,
+        [figures, *compared, *_analysis_sections(content, marked_c)],
+        _figures_key(content, earlier, marked_c),
+    )
+    paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
+    write_whole(into.report, render(content, paths, sections, hashes, by).encode())
     return into.report
+
+
+def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
+    """Hash of what the figures show and of the code that draws them."""
+    # A model pickles the set of its given fields, whose order differs from process to process.
+    shown = (content.telemetry, content.dwells, content.bins, repr(content.acceptance), content.noise)
+    code = sorted(file_sha256(each) for each in Path(__file__).parent.glob("figures/*.py"))
+    inputs = shown, content.station, before.bins if before else None, marked_c, code, matplotlib.__version__
+    return hashlib.sha256(pickle.dumps(inputs)).hexdigest()
 
 
 def render(
@@ -342,19 +357,19 @@ def run_figures(
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None = None,
     marked_c: Sequence[float] = (),
-) -> Iterator[tuple[str, Figure]]:
-    """Draw the figures that there are data for, one after the other.
+) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """Figures that there are data for: temperature, bias_x, bias_y, bias_z and position_differences.
 
-    Yields names and figures: temperature, bias_x, bias_y, bias_z and position_differences.
+    Yields the name of each and a function that draws it.
     """
     if len(telemetry.get("time_s", ())) or dwells:
-        yield "temperature", temperature_figure(telemetry, dwells, marked_c)
+        yield "temperature", partial(temperature_figure, telemetry, dwells, marked_c)
     if bins or any(not row.flags for row in dwells):
         span_dph = bias_span_dph(dwells, bins)
         for gyro in AXES:
-            yield f"bias_{gyro}", bias_figure(gyro, dwells, bins, span_dph, marked_c)
+            yield f"bias_{gyro}", partial(bias_figure, gyro, dwells, bins, span_dph, marked_c)
     comparisons = compare_positions(bins)
     limits = acceptance.limits if acceptance else None
     limit_dph = limits.position_difference_dph if limits else None
     if comparisons:
-        yield "position_differences", position_difference_figure(comparisons, limit_dph, marked_c)
+        yield "position_differences", partial(position_difference_figure, comparisons, limit_dph, marked_c)

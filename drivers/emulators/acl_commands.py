@@ -41,7 +41,7 @@ Handler = Callable[[Arguments], str]
 Handlers = dict[tuple[tuple[str, ...], bool], Handler]
 
 _LIMIT_DECIMALS = 4
-_REGISTER = re.compile(r"A(\d+)(STATE|DYN|SWFLT|INTLK)", re.ASCII)
+_REGISTER = lru_cache(maxsize=512)(re.compile(r"A(\d+)(STATE|DYN|SWFLT|INTLK)", re.ASCII).fullmatch)
 _SINGLE_LIMITS = {
     "RATE": "rate_dps",
     "ACCELERATION": "acceleration_dps2",
@@ -58,7 +58,6 @@ class Unit(NamedTuple):
     arguments: tuple[Argument, ...]
 
 
-@lru_cache(maxsize=512)
 def parse_message(text: str) -> tuple[Unit, ...]:
     """Split a message into its units. Raises AclError if the text is not valid ACL."""
     units = []
@@ -311,7 +310,7 @@ class AxisCommands:
             return sum(axis.faulted << axis_number - 1 for axis_number, axis in self._axes.items())
         if name in ("ACP", "SUP", "RI"):
             return 0
-        match = _REGISTER.fullmatch(name)
+        match = _REGISTER(name)
         if match is None:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         axis = self._one(float(match[1]))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from typing import Literal
 
 from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, SoftwareFault, refuse_if
@@ -60,6 +60,7 @@ class Acutrol3000Emulator:
         self._errors: deque[ErrorCode] = deque(maxlen=_ERRORS_KEPT)
         self._set_defaults()
         self._handlers = {**AxisCommands(self.axes, decimals).handlers(), **self._own_handlers()}
+        self._calls = lru_cache(maxsize=512)(self._calls_of)
 
     def _set_defaults(self) -> None:
         self._buffer = b""
@@ -131,16 +132,19 @@ class Acutrol3000Emulator:
     def _execute(self, message: str, now_s: float) -> str:
         for axis in self.axes.values():
             axis.begin_frame(now_s)
+        answers = [handle(arguments) for handle, arguments in self._calls(message)]
+        text = ";".join(filter(None, answers)) or "OK"
+        refuse_if(len(text) > MAX_MESSAGE_CHARACTERS, ErrorCode.MESSAGE_TOO_LONG)
+        return text
+
+    def _calls_of(self, message: str) -> list[tuple[Handler, Arguments]]:
+        """Handlers of the units of a message, with their arguments. Raises AclError if one is unknown."""
         units = parse_message(message)
         refuse_if(sum(unit.header == ("READ", "VARIABLE") for unit in units) > _MAX_VARIABLES)
         try:
-            handlers = [self._handlers[unit.header, unit.is_query] for unit in units]
+            return [(self._handlers[unit.header, unit.is_query], unit.arguments) for unit in units]
         except KeyError:
             raise AclError(ErrorCode.UNKNOWN_COMMAND) from None
-        answers = [handle(unit.arguments) for handle, unit in zip(handlers, units, strict=True)]
-        text = ";".join(answer for answer in answers if answer) or "OK"
-        refuse_if(len(text) > MAX_MESSAGE_CHARACTERS, ErrorCode.MESSAGE_TOO_LONG)
-        return text
 
     def _note(self, code: ErrorCode) -> None:
         self._errors.append(code)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from pymodbus.framer.rtu import FramerRTU
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
@@ -47,11 +48,32 @@ class HoldingRegister:
     allowed: Callable[[int], bool] = lambda _: True
 
 
+_framer = FramerRTU(DecodePDU(is_server=True))
+#: Equal bytes have equal check sums; a poll repeats its requests, and most replies, for hours.
+_compute_crc = lru_cache(maxsize=1024)(FramerRTU.compute_CRC)
+
+
+def _framed(address: int, reply: ModbusPDU) -> bytes:
+    reply.dev_id = address
+    return _framer.buildFrame(reply)
+
+
 def exception_frame(address: int, function: int, code: int) -> bytes:
     """Frame in which the device at that address refuses a function."""
-    refusal = ExceptionResponse(function, code)
-    refusal.dev_id = address
-    return FramerRTU(DecodePDU(is_server=True)).buildFrame(refusal)
+    return _framed(address, ExceptionResponse(function, code))
+
+
+@lru_cache(maxsize=1024)
+def _frame_of_numbers(address: int, numbers: tuple[int, ...]) -> bytes:
+    return _framed(address, ReadHoldingRegistersResponse(registers=list(numbers)))
+
+
+@lru_cache(maxsize=1024)
+def _decoded(function: int, content: bytes) -> ModbusPDU:
+    """Decode a request, which nothing changes; raises ValueError or struct.error."""
+    request = _REQUESTS[function]()
+    request.decode(content)
+    return request
 
 
 class ModbusRtuDevice:
@@ -63,7 +85,6 @@ class ModbusRtuDevice:
     def __init__(self, registers: Mapping[int, HoldingRegister], address: int) -> None:
         self._registers = registers
         self._address = address
-        self._framer = FramerRTU(DecodePDU(is_server=True))
         self._received = bytearray()
         self._received_s = 0.0
 
@@ -77,10 +98,7 @@ class ModbusRtuDevice:
         if not frame or frame[0] not in (self._address, _BROADCAST) or frame[1] & _EXCEPTION_BIT:
             return b""
         reply = self._execute(frame[1], frame[2:])
-        if frame[0] == _BROADCAST:
-            return b""
-        reply.dev_id = self._address
-        return self._framer.buildFrame(reply)
+        return b"" if frame[0] == _BROADCAST else reply
 
     def _take_frame(self) -> bytes:
         """Take a complete and intact frame, without its CRC, or nothing.
@@ -95,20 +113,19 @@ class ModbusRtuDevice:
         size = kind.calculateRtuFrameSize(received) if kind else len(received)
         if not size or len(received) < size:
             return b""
-        intact = FramerRTU.compute_CRC(received[:size]) == 0
+        intact = _compute_crc(received[:size]) == 0
         if intact or kind:
             self._received.clear()
         return received[: size - 2] if intact else b""
 
-    def _execute(self, function: int, content: bytes) -> ModbusPDU:
-        kind = _REQUESTS.get(function)
-        if kind is None:
-            return ExceptionResponse(function, _ILLEGAL_FUNCTION)
-        request = kind()
+    def _execute(self, function: int, content: bytes) -> bytes:
+        """Execute a request; returns the frame of the reply."""
+        if function not in _REQUESTS:
+            return exception_frame(self._address, function, _ILLEGAL_FUNCTION)
         try:
-            request.decode(content)
+            request = _decoded(function, content)
         except (ValueError, struct.error):
-            return ExceptionResponse(function, _ILLEGAL_VALUE)
+            return exception_frame(self._address, function, _ILLEGAL_VALUE)
         first, values = request.address, request.registers
         match request:
             case WriteSingleRegisterRequest():
@@ -118,18 +135,20 @@ class ModbusRtuDevice:
                 count = len(values)
                 sizes_agree = request.count == count and request.byte_count == 2 * count
                 if not 1 <= count <= _MAX_WRITTEN or not sizes_agree:
-                    return ExceptionResponse(function, _ILLEGAL_VALUE)
+                    return exception_frame(self._address, function, _ILLEGAL_VALUE)
             case _:
-                return self._read(request)
+                return self._read(function, first, request.count)
         failure = self._write(first, values)
-        return ExceptionResponse(function, failure) if failure else answer
+        return (
+            exception_frame(self._address, function, failure) if failure else _framed(self._address, answer)
+        )
 
-    def _read(self, request: ModbusPDU) -> ModbusPDU:
-        addresses = range(request.address, request.address + request.count)
-        if not all(address in self._registers for address in addresses):
-            return ExceptionResponse(request.function_code, _ILLEGAL_ADDRESS)
-        numbers = [self._registers[address].read() & 0xFFFF for address in addresses]
-        return ReadHoldingRegistersResponse(registers=numbers)
+    def _read(self, function: int, first: int, count: int) -> bytes:
+        try:
+            registers = [self._registers[address] for address in range(first, first + count)]
+        except KeyError:
+            return exception_frame(self._address, function, _ILLEGAL_ADDRESS)
+        return _frame_of_numbers(self._address, tuple(register.read() & 0xFFFF for register in registers))
 
     def _write(self, first: int, values: Sequence[int]) -> int:
         """Write successive registers up to a refused value; returns an exception code, or zero."""

@@ -64,8 +64,10 @@ class Serial(ClockedPort):  # the name that pyserial looks for
     def take(self) -> bytes:
         """Replies that have arrived."""
         self._check_connected()
-        data = b""
-        while self._due and self._due[0][0] <= self.clock.now():
+        if not self._due:
+            return b""
+        data, now_s = b"", self.clock.now()
+        while self._due and self._due[0][0] <= now_s:
             data += self._due.popleft()[1]
         return data
 

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
+from itertools import islice
 from typing import Any
 
 import can
-import numpy as np
 from can.interfaces.slcan import slcanBus
-from numpy.typing import NDArray
 
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.drivers.frames import FrameBlock
 
 # python-can warns at each frame that socketcand delivers in two pieces, which is normal over TCP.
 logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
 
 #: Name of the instrument in errors.
 INSTRUMENT = "INS"
+
+#: Frames taken at once; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
+_MAX_FRAMES = 100_000
 
 
 def open_bus(
@@ -79,64 +81,31 @@ def drop_half_line(bus: can.BusABC) -> None:
         bus.flush()
 
 
-#: Flag of a 29-bit identifier, as in SocketCAN and in DBC files.
-EXTENDED_ID = 0x8000_0000
+def block_receiver(bus: can.BusABC) -> Callable[[], FrameBlock]:
+    """Return the function that takes the frames that have arrived, in order and without waiting.
 
-#: Bytes of data in a classic CAN frame.
-MAX_LENGTH = 8
-
-
-@dataclass(frozen=True, eq=False)
-class FrameBlock:
-    """Data frames in order of arrival."""
-
-    timestamp_s: FloatArray  #: Shape (n,). Time stamp of the CAN interface.
-    #: Shape (n,). Identifier, with :data:`EXTENDED_ID` set if it has 29 bits.
-    arbitration_id: NDArray[np.uint32]
-    length: NDArray[np.uint8]  #: Shape (n,). Number of data bytes, 0 to 8.
-    data: NDArray[np.uint8]  #: Shape (n, 8). Data bytes, zero beyond the length.
-
-    @classmethod
-    def from_messages(cls, messages: Sequence[can.Message]) -> FrameBlock:
-        """Collect python-can messages; error, remote and FD frames are dropped."""
-        # One list comprehension an attribute is the fastest way to read Message objects.
-        messages = [m for m in messages if not (m.is_error_frame or m.is_remote_frame or m.is_fd)]
-        payloads = [m.data for m in messages]
-        lengths = np.array([len(payload) for payload in payloads], np.int64)
-        if np.any(lengths > MAX_LENGTH):
-            return cls.from_messages([m for m in messages if len(m.data) <= MAX_LENGTH])
-        if np.any(lengths < MAX_LENGTH):
-            payloads = [payload.ljust(MAX_LENGTH, b"\0") for payload in payloads]
-        identifiers = np.array([m.arbitration_id for m in messages], np.uint32)
-        extended = np.array([m.is_extended_id for m in messages], np.bool_)
-        return cls(
-            timestamp_s=np.array([m.timestamp for m in messages], np.float64),
-            arbitration_id=np.where(extended, identifiers | np.uint32(EXTENDED_ID), identifiers),
-            length=lengths.astype(np.uint8),
-            data=np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, MAX_LENGTH),
-        )
-
-    def __len__(self) -> int:
-        return len(self.timestamp_s)
-
-    def take(self, rows: IntArray | BoolArray | slice) -> FrameBlock:
-        """Select frames by a numpy index."""
-        return FrameBlock(
-            self.timestamp_s[rows], self.arbitration_id[rows], self.length[rows], self.data[rows]
-        )
-
-    def with_id(self, arbitration_id: int) -> FrameBlock:
-        """Select the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
-        return self.take(self.arbitration_id == arbitration_id)
+    A bus that can hand over blocks has it as its method ``recv_block``; any other is read message by message.
+    An error of the bus is raised by the first call that has no frame from before it.
+    """
+    return getattr(bus, "recv_block", None) or _MessageReader(bus).recv_block
 
 
-def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
-    """Join blocks in the order given, none to an empty block."""
-    if not blocks:
-        return FrameBlock.from_messages([])
-    return FrameBlock(
-        np.concatenate([block.timestamp_s for block in blocks]),
-        np.concatenate([block.arbitration_id for block in blocks]),
-        np.concatenate([block.length for block in blocks]),
-        np.concatenate([block.data for block in blocks]),
-    )
+class _MessageReader:
+    """Blocks from a bus that hands over messages."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._error: Exception | None = None
+
+    def recv_block(self) -> FrameBlock:
+        messages: list[can.Message] = []
+        try:
+            if self._error is not None:
+                raise self._error
+            # extend() keeps the frames before an exception.
+            messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MAX_FRAMES))
+        except Exception as error:
+            self._error = error if messages else None
+            if not messages:
+                raise
+        return FrameBlock.from_messages(messages)

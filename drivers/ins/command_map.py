@@ -35,8 +35,8 @@ from pydantic import Field, model_validator
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.can_bus import EXTENDED_ID
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 
 #: Terms beyond the polynomial: name of the effect, and name of its coefficients.

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.foundations.files import read_limited
-from gyrobench.drivers.ins.can_bus import EXTENDED_ID, MAX_LENGTH, FrameBlock
+from gyrobench.drivers.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock
 
 MAX_DBC_BYTES = 2_000_000
 

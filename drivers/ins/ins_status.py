@@ -9,8 +9,8 @@ import can
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.can_bus import EXTENDED_ID
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap

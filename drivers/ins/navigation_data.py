@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import BlockReader, Readout
 from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import (
     EulerSequence,
     QuaternionFrames,
     attitude_matrices,
     quaternion_matrices,
 )
-from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.signal_map import BoundSignal, EulerMap, SignalMap
 

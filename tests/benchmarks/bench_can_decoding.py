@@ -7,7 +7,7 @@ import can
 import numpy as np
 
 import gyrobench.drivers.ins
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 
 FRAMES = 200_000

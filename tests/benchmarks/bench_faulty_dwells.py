@@ -20,7 +20,7 @@ from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from tests.bench.conftest import watched_run
 from tests.bench.dwells.fault_kinds import FAULTS
 from tests.bench.dwells.frame_faults import Recording
@@ -38,7 +38,7 @@ def recorded_dwells(folder):
     by_part = {marks.log_part: marks for marks in finished}
     for number, messages in read_can_log(folder.can):
         if number in by_part:
-            yield Recording(by_part[number], FrameBlock.from_messages(messages))
+            yield Recording(by_part[number], FrameBlock.from_messages(messages).data_frames())
 
 
 def outcome(row, clean, truth_dph):

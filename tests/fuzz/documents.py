@@ -21,7 +21,7 @@ from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import EmulatedBench
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from tests.fuzz.checks import WrongResultError, check_document, check_finite, written
 
@@ -147,7 +147,7 @@ def _check_decoding(codec: DbcCodec) -> None:
     for name in codec.message_names:
         message = codec.database.get_message_by_name(name)
         payloads = random.integers(0, 256, (4, 8), dtype=np.uint8)
-        block = FrameBlock(
+        block = FrameBlock.from_columns(
             timestamp_s=np.zeros(4), arbitration_id=np.full(4, codec.arbitration_id(name), np.uint32),
             length=np.full(4, 8, np.uint8), data=payloads,
         )  # fmt: skip

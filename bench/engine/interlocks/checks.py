@@ -1,4 +1,8 @@
-"""What the interlocks check on rate table, chamber and INS, and what they report."""
+"""What the interlocks check on rate table, chamber and INS, and what they report.
+
+Nothing is found wrong later than it is now until a reading or a command changes, or the time of a check's
+``good_until_s`` is reached: a check that depends on the time in another way must say so there.
+"""
 
 from __future__ import annotations
 
@@ -149,6 +153,10 @@ class TableChecks:
         if self._prepared and readings.table_s > self._prepared_s:
             yield from self._faults(readings)
 
+    def good_until_s(self, readings: Readings) -> float:
+        """Return until when nothing goes wrong by the passage of time alone."""
+        return readings.table_s + self._silence_s
+
     def _motion(self, readings: Readings) -> Iterator[Finding]:
         angles_deg = self._station.table_axes_of(readings.table.position_deg)
         rates_dps = self._station.table_axes_of(readings.table.rate_dps)
@@ -232,6 +240,10 @@ class ChamberChecks:
                     f"had reached; the limit is {self._deviation_c:g} K",
                     "Check the chamber's machinery and door.",
                 )
+
+    def good_until_s(self, readings: Readings) -> float:
+        """Return until when nothing goes wrong by the passage of time alone."""
+        return readings.chamber_s + self._silence_s
 
     def _deviations_from_command(self, readings: Readings) -> Iterator[Finding]:
         chamber, (set_c, on) = readings.chamber, self._commanded
@@ -349,6 +361,10 @@ class InsChecks:
                 yield Finding(f"{name}_temperature", problem, _COOL_DOWN)
             if problem := _too_fast(temperature.what, temperature.rate.per_s(), temperature.rate_c_per_min):
                 yield Finding(f"{name}_rate", problem, f"{_CHECK_SENSOR}.")
+
+    def good_until_s(self, readings: Readings) -> float:  # noqa: ARG002 - as the others
+        """Return until when nothing goes wrong by the passage of time alone."""
+        return max(self._observed_s, self._on_s) + self._period_s if self._on else math.inf
 
     def _age_s(self, readings: Readings, now_s: float) -> float:
         """Silence of the INS since it was switched on, as far as it was observed in time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -80,6 +81,8 @@ class InterlockWatch:
         self._checks = (TableChecks(station), ChamberChecks(station), InsChecks(station))
         self._readings: Readings | None = None
         self._good_since_s: dict[str, float] = {}
+        #: Nothing was found wrong with these readings and this command, nor will be until that time.
+        self._good: tuple[ExpectedState | None, float] = (None, -math.inf)
 
     def observe(self, readings: Readings) -> None:
         """Take the readings; to be called after every poll, whether the instruments answered or not."""
@@ -87,12 +90,16 @@ class InterlockWatch:
         for checks in self._checks:
             checks.observe(readings, now_s)
         self._readings = readings
+        self._good = (None, -math.inf)
 
     def trips(self, now_s: float, expected: ExpectedState) -> list[Trip]:
         """Return all interlocks that are tripped, each with all its findings; to be called at every tick.
 
         Only readings newer than the first call with a command in ``expected`` are compared with it.
         """
+        good_expected, good_until_s = self._good
+        if expected is good_expected and now_s < good_until_s:
+            return []
         found: dict[str, list[Finding]] = {name: [] for name in self._rules}
         if self._readings is not None:
             for checks in self._checks:
@@ -103,7 +110,10 @@ class InterlockWatch:
                 self._good_since_s.pop(name, None)
             else:
                 self._good_since_s.setdefault(name, now_s)
-        return [Trip(name, tuple(each), self._rules[name]) for name, each in found.items() if each]
+        trips = [Trip(name, tuple(each), self._rules[name]) for name, each in found.items() if each]
+        if self._readings is not None and not trips:
+            self._good = expected, min(each.good_until_s(self._readings) for each in self._checks)
+        return trips
 
     def good_since_s(self, name: str) -> float | None:
         """Time of the call of :meth:`trips` since which an interlock is good; None while it is tripped."""

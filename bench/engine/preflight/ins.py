@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.preflight_check import Check
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.navigation_data import NavigationData, decode_navigation
@@ -198,7 +198,7 @@ def _temperatures(station: Station, status: InsStatus) -> Check:
 
 
 def _stream(station: Station, ins: CanIns, clock: Clock, traffic: CanTraffic) -> Iterator[Check]:
-    block = FrameBlock.from_messages(traffic.messages)
+    block = FrameBlock.from_messages(traffic.messages).data_frames()
     errors = len(traffic.messages) - len(block)
     data = decode_navigation(block, station.file.ins.signals, ins.codec)
     counts = data.counts

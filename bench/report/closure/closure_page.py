@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +72,7 @@ def _residual(closure: Closure) -> Section:
         SectionFigure(
             f"residuals_{gyro}",
             _RESIDUALS.format(gyro_label(gyro), caption).strip(),
-            closure_residual_figure(closure, gyro),
+            partial(closure_residual_figure, closure, gyro),
         )
         for gyro in AXES
     ]
@@ -89,7 +90,9 @@ def _effects(closure: Closure) -> Section | None:
     for each in closure.effects:
         caption = _EFFECT.format(each.effect.display_name.capitalize())
         figures.append(
-            SectionFigure(f"effect_{each.effect.name}", caption, closure_effect_figure(closure, each))
+            SectionFigure(
+                f"effect_{each.effect.name}", caption, partial(closure_effect_figure, closure, each)
+            )
         )
     effects = SectionTable(
         f"Size: rms in the dwells searched, without its mean, in {scale_of_errors(closure).unit}. "
@@ -123,7 +126,7 @@ def _sizes(closure: Closure) -> SectionTable:
 def _alternatives(closure: Closure) -> Section:
     drawn = not is_noise_only(closure) or bool(closure.effects)
     caption = _P_VALUES if is_noise_only(closure) else _EVIDENCE
-    figures = [SectionFigure("evidence", caption, closure_evidence_figure(closure))] if drawn else []
+    figures = [SectionFigure("evidence", caption, partial(closure_evidence_figure, closure))] if drawn else []
     table = SectionTable(evidence_caption(closure), *evidence_table(closure), words=2)
     paragraphs = [text.alternative_sentence(closure), *text.tie_sentences(closure)]
     paragraphs += text.missing_input_sentences(closure)
@@ -148,7 +151,7 @@ def _error(closure: Closure) -> Section:
     return Section(
         "Held-out error",
         _paragraphs(text.error_sentence(closure), text.constants_sentence(closure)),
-        [SectionFigure("errors", _ERRORS, closure_error_figure(closure))],
+        [SectionFigure("errors", _ERRORS, partial(closure_error_figure, closure))],
         [table],
     )
 

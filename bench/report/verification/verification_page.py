@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -158,11 +159,13 @@ def verification_sections(result: VerificationResult) -> list[Section]:
     plateaus = SectionTable(
         _PLATEAUS.format(UNITS), ["°C", "cycle", "fit", "compensation", *SIZES], plateau_rows(result), words=4
     )
-    figures = [SectionFigure("residuals", _RESIDUALS, residual_bars_figure(result))]
+    figures = [SectionFigure("residuals", _RESIDUALS, partial(residual_bars_figure, result))]
     return [
         Section("Compensations", model_sentences(result.closure, result.models)),
         Section("Residual", [sentence for _, sentence in chain(result)], figures, [totals, plateaus]),
-        Section("A day of a rotational INS", figures=[SectionFigure("day", _DAY, day_figure(result))]),
+        Section(
+            "A day of a rotational INS", figures=[SectionFigure("day", _DAY, partial(day_figure, result))]
+        ),
         Section("Definitions", reading_sentences(result)),
     ]
 

@@ -34,8 +34,8 @@ class TriadErrors:
 
     def at(self, temperature_c: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and error matrix (3, 3), each sensor at its own temperature minus reference."""
-        bias, matrix = _evaluated(self.polynomials, temperature_c)
-        return bias, matrix
+        values = _evaluated(self.polynomials, temperature_c)
+        return values[0], values[1:]
 
 
 def gyro_errors(errors: GyroErrors) -> TriadErrors:
@@ -75,10 +75,11 @@ def _fill(column: FloatArray, value: OverTemperature, unit: float) -> None:
 
 
 @numba.njit(cache=True)
-def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> tuple[FloatArray, FloatArray]:
-    values = np.zeros(12)
+def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> FloatArray:
+    values = np.zeros((4, 3))
     for column in range(12):
-        sensor = column if column < 3 else (column - 3) // 3
+        row, place = column // 3, column % 3
+        sensor = place if row == 0 else row - 1
         for degree in range(_DEGREES - 1, -1, -1):
-            values[column] = values[column] * temperature_c[sensor] + polynomials[degree, column]
-    return values[:3], values[3:].copy().reshape(3, 3)
+            values[row, place] = values[row, place] * temperature_c[sensor] + polynomials[degree, column]
+    return values

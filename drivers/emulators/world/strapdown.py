@@ -27,6 +27,10 @@ _SOMIGLIANA_K = 1.93185265241e-3
 #: in m/s, latitude and longitude in rad.
 STATE_SIZE = 8
 
+# Tuples stay in registers, where small arrays would be allocated for every sample.
+_Row = tuple[float, float, float]
+_Quaternion = tuple[float, float, float, float]
+
 
 @numba.njit(cache=True)
 def normal_gravity(latitude: float, height: float) -> float:
@@ -45,16 +49,21 @@ def principal_radii(latitude: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True)
-def _axis_rotation(axis: FloatArray, angle: float) -> FloatArray:
+def _set_rotation(C: FloatArray, axis: FloatArray, angle: float) -> None:
+    """Set ``C`` (3, 3) to the rotation about a unit vector by an angle in rad."""
     c, s = math.cos(angle), math.sin(angle)
-    x, y, z = axis
-    return np.array(
-        (
-            (c + x * x * (1 - c), x * y * (1 - c) - z * s, x * z * (1 - c) + y * s),
-            (y * x * (1 - c) + z * s, c + y * y * (1 - c), y * z * (1 - c) - x * s),
-            (z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)),
-        )
-    )
+    x, y, z = axis[0], axis[1], axis[2]
+    C[0, 0], C[0, 1], C[0, 2] = c + x * x * (1 - c), x * y * (1 - c) - z * s, x * z * (1 - c) + y * s
+    C[1, 0], C[1, 1], C[1, 2] = y * x * (1 - c) + z * s, c + y * y * (1 - c), y * z * (1 - c) - x * s
+    C[2, 0], C[2, 1], C[2, 2] = z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)
+
+
+@numba.njit(cache=True)
+def _set_product(C: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set ``C`` to the product of two matrices (3, 3), neither of them ``C``."""
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
 @numba.njit(cache=True)
@@ -62,16 +71,23 @@ def table_attitude(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: float, inner: float
 ) -> FloatArray:
     """True ``C_nb`` (3, 3) of the unit on the table at two axis angles in rad."""
-    return _axis_rotation(outer_axis, outer) @ _axis_rotation(inner_axis, inner) @ mounting
+    outer_turn, inner_turn, table = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    _set_rotation(outer_turn, outer_axis, outer)
+    _set_rotation(inner_turn, inner_axis, inner)
+    _set_product(table, outer_turn, inner_turn)
+    _set_product(outer_turn, table, mounting)
+    return outer_turn
 
 
 @numba.njit(cache=True)
-def _rotation_vector(C: FloatArray) -> FloatArray:
-    half = 0.5 * np.array((C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]))
-    sine = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-    if sine < 1e-12:
-        return half
-    return half * (math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine)
+def _set_rotation_vector(vector: FloatArray, C: FloatArray) -> None:
+    """Set ``vector`` (3,) to the rotation vector of ``C``, rad."""
+    vector[0] = 0.5 * (C[2, 1] - C[1, 2])
+    vector[1] = 0.5 * (C[0, 2] - C[2, 0])
+    vector[2] = 0.5 * (C[1, 0] - C[0, 1])
+    sine = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    if sine >= 1e-12:
+        vector *= math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine
 
 
 @numba.njit(cache=True)
@@ -97,21 +113,22 @@ def true_increments(
     rotation = np.empty((n, 3))
     velocity = np.empty((n, 3))
     earth = EARTH_RATE * np.array((0.0, math.cos(latitude), math.sin(latitude)))
-    step = _axis_rotation(earth / EARTH_RATE, EARTH_RATE * dt)
-    lift = np.array((0.0, 0.0, normal_gravity(latitude, height) * dt))
+    lift = normal_gravity(latitude, height) * dt
+    step, turned, between = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    _set_rotation(step, earth / EARTH_RATE, EARTH_RATE * dt)
     before = table_attitude(outer_axis, inner_axis, mounting, outer[0], inner[0])
     for k in range(n):
         if outer[k + 1] == outer[k] and inner[k + 1] == inner[k]:
-            if k > 0 and outer[k] == outer[k - 1] and inner[k] == inner[k - 1]:
-                rotation[k] = rotation[k - 1]
-                velocity[k] = velocity[k - 1]
-            else:
-                rotation[k] = before.T @ (earth * dt)
-                velocity[k] = before.T @ lift
+            for i in range(3):
+                rotation[k, i] = (before[1, i] * earth[1] + before[2, i] * earth[2]) * dt
+                velocity[k, i] = before[2, i] * lift
         else:
             after = table_attitude(outer_axis, inner_axis, mounting, outer[k + 1], inner[k + 1])
-            rotation[k] = _rotation_vector(before.T @ step @ after)
-            velocity[k] = 0.5 * (before.T @ lift + after.T @ lift)
+            _set_product(turned, step, after)
+            _set_product(between, before.T, turned)
+            _set_rotation_vector(rotation[k], between)
+            for i in range(3):
+                velocity[k, i] = 0.5 * (before[2, i] * lift + after[2, i] * lift)
             before = after
     return rotation, velocity
 
@@ -151,39 +168,71 @@ def sense(
 
 
 @numba.njit(cache=True)
-def _times(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.array(
-        (
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        )
+def measure(
+    rotation: FloatArray, velocity: FloatArray, gyro_matrix: FloatArray, gyro_bias: FloatArray,
+    accelerometer_matrix: FloatArray, accelerometer_bias: FloatArray, normal: FloatArray, dt: float,
+    walks: FloatArray, pulses: FloatArray, remainders: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Output of gyros and accelerometers, each as in :func:`sense`.
+
+    Parameters
+    ----------
+    rotation, velocity : ndarray, shape (m, 3)
+        True increments; the first n are used.
+    normal : ndarray, shape (n, 2, 3)
+        Standard normal numbers, sample by sample; scaled in place.
+    walks, pulses : ndarray, shape (2,)
+        Of gyros and accelerometers: standard deviation of the noise after one second, size of one pulse.
+    remainders : ndarray, shape (2, 3)
+        Of gyros and accelerometers.
+    """
+    n = normal.shape[0]
+    root = math.sqrt(dt)
+    for k in range(n):
+        for kind in range(2):
+            for i in range(3):
+                normal[k, kind, i] = normal[k, kind, i] * root * walks[kind]
+    rotation = sense(rotation[:n], gyro_matrix, gyro_bias, normal[:, 0], dt, pulses[0], remainders[0])
+    velocity = sense(
+        velocity[:n], accelerometer_matrix, accelerometer_bias, normal[:, 1], dt, pulses[1], remainders[1]
+    )
+    return rotation, velocity
+
+
+@numba.njit(cache=True)
+def _times(a: _Quaternion, b: _Quaternion) -> _Quaternion:
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
     )
 
 
 @numba.njit(cache=True)
-def _quaternion_of(v0: float, v1: float, v2: float) -> FloatArray:
+def _quaternion_of(v0: float, v1: float, v2: float) -> _Quaternion:
     square = v0 * v0 + v1 * v1 + v2 * v2
     if square < 1e-6:  # series: exact to double precision for angles below 1 mrad
         scale = 0.5 - square / 48.0
-        return np.array((1.0 - square / 8.0 + square * square / 384.0, scale * v0, scale * v1, scale * v2))
+        return 1.0 - square / 8.0 + square * square / 384.0, scale * v0, scale * v1, scale * v2
     angle = math.sqrt(square)
     scale = math.sin(0.5 * angle) / angle
-    return np.array((math.cos(0.5 * angle), scale * v0, scale * v1, scale * v2))
+    return math.cos(0.5 * angle), scale * v0, scale * v1, scale * v2
+
+
+@numba.njit(cache=True)
+def _rows_of(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
+    return (
+        (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
+    )
 
 
 @numba.njit(cache=True)
 def matrix_of(q: FloatArray) -> FloatArray:
     """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return np.array(
-        (
-            (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
-        )
-    )
+    return np.array(_rows_of(q[0], q[1], q[2], q[3]))
 
 
 @numba.njit(cache=True)
@@ -276,10 +325,11 @@ def navigate(
         f0 = b0 + 0.5 * (a1 * b2 - a2 * b1)
         f1 = b1 + 0.5 * (a2 * b0 - a0 * b2)
         f2 = b2 + 0.5 * (a0 * b1 - a1 * b0)
-        C = matrix_of(state[:4])
-        d0 = C[0, 0] * f0 + C[0, 1] * f1 + C[0, 2] * f2
-        d1 = C[1, 0] * f0 + C[1, 1] * f1 + C[1, 2] * f2
-        d2 = C[2, 0] * f0 + C[2, 1] * f1 + C[2, 2] * f2
+        attitude = (state[0], state[1], state[2], state[3])
+        (c00, c01, c02), (c10, c11, c12), (c20, c21, c22) = _rows_of(*attitude)
+        d0 = c00 * f0 + c01 * f1 + c02 * f2
+        d1 = c10 * f0 + c11 * f1 + c12 * f2
+        d2 = c20 * f0 + c21 * f1 + c22 * f2
 
         # Half of the navigation frame's own turn in the sample, and Coriolis. Gravity has no level part.
         transport_u = v_east * per_across * sine / cosine
@@ -297,8 +347,9 @@ def navigate(
             -(earth_n + mean_e * per_across) * dt,
             -(earth_u + mean_e * per_across * sine / cosine) * dt,
         )
-        q = _times(_times(frame, state[:4]), _quaternion_of(a0, a1, a2))
-        state[:4] = q / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+        q = _times(_times(frame, attitude), _quaternion_of(a0, a1, a2))
+        norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+        state[0], state[1], state[2], state[3] = q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
         state[6] = latitude + mean_n * per_meridian * dt
         state[7] += mean_e * per_across / cosine * dt
         if k >= first and (k - first) % every == 0:

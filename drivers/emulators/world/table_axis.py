@@ -172,8 +172,13 @@ class TableAxis:
         """Whether the commanded position or rate is reached and held."""
         return self._complete_from_s <= now_s < self._complete_until_s
 
+    @property
+    def still_from_s(self) -> float:
+        """End of the last motion and its settling, different for each; the angle is exactly constant then."""
+        return self._motions[-1].still_from_s
+
     def is_moving(self, now_s: float) -> bool:
-        """Whether the angle still changes; otherwise it is exactly constant."""
+        """Whether the angle still changes."""
         return now_s < self._motions[-1].still_from_s
 
     def _start(

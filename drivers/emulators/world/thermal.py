@@ -33,10 +33,8 @@ class ThermalNetwork:
 
     def step(self, dt_s: float, air_c: float, up_body: FloatArray) -> None:
         """Advance by ``dt_s`` (about a second) in air of that temperature; ``up_body`` (3,) is Up."""
-        before_c = self.optics_c.copy()
-        _step(self.nodes_c, self.convected_w, self._case, self._gyro, self._paths, up_body, air_c,
-              1.0 if self.powered else 0.0, dt_s)  # fmt: skip
-        self.optics_rate_c_per_h = (self.optics_c - before_c) * 3600.0 / dt_s
+        _step(self.nodes_c, self.optics_rate_c_per_h, self.convected_w, self._case, self._gyro, self._paths,
+              up_body, air_c, 1.0 if self.powered else 0.0, dt_s)  # fmt: skip
 
 
 def _row(gyro: GyroThermal) -> list[float]:
@@ -49,19 +47,21 @@ def _row(gyro: GyroThermal) -> list[float]:
 
 @numba.njit(cache=True)
 def _step(
-    nodes: FloatArray, convected: FloatArray, case: FloatArray, gyro: FloatArray, paths: FloatArray,
-    up: FloatArray, air_c: float, power: float, dt: float,
+    nodes: FloatArray, rate: FloatArray, convected: FloatArray, case: FloatArray, gyro: FloatArray,
+    paths: FloatArray, up: FloatArray, air_c: float, power: float, dt: float,
 ) -> None:  # fmt: skip
     case_c = nodes[0]
     into_case = case[1] * (air_c - case_c)
     for i in range(3):
         optics, electronics = nodes[1 + i], nodes[4 + i]
-        c_optics, c_electronics, p_optics, p_electronics, g_oc, g_ec, g_eo, g_conv, share = gyro[i]
+        c_optics, c_electronics, p_optics, p_electronics = gyro[i, 0], gyro[i, 1], gyro[i, 2], gyro[i, 3]
+        g_oc, g_ec, g_eo, g_conv, share = gyro[i, 4], gyro[i, 5], gyro[i, 6], gyro[i, 7], gyro[i, 8]
         upward = paths[i, 0] * up[0] + paths[i, 1] * up[1] + paths[i, 2] * up[2]
         convected[i] = g_conv * share * upward * (electronics - optics)
         to_optics = (g_eo + g_conv) * (electronics - optics) + convected[i]
         optics_loss, electronics_loss = g_oc * (optics - case_c), g_ec * (electronics - case_c)
         nodes[1 + i] += dt / c_optics * (power * p_optics + to_optics - optics_loss)
         nodes[4 + i] += dt / c_electronics * (power * p_electronics - to_optics - electronics_loss)
+        rate[i] = (nodes[1 + i] - optics) * 3600.0 / dt
         into_case += optics_loss + electronics_loss
     nodes[0] += dt / case[0] * into_case

@@ -11,13 +11,8 @@ from scipy.spatial.transform import Rotation
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
-from gyrobench.drivers.emulators.world.sensor_errors import (
-    ARCSEC,
-    TriadErrors,
-    accelerometer_errors,
-    gyro_errors,
-)
-from gyrobench.drivers.emulators.world.strapdown import sense, table_attitude, true_increments
+from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, accelerometer_errors, gyro_errors
+from gyrobench.drivers.emulators.world.strapdown import measure, table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 from gyrobench.drivers.emulators.world.undeclared_effects import Conditions, UndeclaredBias
@@ -25,6 +20,8 @@ from gyrobench.drivers.emulators.world.world_file import TableGeometry, WorldFil
 
 OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
+#: Stands for the sensors' output while the unit does not use it.
+_UNUSED = np.zeros((SAMPLE_RATE_HZ, 3))
 _AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "position_error_arcsec"}
 _OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
 _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
@@ -49,6 +46,7 @@ class World:
         axis = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
         #: The table's axes: 1 outer, 2 inner.
         self.axes = {number: TableAxis(axis) for number in (OUTER, INNER)}
+        self._outer, self._inner = self.axes[OUTER], self.axes[INNER]
         self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
@@ -58,11 +56,15 @@ class World:
         self.broken_sensors: dict[int, float] = {}
         self._gyro = gyro_errors(file.gyro)
         self._accelerometer = accelerometer_errors(file.accelerometer)
+        triads = self._gyro, self._accelerometer
+        self._walks = np.array([triad.random_walk for triad in triads])
+        self._pulses = np.array([triad.pulse for triad in triads])
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._resting_from_s: tuple[float, float] | None = None
         self._sensor_errors: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
         self._undeclared_dph = self._undeclared.added_dph(self._conditions(self.attitude()[2]))
@@ -93,7 +95,7 @@ class World:
     def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
         time_s = np.array([self._sample * _DT_S])
-        outer, inner = (np.radians(self.axes[n].position_deg(time_s))[0] for n in (OUTER, INNER))
+        outer, inner = (np.radians(axis.position_deg(time_s))[0] for axis in (self._outer, self._inner))
         return np.asarray(table_attitude(*self._geometry, outer, inner))
 
     def advance(self, time_s: float) -> None:
@@ -145,10 +147,9 @@ class World:
 
     def _step_samples(self, count: int) -> None:
         """Step the inertial sensors and the INS by samples of one second at most."""
-        rotation = velocity = np.empty((count, 3))
-        resting = self._at_rest()
+        rotation = velocity = _UNUSED[:count]
         if self.unit.uses_sensors:
-            rotation, velocity = self._measured_increments(count, resting)
+            rotation, velocity = self._measured_increments(count, self._at_rest())
         first = self._sample
         self._sample += count
         epochs = self.unit.advance(first, rotation, velocity)
@@ -158,32 +159,34 @@ class World:
     def _measured_increments(
         self, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> tuple[FloatArray, FloatArray]:
-        ideal = self._ideal_increments(count) if resting is None else (each[:count] for each in resting[:2])
-        rotation, velocity = ideal
-        # Drawn sample by sample: the noise does not depend on how the time is split.
-        noise = self._random.standard_normal((count, 2, 3)) * math.sqrt(_DT_S)
+        rotation, velocity = self._ideal_increments(count) if resting is None else resting[:2]
         if self._sensor_errors is None:
             case_c = np.full(3, self.thermal.nodes_c[0] - self.file.reference_temperature_c)
             self._sensor_errors = self._gyro_errors(), self._accelerometer.at(case_c)
-        (gyro_bias, gyro_matrix), accelerometer = self._sensor_errors
+        (gyro_bias, gyro_matrix), (accelerometer_bias, accelerometer_matrix) = self._sensor_errors
         if self.unit.compensation is not None:
             gyro_bias = gyro_bias - self.unit.compensation.bias_dph * DPH_TO_RADPS
-        return (
-            _sensed(rotation, (gyro_bias, gyro_matrix), noise[:, 0], self._gyro, self._remainders[0]),
-            _sensed(velocity, accelerometer, noise[:, 1], self._accelerometer, self._remainders[1]),
-        )
+        # Drawn sample by sample: the noise does not depend on how the time is split.
+        normal = self._random.standard_normal((count, 2, 3))
+        measured: tuple[FloatArray, FloatArray] = measure(
+            rotation, velocity, gyro_matrix, gyro_bias, accelerometer_matrix, accelerometer_bias, normal,
+            _DT_S, self._walks, self._pulses, self._remainders,
+        )  # fmt: skip
+        return measured
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Ideal increments of a second and Up in body axes while the table rests; None while it moves."""
-        if any(axis.is_moving(self._sample * _DT_S) for axis in self.axes.values()):
-            self._resting = None
-        elif self._resting is None:
+        still_from_s = self._outer.still_from_s, self._inner.still_from_s
+        if max(still_from_s) > self._sample * _DT_S:
+            return None
+        if still_from_s != self._resting_from_s:
             self._resting = (*self._ideal_increments(SAMPLE_RATE_HZ), self.attitude()[2])
+            self._resting_from_s = still_from_s
         return self._resting
 
     def _ideal_increments(self, count: int) -> tuple[FloatArray, FloatArray]:
         edges_s = np.arange(self._sample, self._sample + count + 1, dtype=np.float64) * _DT_S
-        outer, inner = (np.radians(self.axes[n].position_deg(edges_s)) for n in (OUTER, INNER))
+        outer, inner = (np.radians(axis.position_deg(edges_s)) for axis in (self._outer, self._inner))
         rotation, velocity = true_increments(
             *self._geometry, outer, inner, self._latitude, self.file.height_m, _DT_S
         )
@@ -200,14 +203,3 @@ def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]
     error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
     axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
     return *axes, np.ascontiguousarray(tilt @ error)
-
-
-def _sensed(
-    true: FloatArray,
-    errors: tuple[FloatArray, FloatArray],
-    noise: FloatArray,
-    triad: TriadErrors,
-    remainder: FloatArray,
-) -> FloatArray:
-    bias, matrix = errors
-    return np.asarray(sense(true, matrix, bias, noise * triad.random_walk, _DT_S, triad.pulse, remainder))

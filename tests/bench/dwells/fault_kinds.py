@@ -98,7 +98,7 @@ def stamps_jump(seconds):
     def make(r, rng):
         stamps_s = r.frames.timestamp_s.copy()
         stamps_s[somewhere(r, rng) :] += seconds
-        return replace(r, frames=replace(r.frames, timestamp_s=stamps_s))
+        return replace(r, frames=r.frames.with_fields(time_s=stamps_s))
 
     return make
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 
 TIME, VELOCITY, ROLL_PITCH, HEADING, STATUS, OPTICS, ELECTRONICS = 0x01, 0x04, 0x06, 0x07, 0x10, 0x20, 0x21
 #: Messages of an epoch.
@@ -60,7 +60,7 @@ class Recording:
         )
         frames = self.frames.take(order)
         stamps_s = np.maximum.accumulate(frames.timestamp_s)
-        return Recording(replace(self.marks, windows=windows), replace(frames, timestamp_s=stamps_s))
+        return Recording(replace(self.marks, windows=windows), frames.with_fields(time_s=stamps_s))
 
     def without(self, rows):
         """Some frames are lost."""
@@ -73,7 +73,7 @@ class Recording:
         doubled = self.arriving(order)
         payload = doubled.frames.data.copy()
         payload[own + np.arange(1, len(own) + 1)] = data
-        return replace(doubled, frames=replace(doubled.frames, data=payload))
+        return replace(doubled, frames=doubled.frames.with_fields(data=payload))
 
     def with_foreign_frames(self, each):
         """So many frames of other nodes after each frame."""
@@ -81,13 +81,13 @@ class Recording:
         loaded = self.arriving(foreign)
         identifiers = loaded.frames.arbitration_id.copy()
         identifiers[np.arange(len(foreign)) % (1 + each) != 0] = 0x555
-        return replace(loaded, frames=replace(loaded.frames, arbitration_id=identifiers))
+        return replace(loaded, frames=loaded.frames.with_fields(id=identifiers))
 
     def with_payload(self, rows, data):
         """Other data (n, 8) in some frames."""
         payload = self.frames.data.copy()
         payload[rows] = data
-        return replace(self, frames=replace(self.frames, data=payload))
+        return replace(self, frames=self.frames.with_fields(data=payload))
 
     def field(self, rows, byte, kind):
         """Values of a field in some frames; ``kind`` is "i4", "i2", "u2" and the like."""

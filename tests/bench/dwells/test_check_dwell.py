@@ -11,7 +11,7 @@ from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def recorded(short_run):
     folder, _, _ = short_run
     entry = next(entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished")
     marks = DwellMarks.from_json(entry["marks"])
-    frames = FrameBlock.from_messages(dict(read_can_log(folder.can))[marks.log_part])
+    frames = FrameBlock.from_messages(dict(read_can_log(folder.can))[marks.log_part]).data_frames()
     alone = replace(marks, windows=marks.windows[:1], is_calibration_check=True)
     return alone, frames, measurement_setup(Station(folder.station)), marks
 
@@ -93,5 +93,5 @@ def test_one_wild_velocity_is_flagged(recorded):
     inside = slice(marks.windows[0].first_frame, marks.windows[0].end_frame)
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11  # an epoch that falls on a whole second
-    verified = measure_check_dwell(marks, replace(frames, data=data), setup)
+    verified = measure_check_dwell(marks, frames.with_fields(data=data), setup)
     assert "times as large as the noise explains" in verified.flags

@@ -128,7 +128,7 @@ def test_time_stamps_that_do_not_start_at_the_epoch_or_step_back_change_nothing(
     since_power_up = frames.timestamp_s - frames.timestamp_s[0] + 5.0
     stepped = np.where(np.arange(len(frames)) < len(frames) // 2, since_power_up, since_power_up - 30.0)
     for stamps in (since_power_up, stepped):
-        assert measure_dwell(marks, replace(frames, timestamp_s=stamps), setup).row == expected
+        assert measure_dwell(marks, frames.with_fields(time_s=stamps), setup).row == expected
 
 
 def test_one_wild_velocity_flags_the_dwell(recorded):
@@ -137,7 +137,7 @@ def test_one_wild_velocity_flags_the_dwell(recorded):
     inside = slice(marks.windows[0].first_frame, marks.windows[0].end_frame)
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11
-    row = measure_dwell(marks, replace(frames, data=data), setup).row
+    row = measure_dwell(marks, frames.with_fields(data=data), setup).row
     assert "times as large as the noise explains" in row.flags
 
 

@@ -117,7 +117,7 @@ def test_an_ins_that_left_navigation_determines_nothing_more(recorded):
     aligning = (frames.arbitration_id == INS_STATUS) & (np.arange(len(frames)) >= left_at)
     aligning[left_at + 1000 :] = False  # and comes back
     data[aligning, 0] = 2
-    replayed = Replayed(marks, replace(frames, data=data), setup)
+    replayed = Replayed(marks, frames.with_fields(data=data), setup)
     assert replayed.estimate_at(left_at) is not None
     assert [replayed.estimate_at(left_at + more) for more in (500, 1500, 2500)] == [None] * 3
 

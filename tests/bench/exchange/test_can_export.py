@@ -16,7 +16,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 
@@ -100,7 +100,7 @@ def decoded(two_dwells):
     """What the bench itself decodes, part by part."""
     setup = measurement_setup(Station(two_dwells.station))
     return {
-        number: setup.decode(FrameBlock.from_messages(messages))
+        number: setup.decode(FrameBlock.from_messages(messages).data_frames())
         for number, messages in read_can_log(two_dwells.can)
     }
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.exchange.can_export import TimedLog
-from gyrobench.drivers.ins.can_bus import FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 

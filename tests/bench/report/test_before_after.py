@@ -15,7 +15,7 @@ def test_each_gyro_has_both_runs_on_one_scale(dwells, bins, equal_dwells, equal_
     section = before_after_section(content("old", dwells, bins), content("new", equal_dwells, equal_bins))
     assert [drawn.name for drawn in section.figures] == ["before_after_x", "before_after_y", "before_after_z"]
     for drawn in section.figures:
-        before, after = drawn.figure.axes
+        before, after = drawn.figure().axes
         assert before.get_ylim() == after.get_ylim()
         assert before.get_xlim() == after.get_xlim()
         assert len(before.containers) == len(after.containers) == 6

@@ -86,8 +86,9 @@ def test_a_station_that_is_missing_still_gives_the_figure(
     section = section_of(noise, content)
     (drawn,) = section.figures
     assert drawn.name == "noise"
-    assert len(drawn.figure.axes) == 2
-    assert png_bytes(drawn.figure).startswith(b"\x89PNG")
+    figure = drawn.figure()
+    assert len(figure.axes) == 2
+    assert png_bytes(figure).startswith(b"\x89PNG")
 
 
 def test_there_is_no_section_without_an_estimate() -> None:

@@ -334,7 +334,7 @@ def test_sections_stand_before_the_dwells(
     empty_folder: RunFolder, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
     write_dwells(empty_folder.dwells, dwells)
-    drawn = SectionFigure("made_up", "the caption", bias_figure("x", dwells, bins))
+    drawn = SectionFigure("made_up", "the caption", lambda: bias_figure("x", dwells, bins))
     section = Section(
         "One bias for all positions",
         ["What <follows> is made up."],
@@ -458,3 +458,17 @@ def test_data_that_can_not_be_hashed_are_reported(copy: RunFolder) -> None:
     text = page_of(copy).text
     assert "The data can't be hashed" in text
     assert "Data of this report" not in text
+
+
+def test_figures_are_drawn_again_only_if_what_they_show_has_changed(
+    run_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    write_report(run_folder)
+    figures = sorted(run_folder.figures.glob("*.png"))
+    drawn = {path: path.stat().st_mtime_ns for path in figures}
+    write_report(run_folder)
+    assert len(drawn) > 4
+    assert {path: path.stat().st_mtime_ns for path in figures} == drawn
+    write_dwells(run_folder.dwells, [replace(dwells[0], cycle=dwells[0].cycle + 1), *dwells[1:]])
+    write_report(run_folder)
+    assert all(path.stat().st_mtime_ns > drawn[path] for path in figures)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 import gyrobench.drivers.ins
 from gyrobench.bench.foundations.documents import parse_document, validate
-from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.command_map import CommandMap
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.signal_map import SignalMap
@@ -126,7 +126,7 @@ def frames_of(codec) -> Callable[[str, ArrayLike, Mapping[str, ArrayLike]], Fram
         )
         data = np.zeros((len(times_s), 8), np.uint8)
         data[:, : payloads.shape[1]] = payloads
-        return FrameBlock(
+        return FrameBlock.from_columns(
             times_s,
             np.full(len(times_s), codec.arbitration_id(message), np.uint32),
             np.full(len(times_s), payloads.shape[1], np.uint8),

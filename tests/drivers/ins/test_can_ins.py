@@ -13,8 +13,9 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.can_bus import FrameBlock, open_bus
+from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, TermIndices
 from gyrobench.drivers.ins.ins_status import STALE_S

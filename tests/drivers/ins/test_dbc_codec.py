@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import gyrobench.drivers.ins
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
-from gyrobench.drivers.ins.can_bus import EXTENDED_ID, FrameBlock
+from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock
 from gyrobench.drivers.ins.dbc_codec import MAX_DBC_BYTES, BitField, DbcCodec, Payloads, load_dbc
 
 
@@ -24,7 +24,7 @@ def block_of(codec, message_name, payloads):
         row[: len(payload)] = list(payload)
     lengths = np.array([len(payload) for payload in payloads], np.uint8)
     identifiers = np.full(len(payloads), codec.arbitration_id(message_name), np.uint32)
-    return FrameBlock(np.arange(len(payloads), dtype=float), identifiers, lengths, data)
+    return FrameBlock.from_columns(np.arange(len(payloads), dtype=float), identifiers, lengths, data)
 
 
 def assert_equals_cantools(codec, message, payloads):

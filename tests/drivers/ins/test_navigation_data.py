@@ -5,8 +5,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices
-from gyrobench.drivers.ins.can_bus import FrameBlock, concatenate
 from gyrobench.drivers.ins.navigation_data import EpochCounts, decode_navigation
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
@@ -96,7 +96,7 @@ def test_an_epoch_whose_last_frames_come_late_is_not_lost(recording, signal_map,
     block = recording(0, 50)
     begin = np.flatnonzero(block.arbitration_id == HEADING_ID)[20]
     stamps_s = block.timestamp_s + late_s * (np.arange(len(block)) >= begin)
-    found = decode_navigation(replace(block, timestamp_s=stamps_s), signal_map, codec)
+    found = decode_navigation(block.with_fields(time_s=stamps_s), signal_map, codec)
     assert replace(found.counts, late=0) == EpochCounts()
     assert found.ins_time_s == pytest.approx(100 + np.arange(50) / 10)
 
@@ -135,7 +135,7 @@ def test_frames_that_come_twice_in_an_epoch_count_where_they_differ(
     doubled = block.take(np.insert(np.arange(len(block)), velocities, velocities))
     data = doubled.data.copy()
     data[velocities + np.arange(10), 0] += changed
-    found = decode_navigation(replace(doubled, data=data), signal_map, codec)
+    found = decode_navigation(doubled.with_fields(data=data), signal_map, codec)
     assert found.counts.contradicted == contradicted
 
 
@@ -151,9 +151,7 @@ def test_a_repeated_epoch_is_dropped_and_counted(recording, signal_map, codec):
 
 def test_arrival_in_bursts_changes_no_time(recording, signal_map, codec):
     block = recording(0, 300)
-    bursts = FrameBlock(
-        np.ceil(block.timestamp_s / 5.0) * 5.0, block.arbitration_id, block.length, block.data
-    )
+    bursts = block.with_fields(time_s=np.ceil(block.timestamp_s / 5.0) * 5.0)
     found, even = (decode_navigation(b, signal_map, codec) for b in (bursts, block))
     assert np.array_equal(found.ins_time_s, even.ins_time_s)
     assert (found.counts.lost, found.counts.restarts, found.counts.untimed) == (0, 0, 0)
@@ -163,7 +161,7 @@ def test_an_epoch_that_arrives_late_is_counted_and_keeps_its_time(recording, sig
     block = recording(0, 50)
     stamps = block.timestamp_s.copy()
     stamps[(stamps > 2.0) & (stamps < 2.25)] = 2.3
-    late = FrameBlock(stamps, block.arbitration_id, block.length, block.data)
+    late = block.with_fields(time_s=stamps)
     found = decode_navigation(late, signal_map, codec)
     assert found.counts == EpochCounts(late=1)
     assert found.ins_time_s == pytest.approx(100 + np.arange(50) / 10)
@@ -171,7 +169,7 @@ def test_an_epoch_that_arrives_late_is_counted_and_keeps_its_time(recording, sig
 
 def test_a_restart_of_the_ins_begins_a_new_segment_with_its_own_time(recording, frames_of, signal_map, codec):
     before, after = recording(500, 600), recording(0, 40)
-    later = FrameBlock(after.timestamp_s + 90.0, after.arbitration_id, after.length, after.data)
+    later = after.with_fields(time_s=after.timestamp_s + 90.0)
     found = decode_navigation(concatenate([before, later]), signal_map, codec)
     assert found.counts == EpochCounts(restarts=1)
     assert found.segment.tolist() == [0] * 100 + [1] * 40
@@ -181,7 +179,7 @@ def test_a_restart_of_the_ins_begins_a_new_segment_with_its_own_time(recording, 
 
 def test_epochs_after_a_restart_without_a_time_are_dropped(recording, signal_map, codec):
     before, after = recording(500, 600), without(recording(0, 9), TIME_ID, 0)
-    later = FrameBlock(after.timestamp_s + 90.0, after.arbitration_id, after.length, after.data)
+    later = after.with_fields(time_s=after.timestamp_s + 90.0)
     found = decode_navigation(concatenate([before, later]), signal_map, codec)
     assert found.counts == EpochCounts(restarts=1, untimed=9)
     assert len(found.ins_time_s) == 100
@@ -233,7 +231,7 @@ def test_without_a_time_the_counter_continues_from_the_first_arrival(recording, 
     block = recording(0, 50)
     jitter = np.random.default_rng(0).normal(0, 0.01, len(block))
     jitter[:10] = 0
-    jittery = FrameBlock(block.timestamp_s + jitter, block.arbitration_id, block.length, block.data)
+    jittery = block.with_fields(time_s=block.timestamp_s + jitter)
     found = decode_navigation(jittery, make_signal_map(NO_TIME), codec)
     assert found.ins_time_s == pytest.approx(0.002 + np.arange(50) / 10, abs=1e-9)
 
@@ -241,7 +239,7 @@ def test_without_a_time_the_counter_continues_from_the_first_arrival(recording, 
 def test_without_time_and_counter_the_time_stamps_count_to_a_microsecond(recording, make_signal_map, codec):
     block = recording(0, 50)
     stamps = block.timestamp_s + 1e-8
-    stamped = FrameBlock(stamps, block.arbitration_id, block.length, block.data)
+    stamped = block.with_fields(time_s=stamps)
     signal_map = make_signal_map({**NO_COUNTER, **NO_TIME})
     found = decode_navigation(without(stamped, VELOCITY_ID, 7), signal_map, codec)
     assert found.counts == EpochCounts(lost=1)
@@ -284,7 +282,7 @@ def test_any_frames_give_increasing_times_within_a_segment(make_signal_map, code
             max_size=60,
         )
     )
-    block = FrameBlock(
+    block = FrameBlock.from_columns(
         np.cumsum(data.draw(st.lists(st.floats(0, 0.2), min_size=len(frames), max_size=len(frames)))),
         np.array([identifier for identifier, _ in frames], np.uint32),
         np.array([len(payload) for _, payload in frames], np.uint8),

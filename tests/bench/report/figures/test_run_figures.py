@@ -213,7 +213,7 @@ def test_figures_are_saved_for_what_there_are_data_for(
     biases = ["bias_x", "bias_y", "bias_z"]
     assert list(figures) == ["temperature", *biases, "position_differences"]
     for name, figure in figures.items():
-        save_figure(figure, tmp_path / name)
+        save_figure(figure(), tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert list(dict(run_figures(telemetry, [], []))) == ["temperature"]
     assert not dict(run_figures({}, [], []))

@@ -11,8 +11,8 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.can_bus import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode

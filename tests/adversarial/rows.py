@@ -1,0 +1,81 @@
+"""The rows of the table: what is done wrong, and what its flag must name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from tests.adversarial.harness import Case, Row
+
+_VELOCITY = "VELOCITY_NE.VELOCITY_"
+
+
+def _nothing(case: Case) -> Case:
+    return case
+
+
+def _unit(**fields: Any) -> Any:
+    """Another unit."""
+    return lambda case: replace(case, unit=replace(case.unit, **fields))
+
+
+def _station(changes: Mapping[str, Any]) -> Any:
+    """Another station file."""
+    return lambda case: replace(case, station={**case.station, **changes})
+
+
+def _latitude(error_arcmin: float) -> Any:
+    return lambda case: replace(case, place=replace(case.place, latitude_error_arcmin=error_arcmin))
+
+
+def _mirrored(*names: str) -> Any:
+    return _station(
+        {
+            f"ins.signals.velocity_{name}": {"signal": f"{_VELOCITY}{name.upper()}", "sign": -1}
+            for name in names
+        }
+    )
+
+
+_EXCHANGED = {
+    "ins.signals.velocity_east": f"{_VELOCITY}NORTH",
+    "ins.signals.velocity_north": f"{_VELOCITY}EAST",
+}
+
+#: With nothing wrong.
+CLEAN = Row("nothing", _nothing, runs=84)
+
+ROWS = (
+    Row("velocity_north with the wrong sign", _mirrored("north"), "velocity_north"),
+    Row("velocity_east with the wrong sign", _mirrored("east"), "velocity_east"),
+    Row("both velocities with the wrong sign", _mirrored("north", "east"), "velocity_(north|east)"),
+    Row("east and north exchanged", _station(_EXCHANGED), "exchange"),
+    Row("yaw_positive wrong", _station({"ins.signals.attitude.euler.yaw_positive": "up"}), "yaw_positive"),
+    Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
+    Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
+    Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0), "latitude"),
+    Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0), "latitude"),
+    Row(
+        "accelerometer transient of 20 ug after the turn, 120 s",
+        _unit(accelerometer_transient_ug=(20.0, -20.0, 20.0)),
+        "accelerometer",
+    ),
+    Row(
+        "accelerometer drift of 30 ug/h, undeclared",
+        _unit(accelerometer_drift_ug_per_h=(30.0, -30.0, 30.0)),
+        "accelerometer",
+    ),
+    Row("velocity damped with 600 s", _unit(velocity_damping_s=600.0), "damp"),
+    Row("noise 2 times what is declared", _unit(angle_random_walk=0.0012), "noise"),
+    Row("noise 1.3 times what is declared", _unit(angle_random_walk=0.00078), "noise"),
+    Row("bias step of 0.01 deg/h in mid-window", _unit(bias_step_dph=(0.01, 0.01, 0.01)), "bias"),
+    Row("accelerometer biases of 300 ug", _unit(accelerometer_bias_ug=(300.0, -300.0, 300.0))),
+    Row("accelerometer biases of 500 ug", _unit(accelerometer_bias_ug=(500.0, 500.0, -500.0))),
+    Row("accelerometer biases of 1000 ug", _unit(accelerometer_bias_ug=(-1000.0, 1000.0, 1000.0))),
+    Row(
+        "accelerometer misalignments of 20 arcsec",
+        _unit(accelerometer_misalignment_arcsec=(20.0, -20.0, 20.0, -20.0, 20.0, -20.0)),
+    ),
+    Row("undithered gyro pulses of 0.5 arcsec", _unit(gyro_pulse_arcsec=0.5), "resol"),
+)
