@@ -14,6 +14,7 @@ white sum stays at one standard deviation, a slow one grows with the number of e
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +34,36 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
-
 #: A rate of damping of which nothing is known beforehand, 1/s.
 _WIDE_DAMPING = 1.0
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Rate at which an INS damps its velocity, with its standard uncertainty, 1/s."""
+
+    rate: float
+    sigma: float
+
+    @property
+    def p_value(self) -> float:
+        """Probability of at least this rate in an INS that is free inertial."""
+        return float(erfc(abs(self.rate / self.sigma) / math.sqrt(2.0)))
+
+    @property
+    def text(self) -> str:
+        """A message."""
+        return (
+            f"the INS damps its velocity with a time constant of {1.0 / self.rate:.0f} s, so that the biases "
+            "of the level gyros are wrong. Switch it to free inertial navigation"
+        )
+
+    @classmethod
+    def mean(cls, several: Sequence[Damping]) -> Damping:
+        """That of several dwells of one INS."""
+        weights = np.array([each.sigma**-2.0 for each in several])
+        rate = weights @ [each.rate for each in several] / weights.sum()
+        return cls(float(rate), float(weights.sum() ** -0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +95,9 @@ class StateSpaceEstimate(BiasEstimate):
     fit: GoodnessOfFit  #: Whether the model explains the data.
     #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
-    step: BiasStep | None  #: Most significant step of the biases in the dwell; None in very short windows.
-    #: damping, damping_sigma: Rate at which the INS damps its velocity, and its standard uncertainty, 1/s; zero
-    #: where it is free inertial, which the biases presume.
-    damping: float
-    damping_sigma: float
+    #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
+    step: BiasStep | None
+    damping: Damping  #: None in an INS that is free inertial, as the biases presume.
     information: DwellInformation  #: For the joint solution of several dwells.
 
 
@@ -171,8 +197,8 @@ class BiasFilter:
             self._last_k = temperatures[-1]
             self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
 
-    def estimate(self) -> StateSpaceEstimate:
-        """Estimate the biases from what has been added so far.
+    def estimate(self, search_step: bool = False) -> StateSpaceEstimate:
+        """Estimate the biases from what has been added so far, and look for a step of them if asked to.
 
         Raises MeasurementError if there was no turn yet, or nothing has been added after it.
         """
@@ -184,7 +210,6 @@ class BiasFilter:
         information = self.information()
         unknowns, covariance = self._solved(information)
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
-        damping, damping_sigma = self._damping(information)
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
@@ -192,9 +217,10 @@ class BiasFilter:
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
             fit=self._goodness_of_fit(unknowns, covariance),
             steady_p_value=self._steady_p_value(information),
-            step=find_bias_step(self._windows, self._passages, self._expansions, unknowns, covariance),
-            damping=damping,
-            damping_sigma=damping_sigma,
+            step=find_bias_step(self._windows, self._passages, self._expansions, unknowns, covariance)
+            if search_step
+            else None,
+            damping=self._damping(information),
             information=information,
         )
 
@@ -219,12 +245,12 @@ class BiasFilter:
         away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
         return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
 
-    def _damping(self, information: DwellInformation) -> tuple[float, float]:
+    def _damping(self, information: DwellInformation) -> Damping:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
         unknowns, covariance = solve(information.rows, information.data, prior_root)
         sigma = math.sqrt(covariance[parameters.DAMPING, parameters.DAMPING])
-        return float(unknowns[parameters.DAMPING]), sigma
+        return Damping(float(unknowns[parameters.DAMPING]), sigma)
 
     def _from_first(self, gyro_c: FloatArray) -> FloatArray:
         if self._reference_c is None:
@@ -293,7 +319,7 @@ def estimate_state_space(
         turn = dwell.turns[number - 1] if number else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
         bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
-    return bias_filter.estimate()
+    return bias_filter.estimate(search_step=True)
 
 
 def navigation_fit(

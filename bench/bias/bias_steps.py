@@ -18,8 +18,8 @@ from gyrobench.bench.bias.window_filter import COLUMNS, DATA, MEASURED_STATES, W
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
 from gyrobench.bench.navigation.error_model import STATES
 
-#: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the biases of
-#: the windows are compared elsewhere.
+#: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the
+#: biases of the windows are compared elsewhere.
 _EVERY, _MARGIN = 10, 60
 #: So many independent tests are about as likely to give a false alarm as all times and gyros together.
 _TESTS = 60.0
@@ -69,34 +69,38 @@ def find_bias_step(
     BiasStep or None
         None if the windows are too short for any.
     """
-    size = STATES + _GYROS
-    future, tried = np.zeros((size, size + len(parameters) + 1)), []
+    size, count = STATES + _GYROS, len(parameters)
+    later, later_information = np.zeros((size, count + 1)), np.zeros((size, size))
+    times, scores, variances = [], [], []
     for number in reversed(range(len(windows))):
-        window = windows[number]
+        window, expansion = windows[number], expansions[number]
         epochs = window.epochs_filtered
-        tried_at = _tried(len(epochs.time_s))
+        tried = _tried(len(epochs.time_s))
         information, seen = _backward(
             epochs.rows, epochs.gains, epochs.scales, epochs.transition,
-            np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(tried_at, -1),
+            np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(tried, -1),
         )  # fmt: skip
-        to_end = seen[:, :, COLUMNS:]
-        response = to_end @ future[:, size:]
-        response[:, :, : expansions[number].shape[1]] += seen[:, :, :DATA] @ expansions[number]
-        response[:, :, -1] += seen[:, :, DATA]
-        information = information + to_end @ future[:, :size] @ to_end.transpose(0, 2, 1)
-        tried.append((epochs.time_s[tried_at], information[:-1], response[:-1]))
+        # What the columns of a window, and the state and biases at its end, say of the parameters and data.
+        into = np.zeros((COLUMNS + size, count + 1))
+        into[:DATA, : expansion.shape[1]], into[DATA, -1], into[COLUMNS:] = expansion, 1.0, later
+        response, to_end = seen[:-1, STATES:] @ into, seen[:-1, STATES:, COLUMNS:]
+        times.append(epochs.time_s[tried])
+        scores.append(response[:, :, -1] - response[:, :, :-1] @ parameters)
+        response = response[:, :, :-1]
+        variances.append(
+            information[:-1, STATES:, STATES:]
+            + to_end @ later_information @ to_end.transpose(0, 2, 1)
+            - (response @ covariance) @ response.transpose(0, 2, 1)
+        )
         if number:
-            before = passages[number - 1]
-            back = np.block(
-                [[before.transition, before.by_bias], [np.zeros((_GYROS, STATES)), np.eye(_GYROS)]]
-            )
-            future = back.T @ np.hstack([information[-1] @ back, response[-1]])
-    time_s, information, response = (np.concatenate(each) for each in zip(*tried, strict=True))
+            back = np.eye(size)
+            back[:STATES] = np.hstack([passages[number - 1].transition, passages[number - 1].by_bias])
+            to_end = seen[-1, :, COLUMNS:]
+            later = back.T @ seen[-1] @ into
+            later_information = back.T @ (information[-1] + to_end @ later_information @ to_end.T) @ back
+    time_s, score, variance = (np.concatenate(each) for each in (times, scores, variances))
     if not len(time_s):
         return None
-    steps, response = response[:, STATES:], response[:, STATES:, :-1]
-    score = steps[:, :, -1] - response @ parameters
-    variance = information[:, STATES:, STATES:] - response @ covariance @ response.transpose(0, 2, 1)
     away = score**2 / np.diagonal(variance, axis1=1, axis2=2)
     together = np.einsum("ti,ti->t", score, np.linalg.solve(variance, score[:, :, np.newaxis])[:, :, 0])
     at, gyro = np.unravel_index(int(np.argmax(away)), away.shape)
@@ -114,7 +118,7 @@ def _tried(epochs: int) -> IntArray:
     return np.arange(epochs - 1 - _MARGIN, _MARGIN - 1, -_EVERY)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=True)
 def _backward(
     rows: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray, by_bias: FloatArray,
     saved: IntArray,
@@ -142,9 +146,8 @@ def _backward(
     for i in range(size):
         seen[i, COLUMNS + i] = 1.0
     infos, seens = np.empty((len(saved), size, size)), np.empty((len(saved), size, width))
-    carried, moved, way, number = np.empty(size), np.empty((size, width)), np.zeros((size, size)), 0
-    for i in range(_GYROS):
-        way[STATES + i, STATES + i] = 1.0
+    carried, taken, number = np.empty(size), np.empty(width), 0
+    moved, turned = np.empty((STATES, width)), np.empty((STATES, size))
     for k in range(len(rows) - 1, -2, -1):
         if number < len(saved) and saved[number] == k:
             infos[number], seens[number] = info, seen
@@ -154,11 +157,12 @@ def _backward(
         for m in range(2, -1, -1):
             h, scale, gain = MEASURED_STATES[m], scales[k, m], gains[k, m]
             row = rows[k, m]
+            taken[:] = 0.0
+            for i in range(STATES):
+                for c in range(width):
+                    taken[c] += gain[i] * seen[i, c]
             for c in range(width):
-                total = 0.0
-                for i in range(STATES):
-                    total += gain[i] * seen[i, c]
-                seen[h, c] -= total
+                seen[h, c] -= taken[c]
             for c in range(COLUMNS):
                 seen[h, c] += scale * row[c]
             for i in range(size):
@@ -171,14 +175,35 @@ def _backward(
             for j in range(STATES):
                 info[h, h] += gain[j] * carried[j]
             info[h, h] += scale * scale
-        way[:STATES, :STATES], way[:STATES, STATES:] = transitions[k], by_bias[k]
-        for i in range(size):
-            for c in range(width):
-                moved[i, c] = seen[i, c] if i >= STATES else 0.0
+        transition, response = transitions[k], by_bias[k]
+        # Both are multiplied by the transposed transition of state and biases; the information, which is
+        # symmetric, twice.
+        for i in range(STATES, size):
             for j in range(STATES):
-                factor = way[j, i]
+                factor = response[j, i - STATES]
+                for c in range(width):
+                    seen[i, c] += factor * seen[j, c]
+                for c in range(size):
+                    info[i, c] += factor * info[j, c]
+        for i in range(STATES):
+            moved[i] = 0.0
+            turned[i] = 0.0
+            for j in range(STATES):
+                factor = transition[j, i]
                 for c in range(width):
                     moved[i, c] += factor * seen[j, c]
-        seen[:] = moved
-        info = way.T @ info @ way
+                for c in range(size):
+                    turned[i, c] += factor * info[j, c]
+        seen[:STATES] = moved
+        info[:STATES] = turned
+        for i in range(size):
+            for j in range(STATES):
+                carried[j] = info[i, j]
+            for c in range(STATES):
+                info[i, c] = 0.0
+            for j in range(STATES):
+                for c in range(STATES):
+                    info[i, c] += carried[j] * transition[j, c]
+                for c in range(_GYROS):
+                    info[i, STATES + c] += carried[j] * response[j, c]
     return infos, seens

@@ -116,7 +116,8 @@ class PriorKnowledge:
     #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
     #: solution of several dwells.
     accelerometer_misalignment: float = 5.0 * _ARCSEC
-    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit finds it, so it is always in the uncertainty.
+    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it. Data sheets of quartz
+    #: accelerometers state 15 to 30 ug/K; a tenth of that is left of a modelled one on a ramp of 10 K/h.
     accelerometer_drift: float = 20.0 * UG_TO_MPS2 / 3600.0
     #: How far a turn changes an accelerometer's bias until that has decayed, m/s^2.
     accelerometer_transient: float = 10.0 * UG_TO_MPS2
