@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-from scipy.special import erfc
+from scipy.special import chdtrc, erfc
 
 from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import BiasStep, Passage, find_bias_step
@@ -36,6 +36,8 @@ from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 #: A rate of damping of which nothing is known beforehand, 1/s.
 _WIDE_DAMPING = 1.0
+#: The same of an acceleration, m/s^2, and the p-value above which accelerometers count as settled after turns.
+_WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.05
 
 
 @dataclass(frozen=True)
@@ -207,17 +209,18 @@ class BiasFilter:
                 "no navigation after a turn: the biases are not observable beside the initial errors. "
                 "Turn the unit and navigate again"
             )
-        information = self.information()
+        information, shown = self._information()
         unknowns, covariance = self._solved(information)
+        expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
             accelerometer_bias=unknowns[acceleration],
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
-            fit=self._goodness_of_fit(unknowns, covariance),
+            fit=self._goodness_of_fit(expansions, unknowns, covariance),
             steady_p_value=self._steady_p_value(information),
-            step=find_bias_step(self._windows, self._passages, self._expansions, unknowns, covariance)
+            step=find_bias_step(self._windows, self._passages, expansions, unknowns, covariance)
             if search_step
             else None,
             damping=self._damping(information),
@@ -226,7 +229,9 @@ class BiasFilter:
 
     def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""
-        return self._goodness_of_fit(*self._solved(self.information()))
+        information, shown = self._information()
+        expansions = [each * shown[: each.shape[1]] for each in self._expansions]
+        return self._goodness_of_fit(expansions, *self._solved(information))
 
     def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
@@ -280,6 +285,27 @@ class BiasFilter:
             covariance = transition @ covariance @ transition.T + steps.covariance[k]
         return Passage(through, state[:, parameters.GYRO_BIAS]), state, covariance
 
+    def _information(self) -> tuple[DwellInformation, FloatArray]:
+        """What has been added so far says of the parameters, and which of them it shows (p,), 0 or 1.
+
+        That the accelerometers need not settle after a turn is worth a sixth of the uncertainty: it is presumed
+        unless the data contradict it.
+        """
+        information = self.information()
+        count = len(self._windows)
+        settling = parameters.transients(count)
+        shown = np.ones(information.rows.shape[1])
+        if not len(settling) or self._prior.accelerometer_transient == 0.0:
+            return information, shown
+        prior_root = parameters.prior_root(self._prior, count, self._earth_rate)
+        prior_root[settling, settling] = _WIDE_ACCELERATION
+        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        size = unknowns[settling]
+        chi2 = float(size @ np.linalg.solve(covariance[np.ix_(settling, settling)], size))
+        if chdtrc(len(settling), chi2) > _MAX_TRANSIENT_P_VALUE:
+            shown[settling] = 0.0
+        return replace(information, rows=information.rows * shown), shown
+
     def information(self) -> DwellInformation:
         """What has been added so far says of the unknowns, without prior knowledge."""
         count = self._expansions[-1].shape[1]
@@ -297,10 +323,12 @@ class BiasFilter:
             earth_rate=self._earth_rate,
         )
 
-    def _goodness_of_fit(self, unknowns: FloatArray, covariance: FloatArray) -> GoodnessOfFit:
+    def _goodness_of_fit(
+        self, expansions: list[FloatArray], unknowns: FloatArray, covariance: FloatArray
+    ) -> GoodnessOfFit:
         blocks = [
             (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(unknowns)))
-            for window, expansion in zip(self._windows, self._expansions, strict=True)
+            for window, expansion in zip(self._windows, expansions, strict=True)
             for time_s, total in window.blocks()
         ]
         time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))

@@ -9,7 +9,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DPH_TO_RADPS,
+    STANDARD_GRAVITY,
+    UG_TO_MPS2,
+    FloatArray,
+    IntArray,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.error_model import INPUTS
 
@@ -55,6 +61,12 @@ def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
     result[0, ACCELEROMETER_DRIFT] = -C_nb[1] / STANDARD_GRAVITY
     result[1, ACCELEROMETER_DRIFT] = C_nb[0] / STANDARD_GRAVITY
     return result
+
+
+def transients(windows: int) -> IntArray:
+    """Places of the transients of all windows after the first."""
+    first = COMMON + PER_WINDOW * np.arange(1, windows)
+    return np.add.outer(first, np.arange(PER_WINDOW)[TRANSIENT]).ravel()
 
 
 def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
@@ -116,11 +128,12 @@ class PriorKnowledge:
     #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
     #: solution of several dwells.
     accelerometer_misalignment: float = 5.0 * _ARCSEC
-    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it. Data sheets of quartz
-    #: accelerometers state 15 to 30 ug/K; a tenth of that is left of a modelled one on a ramp of 10 K/h.
+    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it. Data sheets of
+    #: quartz accelerometers state 15 to 30 ug/K; a tenth is left of it if modelled, and ramps of 10 K/h are
+    #: usual.
     accelerometer_drift: float = 20.0 * UG_TO_MPS2 / 3600.0
-    #: How far a turn changes an accelerometer's bias until that has decayed, m/s^2.
-    accelerometer_transient: float = 10.0 * UG_TO_MPS2
+    #: How far a turn changes an accelerometer's bias until that has decayed, m/s^2; estimated where it shows.
+    accelerometer_transient: float = 20.0 * UG_TO_MPS2
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -139,7 +152,7 @@ class PriorKnowledge:
         bias_slope_dph_per_c: float = 0.001,
         accelerometer_misalignment_arcsec: float = 5.0,
         accelerometer_drift_ug_per_h: float = 20.0,
-        accelerometer_transient_ug: float = 10.0,
+        accelerometer_transient_ug: float = 20.0,
     ) -> PriorKnowledge:
         """The same in the units of data sheets."""
         return cls(

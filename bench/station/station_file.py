@@ -137,7 +137,7 @@ class InsUncertainty(StrictModel):
         20.0, description="change of each accelerometer's bias in a dwell, ug/h"
     )
     accelerometer_transient_ug: NotNegative = Field(
-        10.0, description="what a turn changes of each accelerometer's bias until that has decayed, ug"
+        20.0, description="what a turn changes of each accelerometer's bias until that has decayed, ug"
     )
     accelerometer_misalignment_arcsec: NotNegative = Field(
         5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"
