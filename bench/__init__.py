@@ -15,9 +15,18 @@ Time
     ``ins_time_s`` (the clock of the INS) or ``utc``.
 """
 
-from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
-try:
-    __version__ = version("gyrobench")
-except PackageNotFoundError:  # a source tree that was not installed
-    __version__ = "0+unknown"
+__version__: str
+
+
+def __getattr__(name: str) -> Any:
+    """Find the version when it is asked for: that takes longer than to print a help text."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("gyrobench")
+    except PackageNotFoundError:  # a source tree that was not installed
+        return "0+unknown"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import can
 import numpy as np
@@ -119,6 +119,16 @@ class FrameBlock:
         for name, column in values.items():
             rows[name] = column
         return FrameBlock(rows)
+
+    def matching(self, filters: Iterable[can.typechecking.CanFilter]) -> FrameBlock:
+        """Select the frames that pass one of python-can's filters."""
+        identifiers, passes = self.arbitration_id, np.zeros(len(self), np.bool_)
+        for each in filters:
+            alike = (identifiers & np.uint32(EXTENDED_ID - 1) ^ each["can_id"]) & each["can_mask"] == 0
+            if "extended" in each:
+                alike &= (identifiers & np.uint32(EXTENDED_ID) != 0) == each["extended"]
+            passes |= alike
+        return self.take(passes)
 
     def data_frames(self) -> FrameBlock:
         """Leave out remote and error frames."""

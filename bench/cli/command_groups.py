@@ -1,10 +1,15 @@
-"""The list of commands in `gyrobench --help`, grouped by task."""
+"""The commands of `gyrobench`, grouped by task; each is loaded when it is used."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
 from typing import Any
 
-from typer.core import TyperGroup
+import typer
+from typer.core import TyperCommand, TyperGroup
 
 #: Commands by task; a command without a group is listed last.
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -15,31 +20,72 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),
 }
-_OTHERS = "Other"
+#: Names that are still accepted, by module and function.
+_HIDDEN = {"tell": "control.tell"}
 #: The first sentence is shown in full.
 _MAX_HELP = 300
+
+
+def _callback(name: str) -> Callable[..., None] | typer.Typer:
+    """Import a command, or group of commands, named as its module."""
+    word = "import_log" if name == "import" else name.replace("-", "_")
+    module, _, function = _HIDDEN.get(name, word).partition(".")
+    found: Callable[..., None] | typer.Typer = getattr(
+        import_module(f"gyrobench.bench.cli.{module}"), function or module
+    )
+    return found
+
+
+@cache
+def _command(name: str) -> Any:
+    callback = _callback(name)
+    if isinstance(callback, typer.Typer):
+        command: Any = typer.main.get_group(callback)
+    else:
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(hidden=name in _HIDDEN)(callback)
+        command = typer.main.get_command(alone)
+    command.name = name
+    return command
+
+
+class _Commands(Mapping[str, Any]):
+    """All commands by their names, in the order of the groups."""
+
+    def __iter__(self) -> Iterator[str]:
+        yield from (name for names in GROUPS.values() for name in names)
+        yield from _HIDDEN
+
+    def __len__(self) -> int:
+        return sum(map(len, GROUPS.values())) + len(_HIDDEN)
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in list(self):
+            raise KeyError(name)
+        return _command(name)
 
 
 class CommandGroups(TyperGroup):
     """Lists its commands group by group."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names of all commands, in the order of the groups."""
-        known = super().list_commands(ctx)
-        grouped = [name for names in GROUPS.values() for name in names if name in known]
-        return [*grouped, *(name for name in known if name not in grouped)]
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.commands = _Commands()  # type: ignore[assignment]  # nothing adds to them
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Names of all commands, in the order of the groups."""
+        return list(self.commands)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         """Write the groups into the help."""
-        names = self.list_commands(ctx)
-        widest = max(map(len, names))
-        grouped = {name: group for group, of_group in GROUPS.items() for name in of_group}
-        for group in (*GROUPS, _OTHERS):
-            rows = []
-            for name in names:
-                command = self.get_command(ctx, name)
-                if command is not None and not command.hidden and grouped.get(name, _OTHERS) == group:
-                    rows.append((name.ljust(widest), command.get_short_help_str(_MAX_HELP)))
-            if rows:
-                with formatter.section(group):
-                    formatter.write_dl(rows)
+        widest = max(map(len, self.commands))
+        for group, names in GROUPS.items():
+            with formatter.section(group):
+                formatter.write_dl([(name.ljust(widest), _summary(name)) for name in names])
+
+
+def _summary(name: str) -> str:
+    callback = _callback(name)
+    if isinstance(callback, typer.Typer):
+        return str(_command(name).get_short_help_str(_MAX_HELP))
+    return str(TyperCommand(name, help=inspect.getdoc(callback)).get_short_help_str(_MAX_HELP))

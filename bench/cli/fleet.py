@@ -116,8 +116,8 @@ def _process(record: FleetRecord, paths: list[Path], workers: Workers, *, as_jso
     results: list[JobResult] = []
     if pending:
         terminal.print(f"fleet {record.kind}: {len(pending)} of {len(paths)} runs, {workers.describe()}")
-        with connected(workers) as client, FleetProgress(terminal, len(pending)) as progress:
-            for result in work_through(client, record, pending):
+        with connected(workers) as pool, FleetProgress(terminal, len(pending)) as progress:
+            for result in work_through(pool, record, pending):
                 results.append(result)
                 progress.advance(result)
     not_done = [result for result in results if result.state != "done"]

@@ -9,17 +9,18 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
-from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
-from gyrobench.bench.runs.folder import RUNS, RunFolder
-
 _MAX_RUNS = 200
 
 Completion = Callable[[str], list[str]]
 
 
 def _shipped(kind: str) -> Completion:
-    return lambda incomplete: _beginning_with(incomplete, shipped_names(kind))
+    def complete(incomplete: str) -> list[str]:
+        from gyrobench.bench.foundations.shipped import shipped_names
+
+        return _beginning_with(incomplete, shipped_names(kind))
+
+    return complete
 
 
 complete_procedure = _shipped("procedures")
@@ -31,19 +32,29 @@ complete_import_map = _shipped("imports")
 
 def complete_template(incomplete: str) -> list[str]:
     """Names of templates of a new procedure."""
+    from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
+
     return _beginning_with(incomplete, [*TEMPLATES, *shipped_names("procedures")])
 
 
-def _installed(dialects: str) -> Completion:
-    return lambda incomplete: _beginning_with(incomplete, installed(dialects))
+def complete_table(incomplete: str) -> list[str]:
+    """Installed dialects of rate tables."""
+    from gyrobench.bench.foundations.packages import RATE_TABLES, installed
+
+    return _beginning_with(incomplete, installed(RATE_TABLES))
 
 
-complete_table = _installed(RATE_TABLES)
-complete_chamber = _installed(CHAMBERS)
+def complete_chamber(incomplete: str) -> list[str]:
+    """Installed dialects of chambers."""
+    from gyrobench.bench.foundations.packages import CHAMBERS, installed
+
+    return _beginning_with(incomplete, installed(CHAMBERS))
 
 
 def complete_run(incomplete: str) -> list[str]:
     """Run folders under ``runs``, or under the folder that is being typed; the newest first."""
+    from gyrobench.bench.runs.folder import RUNS, RunFolder
+
     typed = Path(incomplete)
     folder = typed if incomplete.endswith("/") else typed.parent
     if not incomplete:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import sys
 from datetime import date
-from decimal import Decimal
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -66,6 +64,8 @@ JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
 
 def print_json(content: dict[str, Any]) -> None:
     """Print an object; numbers that are not finite become null."""
+    import json
+
     typer.echo(json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False))
 
 
@@ -81,6 +81,8 @@ def print_result(content: dict[str, Any], as_json: bool, *views: RenderableType)
 
 def plain(value: Any) -> Any:
     """Convert records, arrays, times and paths to JSON types; other objects to their text."""
+    from decimal import Decimal
+
     if hasattr(value, "model_dump"):  # models of pydantic
         return value.model_dump(mode="json", by_alias=True)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

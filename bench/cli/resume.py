@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import RunArgument, View, ViewOption
-from gyrobench.bench.cli.output import JsonOption, console, print_end
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_end
 
 
 def resume(
@@ -18,28 +18,41 @@ def resume(
     look: Annotated[
         bool, typer.Option("--look", help="Only show the state of the run and the next steps.")
     ] = False,
+    give_up_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--give-up-damaged", help="Put damaged files aside, and measure the dwells again that they held."
+        ),
+    ] = False,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
     """Resume an interrupted run.
 
     Completed dwells are kept. The interrupted dwell is repeated, after its temperature and soak are
-    re-established.
+    re-established. Of a run that ended before its report was written, results and report are written.
+
+    Exit codes: 0 the run finished, or with --look can be resumed; 1 not finished, or files are damaged.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
     is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.
 
     Example: gyrobench resume runs/six_position_fig7-001
     """
-    from gyrobench.bench.engine.resume import prepare_resumption
+    from gyrobench.bench.engine.resume import give_up_damage, prepare_resumption
     from gyrobench.bench.engine.run import resume_run
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
 
     terminal = console(as_json)
     resumption = prepare_resumption(run_folder, anyway)
-    terminal.print(resumption.describe(), soft_wrap=True)
+    if look or not resumption.damage:
+        terminal.print(resumption.describe(), soft_wrap=True)
     if look:
-        return
+        raise typer.Exit(EXIT_NOT_FINISHED if resumption.damage else 0)
+    if resumption.damage and give_up_damaged:
+        give_up_damage(resumption)
+        resumption = prepare_resumption(run_folder, anyway)
+        terminal.print(resumption.describe(), soft_wrap=True)
     job = resumption.job
     with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, operator):
         folder, outcome = resume_run(resumption, progress, operator)

@@ -95,7 +95,7 @@ class DwellMarks:
             raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
         lacking = [each.name for each in fields(cls) if each.name not in _named(data)]
         ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
-        if lacking or marks.position not in POSITIONS or not ends or ends[0] < 0 or ends != sorted(ends):
+        if lacking or marks.position not in POSITIONS or min(ends, default=0) < 0 or ends != sorted(ends):
             raise RunFolderError(
                 "damaged marks of a dwell: keys, position or windows are not those of a dwell"
             )

@@ -7,10 +7,9 @@ navigation for the noise estimate is kept of some dwells only, evenly spread ove
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-
-import can
+from typing import Any
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bias_filter import Damping
@@ -39,7 +38,7 @@ from gyrobench.bench.runs.tables.joint_table import (
     write_joint,
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 
 def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
@@ -61,29 +60,35 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    finished = _finished(folder)
-    pending = {marks.log_part: marks for marks in finished}
-    if len(pending) < len(finished):
+    finished = finished_marks(folder)
+    parts = [marks.log_part for marks in finished if marks.windows]
+    if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
-    for number, messages in read_can_log(folder.can) if pending else ():
-        marks = pending.pop(number, None)
-        if marks is not None:
-            yield marks, _frames(folder, marks, messages)
-    if pending:
-        raise RunFolderError(f"{folder.can}: lacks the parts {sorted(pending)} that the journal names")
+    for marks in finished:
+        yield marks, read_frames(folder, marks)
 
 
-def finished_marks(folder: RunFolder) -> Iterator[DwellMarks]:
-    """Marks of the finished dwells in the journal, in the order of time.
+def finished_marks(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of the finished dwells in the journal, each number once, in the order of time.
 
     Raises RunFolderError if the journal is damaged.
     """
-    for entry in read_journal(folder.journal):
-        if entry.get("event") == "dwell_finished":
+    return marks_in(read_journal(folder.journal), folder)
+
+
+def marks_in(entries: Iterable[Mapping[str, Any]], folder: RunFolder) -> list[DwellMarks]:
+    """:func:`finished_marks` of entries that were read already."""
+    found: dict[int, DwellMarks] = {}
+    for entry in entries:
+        if entry.get("event") == "data_given_up":
+            found = {dwell: marks for dwell, marks in found.items() if dwell not in entry["dwells"]}
+        elif entry.get("event") == "dwell_finished":
             try:
-                yield DwellMarks.from_json(entry.get("marks", {}))
+                marks = DwellMarks.from_json(entry.get("marks", {}))
             except RunFolderError as error:
                 raise RunFolderError(f"{folder.journal}: {error}") from error
+            found[marks.dwell] = marks
+    return sorted(found.values(), key=lambda marks: marks.start_s)
 
 
 def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
@@ -94,18 +99,25 @@ def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
     marks = {each.dwell: each for each in finished_marks(folder)}.get(dwell)
     if marks is None:
         raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}")
-    for _, messages in read_can_log(folder.can, {marks.log_part}):
-        return _frames(folder, marks, messages)
-    raise RunFolderError(f"{folder.can}: lacks part {marks.log_part}, which dwell {dwell} needs. Restore it")
+    return read_frames(folder, marks)
 
 
-def _finished(folder: RunFolder) -> list[DwellMarks]:
-    """Marks of the finished dwells, each number once."""
-    return list({marks.dwell: marks for marks in finished_marks(folder)}.values())
+def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
+    """Frames of a dwell by its marks, none if the INS never navigated in it.
+
+    Raises RunFolderError if the log lacks them.
+    """
+    if not marks.windows:
+        return concatenate([])
+    for _, frames in read_can_log(folder.can, {marks.log_part}):
+        return _frames(folder, marks, frames)
+    raise RunFolderError(
+        f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
+    )
 
 
-def _frames(folder: RunFolder, marks: DwellMarks, messages: list[can.Message]) -> FrameBlock:
-    frames, needed = FrameBlock.from_messages(messages).data_frames(), marks.frame_count
+def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+    frames, needed = logged.data_frames(), marks.frame_count
     if len(frames) < needed:
         raise RunFolderError(
             f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "

@@ -46,7 +46,7 @@ class DwellRecorder:
     def begin(self) -> None:
         """Begin a dwell with its alignment."""
         self._bench.begin_capture()
-        self._align_begin_s = self._bench.clock.now()
+        self._align_begin_s = self._start_s = self._bench.clock.now()
         self._windows.clear()
         self._disturbances.clear()
         self._turn = (None, None)

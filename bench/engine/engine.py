@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.actions import StepContext, perform
 from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
@@ -87,7 +87,7 @@ class Engine:
 
     def _execute_plan(self) -> None:
         """Execute the steps that are left; an interrupted one is approached and started again."""
-        index = self._run.state.next_index
+        index = self._run.state.resume_index(self._plan)
         # A new run begins with the bench as it is.
         retained = self._retained(is_ins_on=False, is_at_temperature=False) if index else None
         while index < len(self._plan.steps):
@@ -102,9 +102,12 @@ class Engine:
                 self._handle_pending_events(planned)
                 self._perform(planned)
                 index += 1
-                if planned.dwell and self._is_last_of_dwell(planned) and not self._dwells.finish():
-                    retained = self._retained_for_repeat(planned.dwell)
-                    index -= 1
+                if planned.dwell and self._is_last_of_dwell(planned):
+                    if self._dwells.finish():
+                        index, retained = self._after_dwell(planned.dwell, None)
+                    else:
+                        retained = self._retained_for_repeat(planned.dwell)
+                        index -= 1
             except TrippedError as error:
                 retained = self._recover(index, error.trips)
             except (InvalidDwellError, StepTimeoutError) as error:
@@ -256,7 +259,7 @@ class Engine:
 
     # interruptions
 
-    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, RetainedState]:
+    def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, RetainedState | None]:
         """Repeat the dwell whose step failed, or continue without it; hold outside of dwells."""
         planned = self._plan.steps[index]
         if planned.dwell is None or not self._bench.capture:
@@ -267,8 +270,17 @@ class Engine:
         else:
             self._recorder.disturb(str(error))
             self._dwells.finish()
-            index = end_of_dwell(self._plan, planned.dwell)
+            return self._after_dwell(planned.dwell, self._retained_for_repeat(planned.dwell))
         return index, self._retained_for_repeat(planned.dwell)
+
+    def _after_dwell(self, dwell: int, retained: RetainedState | None) -> tuple[int, RetainedState | None]:
+        """Where to continue after a dwell; from one whose data were lost, back to where the run stopped."""
+        state = self._run.state
+        if dwell not in state.lost:
+            return end_of_dwell(self._plan, dwell), retained
+        state.lost.discard(dwell)
+        kept = retained or self._retained(is_ins_on=True, is_at_temperature=False)
+        return state.resume_index(self._plan), replace(kept, is_at_temperature=False)
 
     def _recover(self, index: int, trips: Sequence[Trip]) -> RetainedState:
         """Make the bench safe and hold until the run may continue."""
@@ -295,7 +307,12 @@ class Engine:
         is_ins_on = approached is None or approached.is_ins_on
         is_at_temperature = approached is None or approached.is_at_temperature
         if given.command is RunCommand.SKIP:
-            return self._skip(index), self._retained(is_ins_on, is_at_temperature)
+            retained = self._retained(is_ins_on, is_at_temperature)
+            if not dwell:
+                self._run.note("no dwell is in progress: nothing is skipped, and the step starts again")
+                return index, retained
+            self._dwells.skip(dwell)
+            return self._after_dwell(dwell, retained)
         self._dwells.discard(dwell, f"paused by {given.by}", counts=False)
         is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:
@@ -306,14 +323,6 @@ class Engine:
             return index, self._recover(index, error.trips)
         is_ins_on = is_ins_on and self._state.expected.ins_on
         return index, self._retained(is_ins_on, is_at_temperature and not is_safe)
-
-    def _skip(self, index: int) -> int:
-        dwell = self._plan.steps[index].dwell
-        if not dwell:
-            self._run.note("no dwell is in progress: nothing is skipped, and the step starts again")
-            return index
-        self._dwells.skip(dwell)
-        return end_of_dwell(self._plan, dwell)
 
     def _handle_pending_events(self, planned: PlannedStep) -> None:
         """Outside of dwells: hold if commanded, switch a restarted INS off and on."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.documents import Document
@@ -49,9 +51,12 @@ class Job:
         return {"clock": self.station.file.clock, **self.emulated_world()}
 
 
-def emulation_of(folder: RunFolder) -> Emulation:
-    """World, seed and faults behind the emulated instruments of a run; the default without any."""
-    options = read_provenance(folder).get("options", {})
+def emulation_of(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Emulation:
+    """World, seed and faults behind the emulated instruments of a run; the default without any.
+
+    ``options``: those of the run, by default from its provenance.
+    """
+    options = read_provenance(folder).get("options", {}) if options is None else options
     return Emulation(
         str(options.get("world", Emulation.world)),
         int(options.get("seed", Emulation.seed)),
@@ -87,12 +92,12 @@ def prepare_job(
     return Job(document, plan, bench, emulation or Emulation(), rows, compensation)
 
 
-def job_in(folder: RunFolder) -> Job:
-    """The job of a run as its folder holds it."""
+def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
+    """The job of a run as its folder holds it; ``options`` as in :func:`emulation_of`."""
     compensation = read_compensation(folder.compensation) if folder.compensation.exists() else None
     calibration = folder.calibration if folder.calibration.exists() else None
     return prepare_job(
-        str(folder.procedure), str(folder.station), emulation_of(folder), calibration, compensation
+        str(folder.procedure), str(folder.station), emulation_of(folder, options), calibration, compensation
     )
 
 

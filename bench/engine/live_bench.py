@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeVar
 
-import can
 import numpy as np
 
 from gyrobench.bench.engine.bench_state import BenchState, Readings
@@ -41,7 +40,6 @@ _BUS_SILENCE_S = 4.0
 _REOPEN_PERIOD_S = 5.0
 #: The chamber's air has reached its set point within this.
 _REACHED_C = 2.0
-_FRAMES_PER_BLOCK = 2000
 #: Bins of lateness are evenly wide in the logarithm; below the first edge a tick counts as on time.
 _LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
 
@@ -56,32 +54,24 @@ class Capture:
     chamber_c: list[float] = field(default_factory=list)
     table_deg: list[Angles] = field(default_factory=list)
     _blocks: list[FrameBlock] = field(default_factory=list)
-    _messages: list[can.Message] = field(default_factory=list)
+    _count: int = 0
 
-    def add(self, messages: list[can.Message]) -> None:
-        """Keep frames; as arrays, since a dwell has tens of thousands of them."""
-        self._messages += messages
-        if len(self._messages) >= _FRAMES_PER_BLOCK:
-            self._pack()
+    def add(self, block: FrameBlock) -> None:
+        """Keep the data frames of a block."""
+        self._blocks.append(block.data_frames())
+        self._count += len(self._blocks[-1])
 
     def count(self) -> int:
         """Return the number of data frames so far."""
-        self._pack()
-        return sum(map(len, self._blocks))
+        return self._count
 
     def frames(self, first: int = 0) -> FrameBlock:
         """Return the data frames so far, from a number on."""
-        self._pack()
-        blocks, start = self._blocks, 0
-        while blocks and start + len(blocks[0]) <= first:
-            start += len(blocks[0])
-            blocks = blocks[1:]
-        return concatenate(blocks).take(slice(first - start, None))
-
-    def _pack(self) -> None:
-        if self._messages:
-            self._blocks.append(FrameBlock.from_messages(self._messages).data_frames())
-            self._messages = []
+        begin, start = len(self._blocks), self._count
+        while start > first:
+            begin -= 1
+            start -= len(self._blocks[begin])
+        return concatenate(self._blocks[begin:]).take(slice(first - start, None))
 
 
 class TickLateness:
@@ -323,7 +313,7 @@ class LiveBench:
         frames = self.capture.frames() if self.capture else concatenate([])
         self.capture = None
         if self._can_log and self._telemetry:
-            self._can_log.cut()
+            self._can_log.sync()
             self._telemetry.flush()
         return frames
 
@@ -367,11 +357,11 @@ class LiveBench:
         table.prepare()
         self.state.table_prepared()
 
-    def _received(self, messages: list[can.Message]) -> None:
+    def _received(self, block: FrameBlock) -> None:
         if self._can_log:
-            self._can_log.write(messages)
+            self._can_log.write(block)
         if self.capture:
-            self.capture.add(messages)
+            self.capture.add(block)
 
     def _telemetry_row(self, readings: Readings, asked_s: float) -> tuple[float, ...]:
         """Values of this moment; NaN for an instrument that did not answer."""

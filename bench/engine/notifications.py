@@ -28,7 +28,7 @@ class RunNotifier(RunObserver):
         self._state = state
         self._unit = state.unit
         self._left_s = (
-            plan.duration_s - plan.steps[state.next_index].start_s if not state.is_over(plan) else 0.0
+            plan.duration_s - plan.steps[state.resume_index(plan)].start_s if not state.is_over(plan) else 0.0
         )
         self._why = ""
         self._is_hold_sent = False

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, job_in
+from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import MAX_RUN_S, read_journal
+from gyrobench.bench.runs.journal import MAX_RUN_S, Journal
+from gyrobench.bench.runs.provenance import start_of, started_utc
+from gyrobench.bench.runs.telemetry import last_reading_s
+from gyrobench.bench.station.locks import RunLock
 
 #: After so many resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
@@ -33,6 +39,8 @@ class ResumeState:
 
     next_index: int = 0  #: first step of the plan that is not finished
     finished: set[int] = field(default_factory=set)  #: dwells that are over
+    #: Dwells before ``next_index`` whose data were lost; they are measured again first.
+    lost: set[int] = field(default_factory=set)
     skipped: set[int] = field(default_factory=set)  #: dwells that the operator skipped
     repeats: Counter[int] = field(default_factory=Counter)  #: repeats of each dwell because of invalid data
     #: Continuations without an operator after a trip, by interlock.
@@ -49,7 +57,18 @@ class ResumeState:
 
     def is_over(self, plan: Plan) -> bool:
         """Whether every step of the plan is finished."""
-        return self.next_index >= len(plan.steps)
+        return self.resume_index(plan) >= len(plan.steps)
+
+    def resume_index(self, plan: Plan) -> int:
+        """Index of the step to resume with: of a lost dwell, or the first that is not finished."""
+        if not self.lost:
+            return self.next_index
+        return next(i for i, planned in enumerate(plan.steps) if planned.dwell in self.lost)
+
+    def lose(self, dwells: Collection[int]) -> None:
+        """Take finished dwells for lost."""
+        self.finished.difference_update(dwells)
+        self.lost.update(dwells)
 
     def _add(self, entry: Mapping[str, Any], plan: Plan) -> None:
         self.last_s = max(self.last_s, _time_s(entry))
@@ -66,20 +85,27 @@ class ResumeState:
             case "dwell_finished":
                 dwell = _number(entry["marks"]["dwell"], plan.dwell_count)
                 self.finished.add(dwell)
+                self.lost.discard(dwell)
+                self.unit = self.unit or str(entry["marks"].get("unit", ""))
                 self._finish_up_to(end_of_dwell(plan, dwell))
             case "dwell_skipped":
                 dwell = _number(entry["dwell"], plan.dwell_count)
                 self.skipped.add(dwell)
+                self.lost.discard(dwell)
                 self._finish_up_to(end_of_dwell(plan, dwell))
             case "dwell_given_up" if entry["counts"]:
                 self.repeats[_number(entry["dwell"], plan.dwell_count)] += 1
             case "continued" if entry.get("by") == "itself":
                 self.resumes.update(map(str, entry["after"]))
+            case "data_given_up":
+                self.lose([_number(dwell, plan.dwell_count) for dwell in entry["dwells"]])
+                # A lost line may have held a power-on, whose number must not come twice.
+                self.power_ons += _number(entry["lines"] + 1, _MAX_POWER_ONS) - 1
             case "compensation_decided":
                 which = str(entry["which"]).replace("a compensation", UNKNOWN_CHECKSUM)
                 self.stored_compensation_answers[which] = str(entry["answer"])
             case "powered_on":
-                self.power_ons = _number(entry["run"], _MAX_POWER_ONS)
+                self.power_ons = max(self.power_ons, _number(entry["run"], _MAX_POWER_ONS))
             case "ins_identified":
                 self.unit = str(entry["unit"])
             case "run_resumed":
@@ -97,7 +123,8 @@ class ResumeState:
 def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeState:
     """Read from the journal of a run what is finished of its plan.
 
-    Raises RunFolderError if the journal does not belong to this plan, or lacks entries before its last one.
+    A dwell without an end, although later steps are finished, is lost. Raises RunFolderError if the journal
+    does not belong to this plan.
     """
     state = ResumeState()
     for entry in entries:
@@ -109,11 +136,7 @@ def resume_state_of(entries: Iterable[Mapping[str, Any]], plan: Plan) -> ResumeS
                 f"this procedure: {error}"
             ) from error
     done = {planned.dwell for planned in plan.steps[: state.next_index] if planned.dwell}
-    if missing := done - state.finished - state.skipped:
-        raise RunFolderError(
-            f"the end of dwell {', '.join(map(str, sorted(missing)))} is missing, although later steps are "
-            "finished. The run can't be resumed; `gyrobench bins` recomputes what it measured"
-        )
+    state.lost |= done - state.finished - state.skipped
     return state
 
 
@@ -137,13 +160,24 @@ class Resumption:
     job: Job
     folder: RunFolder
     state: ResumeState
+    damage: Damage = field(default_factory=Damage)  #: to be given up before the run resumes
+    is_measured: bool = False  #: whether only results and report are left to be written
+
+    def clock(self) -> Clock:
+        """Make the run's clock, after its last record."""
+        last_s = max(self.state.last_s, last_reading_s(self.folder.telemetry))
+        if self.job.is_virtual:
+            return VirtualClock(last_s + RESUME_STEP_S)
+        return WallClock.resumed(started_utc(self.folder), last_s, self.job.station.file.speed)
 
     def check_unchanged(self) -> None:
         """Refuse where another process has resumed the run before this one locked it.
 
         Raises RunFolderError if the journal has changed.
         """
-        now = _state_in(self.folder, self.job.plan)
+        _, entries = find_damage(self.folder, is_log_read=False)
+        now = _state_of(entries, self.folder, self.job.plan)
+        now.lose(self.damage.dwells)
         if replace(now, last_s=self.state.last_s) != self.state:
             raise RunFolderError(
                 f"{self.folder.path}: another process has resumed this run in the meantime. Resume it again"
@@ -161,9 +195,11 @@ class Resumption:
         ]
         if state.in_progress:
             lines.append(f"Interrupted step: {state.in_progress}.")
+        lines += self.damage.describe()
         if state.is_over(plan):
-            return "\n".join([*lines, "All steps are finished; only the evaluation is left."])
-        planned = plan.steps[state.next_index]
+            left = "the results and the report are" if self.is_measured else "the evaluation is"
+            return "\n".join([*lines, f"All steps are finished; only {left} left."])
+        planned = plan.steps[state.resume_index(plan)]
         what = (
             f"dwell {planned.dwell} ({planned.label}) from its start"
             if planned.dwell
@@ -173,6 +209,9 @@ class Resumption:
         lines.append(
             f"It resumes with step {planned.number} of {len(plan.steps)}, {what}; about {left} h are left."
         )
+        if state.lost:
+            numbers = listed([str(dwell) for dwell in sorted(state.lost)])
+            lines.append(f"Measured again, before step {state.next_index + 1}: dwell {numbers}.")
         if state.next_index:
             lines.append(
                 "Before that the INS is switched off and on, and temperature and position are approached "
@@ -188,23 +227,52 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     Raises DocumentError if its procedure, station or DBC file is wrong.
     """
     folder = open_run_folder(path)
-    job = job_in(folder)
-    state = _state_in(folder, job.plan)
-    if state.is_over(job.plan) and state.ended == "finished":
-        raise RunFolderError(
-            f"{path}: this run is finished, so there is nothing to resume. If tables or the report are "
-            f"missing, write them with: gyrobench bins {path}"
-        )
+    damage, entries = find_damage(folder)
+    job = job_in(folder, start_of(folder, entries)[1] if damage.is_provenance_lost else None)
+    state = _state_of(entries, folder, job.plan)
+    damage = replace(damage, dwells=(*damage.dwells, *sorted(state.lost - _known_lost(entries))))
+    state.lose(damage.dwells)
+    is_measured = state.ended == "finished" and state.is_over(job.plan)
+    if is_measured and not damage and _is_evaluated(folder):
+        raise RunFolderError(f"{path}: this run is finished and has its report: nothing to resume.")
     if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(
             f"{path}: was resumed {state.resumes_without_progress} times without finishing a step. "
             "Find the cause (see the end of journal.jsonl), then resume it with --anyway"
         )
-    return Resumption(job, folder, state)
+    return Resumption(job, folder, state, damage, is_measured)
 
 
-def _state_in(folder: RunFolder, plan: Plan) -> ResumeState:
-    entries = list(read_journal(folder.journal))
+def give_up_damage(resumption: Resumption) -> None:
+    """Put damaged files aside, and record in the journal what is measured again.
+
+    Raises BenchInUseError if another process holds the run. Raises RunFolderError if a file can't be
+    written.
+    """
+    folder = resumption.folder
+    with RunLock(folder.path, VirtualClock()):
+        resumption.check_unchanged()
+        resumption.damage.put_aside(folder)
+        with Journal(folder.journal, resumption.clock()) as journal:
+            resumption.damage.record(journal)
+
+
+def _known_lost(entries: Sequence[Mapping[str, Any]]) -> set[int]:
+    """Dwells that were given up before."""
+    given_up = (entry["dwells"] for entry in entries if entry.get("event") == "data_given_up")
+    return {dwell for dwells in given_up for dwell in dwells}
+
+
+def _is_evaluated(folder: RunFolder) -> bool:
+    """Whether results and report were written after the run's end."""
+    try:
+        end_s = folder.journal.stat().st_mtime
+        return all(path.stat().st_mtime >= end_s for path in (folder.acceptance, folder.report))
+    except OSError:
+        return False
+
+
+def _state_of(entries: Sequence[Mapping[str, Any]], folder: RunFolder, plan: Plan) -> ResumeState:
     try:
         return resume_state_of(entries, plan)
     except RunFolderError as error:

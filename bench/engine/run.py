@@ -21,7 +21,7 @@ from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, Ru
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState, Resumption
 from gyrobench.bench.engine.run_context import RunContext
-from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
+from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.guard.process import guard_for
@@ -30,8 +30,8 @@ from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.provenance import started_utc, write_provenance
-from gyrobench.bench.runs.telemetry import Telemetry, last_reading_s
+from gyrobench.bench.runs.provenance import write_provenance
+from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
 
@@ -63,14 +63,13 @@ def run_job(
 def resume_run(
     resumption: Resumption, observer: RunObserver, operator: Operator
 ) -> tuple[RunFolder, RunOutcome]:
-    """Resume an interrupted run; raises what :func:`run_job` does."""
+    """Resume an interrupted run; raises what :func:`run_job` does, and RunFolderError for damaged files."""
     job, folder = resumption.job, resumption.folder
-    last_s = max(resumption.state.last_s, last_reading_s(folder.telemetry))
-    clock: Clock
-    if job.is_virtual:
-        clock = VirtualClock(last_s + RESUME_STEP_S)
-    else:
-        clock = WallClock.resumed(started_utc(folder), last_s, job.station.file.speed)
+    if resumption.damage:
+        raise RunFolderError("\n".join(resumption.damage.describe()))
+    if resumption.is_measured:
+        return folder, _finish(resumption)
+    clock = resumption.clock()
     dwells, check_dwells = replay(folder, measurement_setup(job.station))
 
     def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
@@ -80,6 +79,18 @@ def resume_run(
     outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
     start = _Start(job, clock, resumption.state, outcome, lambda: folder, check_folder)
     return _execute(start, observer, operator)
+
+
+def _finish(resumption: Resumption) -> RunOutcome:
+    """Write the results of a run that ended before they were written; uses no instrument."""
+    folder, job = resumption.folder, resumption.job
+    with RunLock(folder.path, resumption.clock()):
+        resumption.check_unchanged()
+        setup = measurement_setup(job.station)
+        dwells, check_dwells = replay(folder, setup)
+        write_dwells(folder.dwells, [dwell.row for dwell in dwells])
+        results = evaluate_run(folder, job.plan, setup, dwells, check_dwells, job.calibration)
+    return RunOutcome(dwells=dwells, check_dwells=check_dwells, results=results)
 
 
 @dataclass(frozen=True)
@@ -162,11 +173,12 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
 
 def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, observer: RunObserver) -> None:
     job, state = start.job, start.state
+    left = job.plan.steps[state.resume_index(job.plan) :]
     journal.record(
         "run_resumed" if state.last_s else "run_started",
         procedure=job.plan.procedure.procedure,
         station=job.station.file.station,
-        next_step=job.plan.steps[state.next_index].number if not state.is_over(job.plan) else None,
+        next_step=left[0].number if left else None,
         options=job.options,
     )
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])

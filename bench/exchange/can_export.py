@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-import can
 import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
@@ -25,6 +24,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.blf import BlfWriter
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
@@ -52,7 +52,7 @@ class TimedPart:
     """One part of the log: its number, and its frames with time stamps in seconds since 1970 UTC."""
 
     number: int
-    messages: list[can.Message]
+    frames: FrameBlock
 
 
 class TimedLog:
@@ -76,33 +76,33 @@ class TimedLog:
 
     def __iter__(self) -> Iterator[TimedPart]:
         end_s = self.began_s
-        for number, messages in read_can_log(self._folder):
-            if not messages:
+        for number, frames in read_can_log(self._folder):
+            if not len(frames):
                 continue
-            if messages[0].timestamp < _FIRST_CALENDAR_S:
-                shift_s = self._shift_s(number, messages, end_s)
-                for message in messages:
-                    message.timestamp += shift_s
-            end_s = messages[-1].timestamp
-            yield TimedPart(number, messages)
+            if frames.timestamp_s[0] < _FIRST_CALENDAR_S:
+                shift_s = self._shift_s(number, frames, end_s)
+                frames = frames.with_fields(time_s=frames.timestamp_s + shift_s)
+            end_s = float(frames.timestamp_s[-1])
+            yield TimedPart(number, frames)
 
-    def _shift_s(self, number: int, messages: list[can.Message], end_s: float) -> float:
+    def _shift_s(self, number: int, frames: FrameBlock, end_s: float) -> float:
         """Offset from the times of a part to calendar times."""
         marks = self.finished.get(number)
-        if marks is not None and marks.windows[0].first_frame < len(messages):
+        if marks is not None and marks.windows[0].first_frame < len(frames):
             begin_s = self.began_s + marks.start_s
-            return begin_s - messages[marks.windows[0].first_frame].timestamp
+            return float(begin_s - frames.timestamp_s[marks.windows[0].first_frame])
         self.estimated.append(number)
-        return end_s - messages[0].timestamp
+        return float(end_s - frames.timestamp_s[0])
 
 
 def write_blf(path: Path, parts: Iterable[TimedPart]) -> int:
     """Write all frames, with calendar times; returns how many."""
-    with path.open("wb") as stream, can.BLFWriter(stream) as writer:
+    with path.open("wb") as stream:
+        writer = BlfWriter(stream)
         for part in parts:
-            for message in part.messages:
-                writer.on_message_received(message)
-        return int(writer.object_count)
+            writer.write(part.frames)
+        writer.finish()
+    return writer.count
 
 
 _ATTITUDE = "C_nb, body to East-North-Up; C_nb = Rz(yaw) Rx(pitch) Ry(roll), yaw positive about Up"
@@ -149,7 +149,7 @@ def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> I
 
 def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, began_s: float) -> pa.Table:
     """Table of one part; frames beyond those of its dwell belong to none."""
-    data = setup.decode(FrameBlock.from_messages(part.messages).data_frames())
+    data = setup.decode(part.frames.data_frames())
     values = dict(zip(_MEASURED, _measured(data, began_s), strict=True))
     columns = {name: pa.array(column, pa.float64(), from_pandas=True) for name, column in values.items()}
     in_dwell = data.row < (marks.frame_count if marks else 0)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -20,12 +25,11 @@ from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 #: A run whose worker was killed is tried once more: another run may have caused it.
 _ALLOWED_DEATHS = 1
 _SCHEDULER_TIMEOUT_S = 20.0
-_ANY_PORT = "127.0.0.1:0"
 
 _CONFIG = {
     "distributed.scheduler.allowed-failures": _ALLOWED_DEATHS,
@@ -57,32 +61,95 @@ class Workers:
         return "1 process" if number == 1 else f"{number} processes"
 
 
-@contextmanager
-def connected(workers: Workers) -> Iterator[Client]:
-    """Start local workers, stopped afterwards, or connect to those of a cluster.
+class Pool(Protocol):
+    """Workers that take jobs."""
 
-    Raises GyrobenchError if the scheduler can't be reached or has no workers. Raises MissingPackageError if
-    Dask is not installed.
+    def results(self, kind: JobKind, paths: Sequence[Path]) -> Iterator[JobResult]:
+        """Process runs; yields each result as it arrives."""
+
+
+@contextmanager
+def connected(workers: Workers) -> Iterator[Pool]:
+    """Start local workers, stopped afterwards, or connect to those of a Dask cluster.
+
+    Local workers open no port, and import nothing from the current folder. Raises GyrobenchError if the
+    scheduler can't be reached or has no workers. Raises MissingPackageError if it is named and Dask is not
+    installed.
     """
-    dask, distributed = require("dask"), require("distributed")
-    with dask.config.set(_CONFIG):
-        if workers.scheduler:
-            with _remote(workers.scheduler) as client:
-                yield client
-            return
-        number = workers.count or _cores()
-        with (
-            distributed.LocalCluster(
-                n_workers=1 if workers.are_threads else number,
-                threads_per_worker=number if workers.are_threads else 1,
-                processes=not workers.are_threads,
-                # Any free port: several fleets may run on one machine.
-                dashboard_address=_ANY_PORT,
-                silence_logs="CRITICAL",
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):
-            yield client
+    if workers.scheduler:
+        with require("dask").config.set(_CONFIG), _remote(workers.scheduler) as client:
+            yield _Cluster(client)
+        return
+    os.environ["PYTHONSAFEPATH"] = "1"
+    with ExitStack() as opened:
+        threads = ThreadPoolExecutor(workers.count or _cores())
+        try:
+            yield _Local(threads, None if workers.are_threads else opened)
+        finally:
+            threads.shutdown(cancel_futures=True)
+
+
+@dataclass(frozen=True)
+class _Local:
+    """Workers of this machine: each thread does a job itself, or has it done by a separate process."""
+
+    threads: ThreadPoolExecutor
+    #: Closes the processes; None where the threads do the jobs.
+    opened: ExitStack | None
+    own: threading.local = field(default_factory=threading.local)
+
+    def results(self, kind: JobKind, paths: Sequence[Path]) -> Iterator[JobResult]:
+        jobs = {self.threads.submit(self._do, kind, str(path)): str(path) for path in paths}
+        for future in as_completed(jobs):
+            yield _result(future.exception() or future.result(), jobs.pop(future))
+
+    def _do(self, kind: JobKind, path: str) -> JobResult:
+        if self.opened is None:
+            return do_job(kind, path)
+        for deaths_left in range(_ALLOWED_DEATHS, -1, -1):
+            process = getattr(self.own, "process", None)
+            if process is None:
+                process = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _ignore_interrupts)
+                self.opened.callback(process.shutdown)
+                self.own.process = process
+            try:
+                return process.submit(do_job, kind, path).result()
+            except BrokenProcessPool:
+                self.own.process = None
+                if not deaths_left:
+                    raise
+        raise AssertionError("the last try returns or raises")
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the process that started the worker; a job in progress ends whole."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@dataclass(frozen=True)
+class _Cluster:
+    """Workers of a Dask cluster."""
+
+    client: Client
+
+    def results(self, kind: JobKind, paths: Sequence[Path]) -> Iterator[JobResult]:
+        call = next(_calls)
+        jobs = {
+            self.client.submit(do_job, kind, str(path), key=f"{kind} {path} {call}", pure=False): str(path)
+            for path in paths
+        }
+        for future in require("distributed").as_completed(list(jobs)):
+            yield _result(future.exception() or future.result(), jobs.pop(future))
+
+
+def _result(found: JobResult | BaseException, path: str) -> JobResult:
+    if isinstance(found, JobResult):
+        return found
+    if type(found).__name__ in ("BrokenProcessPool", "KilledWorker"):
+        why = "its worker was killed twice, probably out of memory. Use fewer --workers"
+    else:
+        why = f"{type(found).__name__}: {found}"
+    return JobResult(path, JobState.FAILED, why)
 
 
 def _remote(address: str) -> Client:
@@ -113,7 +180,7 @@ _WRITE_EVERY_S = 5.0
 _calls = count(1)
 
 
-def work_through(client: Client, record: FleetRecord, paths: Sequence[Path]) -> Iterator[JobResult]:
+def work_through(pool: Pool, record: FleetRecord, paths: Sequence[Path]) -> Iterator[JobResult]:
     """Process runs; yields each result as it arrives and adds it to the record.
 
     The record on disk is complete however this ends. Raises RunFolderError if the record can't be written.
@@ -122,7 +189,7 @@ def work_through(client: Client, record: FleetRecord, paths: Sequence[Path]) -> 
     deadline = Deadline(clock, _WRITE_EVERY_S)
     record.write()
     try:
-        for result in _results(client, record.kind, paths):
+        for result in pool.results(record.kind, paths):
             record.add(result)
             if deadline.expired():
                 record.write()
@@ -130,28 +197,6 @@ def work_through(client: Client, record: FleetRecord, paths: Sequence[Path]) -> 
             yield result
     finally:
         record.write()
-
-
-def _results(client: Client, kind: JobKind, paths: Sequence[Path]) -> Iterator[JobResult]:
-    as_completed = require("distributed").as_completed
-    call = next(_calls)
-    jobs = {
-        client.submit(do_job, kind, str(path), key=f"{kind} {path} {call}", pure=False): str(path)
-        for path in paths
-    }
-    for future in as_completed(list(jobs)):
-        yield _result(future, jobs.pop(future))
-
-
-def _result(future: Future[JobResult], path: str) -> JobResult:
-    error = future.exception()
-    if error is None:
-        return future.result()
-    if isinstance(error, require("distributed").KilledWorker):
-        why = "its worker was killed twice, probably out of memory. Use fewer --workers"
-    else:
-        why = f"{type(error).__name__}: {error}"
-    return JobResult(path, JobState.FAILED, why)
 
 
 class FleetProgress:

@@ -70,10 +70,6 @@ class Clock(ABC):
     def calendar_offset_s(self) -> float:
         """How far the host's calendar is ahead of :meth:`utc`."""
 
-    def stamp_s(self, calendar_s: float) -> float:
-        """Calendar time of this clock, s since 1970, at a moment that the host's calendar stamped."""
-        return calendar_s
-
     def sleep_until(self, time_s: float) -> None:
         """Wait until ``now()`` is at least ``time_s``."""
         self.sleep(time_s - self.now())
@@ -128,13 +124,6 @@ class WallClock(Clock):
     def epoch(self) -> datetime:
         """Calendar time at which the run began."""
         return self._epoch
-
-    def stamp_s(self, calendar_s: float) -> float:
-        """The stamp itself, converted where this clock runs faster than the calendar."""
-        if self.speed == 1.0:
-            return calendar_s
-        since_s = calendar_s - self._calendar_at_start.timestamp()
-        return self._epoch.timestamp() + self._start_s + self.speed * since_s
 
     def calendar_offset_s(self) -> float:
         """How far the host's calendar is ahead of :meth:`utc`.

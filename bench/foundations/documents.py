@@ -71,7 +71,7 @@ class StrictModel(BaseModel):
     Files written with an old name of a key or a value are accepted, with a note that gives the new name.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
     #: New names of keys by their old ones.
     renamed_keys: ClassVar[Mapping[str, str]] = {}
     #: New values by their old ones, by the (new) key that they belong to.

@@ -121,7 +121,7 @@ def _left_s(plan: Plan, content: RunContent) -> float:
         done = resume_state_of(content.journal, plan)
     except RunFolderError:
         return plan.duration_s
-    return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.next_index].start_s
+    return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.resume_index(plan)].start_s
 
 
 def _updated_utc(folder: RunFolder) -> str:

@@ -39,13 +39,15 @@ def end_of_dwell(plan: Plan, dwell: int) -> int:
 
 
 def approach(plan: Plan, index: int, retained: RetainedState) -> list[PlannedStep]:
-    """Steps that bring the bench to what the plan expects before one of its steps.
+    """Steps that bring the bench to what the plan expects before one of its steps; none without dwells left.
 
     The INS is power-cycled, so that the time since power-on is known; its temperature is reached from the
     same side as in the plan, with the same soaks; a ramp with a dwell on it is repeated from the temperature
     before. Steps keep their number in the plan; durations and time limits are those from the present state.
     """
     target = plan.steps[index]
+    if plan.dwell_count and not any(planned.dwell for planned in plan.steps[index:]):
+        return []
     is_cold = target.before.powered and not retained.is_ins_on
     steps = _latest(plan, index, PowerOn) if is_cold else []
     if is_cold or not retained.is_at_temperature or _is_on_ramp(plan, index):

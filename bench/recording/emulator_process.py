@@ -21,7 +21,7 @@ from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import StationFile
 from gyrobench.drivers import ins
 
-_PROGRAM = ("-m", "gyrobench.drivers.emulators.serve", "--until-stdin-closes")
+_PROGRAM = ("-P", "-m", "gyrobench.drivers.emulators.serve", "--until-stdin-closes")
 _END_TIME_S = 10.0
 _LOOPBACK = ("127.0.0.1", "localhost")
 

@@ -28,6 +28,7 @@ from gyrobench.bench.station.instruments import (
 )
 from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.recording.recording_file import (
@@ -316,8 +317,8 @@ def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str
     try:
         with can.Logger(path) as log:
 
-            def write(frames: list[can.Message]) -> None:
-                for frame in frames:
+            def write(block: FrameBlock) -> None:
+                for frame in block.messages():
                     log.on_message_received(frame)
 
             ins.on_frames = write

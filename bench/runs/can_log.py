@@ -9,37 +9,22 @@ frames before and after a gap are never taken for neighbours.
 from __future__ import annotations
 
 import contextlib
-import io
 import os
-import struct
-import zlib
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-import can
-from can.io.blf import (
-    FILE_HEADER_SIZE,
-    LOG_CONTAINER,
-    LOG_CONTAINER_STRUCT,
-    OBJ_HEADER_BASE_STRUCT,
-    ZLIB_DEFLATE,
-    BLFParseError,
-)
-
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited, sync_folder
+from gyrobench.bench.runs.blf import BlfWriter, read_blf
 from gyrobench.bench.runs.folder import find_parts, part_path
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 _SUFFIX = ".blf"
 #: A dwell of some hours on a bus that is never idle.
 MAX_PART_BYTES = 1_000_000_000
-#: zlib level: a tenth more bytes than the default in less time.
-_FAST = 1
-#: Bytes before compression, some 340 frames: the maximum loss after a kill.
-_CONTAINER_BYTES = 16 * 1024
-#: No program packs as much into one container; damaged bytes could request gigabytes.
-_MAX_UNPACKED_BYTES = 16 * 1024 * 1024
+#: Frames that are written together, or what comes in so many seconds: the maximum loss after a kill.
+_FRAMES_AT_ONCE, _SECONDS_AT_ONCE = 340, 10.0
 
 
 class CanLog:
@@ -60,34 +45,40 @@ class CanLog:
         """Number of the part that the next frame begins, after :meth:`cut`."""
         return self._next
 
-    def write(self, messages: Iterable[can.Message]) -> None:
-        """Add frames in the order received; full containers are readable at once."""
-        path = part_path(self._folder, self._next, _SUFFIX)
-        try:
-            if self._part is None:
+    def write(self, block: FrameBlock) -> None:
+        """Add frames in the order received; readable after some hundred, or some seconds."""
+        if self._part is None:
+            path = part_path(self._folder, self._next, _SUFFIX)
+            try:
                 self._part = _OpenPart(path)
-                self._next += 1
-            self._part.write(messages)
+            except OSError as error:
+                raise cant_be_written(path, error) from error
+            self._next += 1
+        try:
+            self._part.write(block)
         except OSError as error:
-            raise self._abandon(path, error) from error
+            raise self._abandon(self._part, error) from error
+
+    def sync(self) -> None:
+        """Bring all frames so far to the disk; the part continues."""
+        if self._part is not None:
+            try:
+                self._part.sync()
+                sync_folder(self._folder)
+            except OSError as error:
+                raise self._abandon(self._part, error) from error
 
     def cut(self) -> None:
         """End the present part; when this returns, all frames so far are on the disk."""
-        if self._part is None:
-            return
-        try:
-            self._part.end()
-            sync_folder(self._folder)
-        except OSError as error:
-            raise self._abandon(self._part.path, error) from error
-        self._part = None
+        self.sync()
+        if self._part is not None:
+            self._part.close()
+            self._part = None
 
-    def _abandon(self, path: Path, error: OSError) -> RunFolderError:
-        part, self._part = self._part, None
-        if part is not None:
-            part.abandon()
-            path = part.path
-        return cant_be_written(path, error)
+    def _abandon(self, part: _OpenPart, error: OSError) -> RunFolderError:
+        self._part = None
+        part.close()
+        return cant_be_written(part.path, error)
 
 
 class _OpenPart:
@@ -96,31 +87,36 @@ class _OpenPart:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stream: BinaryIO = path.open("xb")
-        self._writer = can.BLFWriter(
-            self._stream, compression_level=_FAST, max_container_size=_CONTAINER_BYTES
-        )
+        self._writer = BlfWriter(self._stream)
+        self._pending: list[FrameBlock] = []
+        self._count = 0
+        self._since_s = 0.0
 
-    def write(self, messages: Iterable[can.Message]) -> None:
-        for message in messages:
-            self._writer.on_message_received(message)
-        self._stream.flush()
+    def write(self, block: FrameBlock) -> None:
+        if not len(block):
+            return
+        if not self._pending:
+            self._since_s = block.timestamp_s[0]
+        self._pending.append(block)
+        self._count += len(block)
+        if self._count >= _FRAMES_AT_ONCE or abs(block.timestamp_s[-1] - self._since_s) >= _SECONDS_AT_ONCE:
+            self._flush()
 
-    def end(self) -> None:
-        descriptor = os.dup(self._stream.fileno())
-        try:
-            self._writer.stop()  # closes the stream
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+    def _flush(self) -> None:
+        self._writer.write(concatenate(self._pending))
+        self._pending, self._count = [], 0
 
-    def abandon(self) -> None:
+    def sync(self) -> None:
+        self._flush()
+        self._writer.finish()
+        os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
         with contextlib.suppress(OSError):
             self._stream.close()
 
 
-def read_can_log(
-    folder: Path, numbers: Container[int] | None = None
-) -> Iterator[tuple[int, list[can.Message]]]:
+def read_can_log(folder: Path, numbers: Container[int] | None = None) -> Iterator[tuple[int, FrameBlock]]:
     """Frames of a run's log in the order received, part by part: its number and its frames.
 
     A part that was never ended, or is damaged, gives the frames before its first container that is not whole;
@@ -134,36 +130,4 @@ def read_can_log(
         if numbers is not None and number not in numbers:
             continue
         content = read_limited(path, MAX_PART_BYTES, RunFolderError)
-        yield number, _frames(content[: _whole_bytes(content)])
-
-
-def _whole_bytes(content: bytes) -> int:
-    """Number of bytes up to the end of the last container before which all are whole."""
-    end = FILE_HEADER_SIZE
-    try:
-        while content[end : end + 4] == b"LOBJ":
-            _, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack_from(content, end)
-            packed = content[end + OBJ_HEADER_BASE_STRUCT.size : end + size]
-            method, unpacked_size = LOG_CONTAINER_STRUCT.unpack_from(packed)
-            if kind != LOG_CONTAINER or method != ZLIB_DEFLATE or end + size > len(content):
-                break
-            if unpacked_size > _MAX_UNPACKED_BYTES:
-                break
-            unpacking = zlib.decompressobj()
-            unpacked = unpacking.decompress(packed[LOG_CONTAINER_STRUCT.size :], unpacked_size + 1)
-            if not unpacking.eof or len(unpacked) != unpacked_size:
-                break
-            end += size + size % 4  # as python-can pads
-    except (struct.error, zlib.error):
-        pass
-    return end
-
-
-def _frames(content: bytes) -> list[can.Message]:
-    messages: list[can.Message] = []
-    try:
-        with can.BLFReader(io.BytesIO(content)) as reader:
-            messages.extend(reader)
-    except (ValueError, OverflowError, struct.error, can.CanError, BLFParseError):
-        pass  # a file header that never reached the disk
-    return messages
+        yield number, read_blf(content)

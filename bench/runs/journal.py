@@ -123,16 +123,28 @@ def parse_journal(content: bytes, name: str | Path) -> Iterator[dict[str, Any]]:
     yield from (entry for entry, _ in _parse(name, content))
 
 
+def intact_lines(content: bytes) -> tuple[list[bytes], int]:
+    """Lines of a journal that hold an entry, and the number of damaged ones; a cut-off end is no damage."""
+    lines = content.split(b"\n")[:-1]
+    intact = [line for line in lines if _entry(line) is not None]
+    return intact, len(lines) - len(intact)
+
+
+def _entry(line: bytes) -> dict[str, Any] | None:
+    try:
+        entry = parse_json(line)
+    except ValueError:
+        return None
+    return entry if isinstance(entry, dict) else None
+
+
 def _parse(path: str | Path, content: bytes) -> Iterator[tuple[dict[str, Any], int]]:
     """Entries, each with the number of bytes that it takes."""
     # An entry without its line end was never finished, and nothing was done on the strength of it.
     lines = content.split(b"\n")[:-1]
     for number, line in enumerate(lines, start=1):
-        try:
-            entry = parse_json(line)
-        except ValueError:
-            entry = None
-        if isinstance(entry, dict):
+        entry = _entry(line)
+        if entry is not None:
             yield entry, len(line) + 1
         elif number < len(lines):
             raise RunFolderError(f"{path}:{number}: damaged entry: {_shown(line)!r}")

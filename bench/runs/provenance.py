@@ -8,7 +8,7 @@ import json
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,22 @@ def note_preparer(folder: RunFolder, name: str) -> None:
     """Keep the name of who prepares the report, for each time it is written."""
     if content := read_provenance(folder):
         _write(folder, content | {"prepared_by": name})
+
+
+def start_of(folder: RunFolder, entries: Sequence[Mapping[str, Any]]) -> tuple[datetime, dict[str, Any]]:
+    """Start and options of a run from its journal, where provenance.json is damaged.
+
+    Raises RunFolderError if the journal does not state them.
+    """
+    begun = next((entry for entry in entries if entry.get("event") == "run_started"), {})
+    try:
+        started = datetime.fromisoformat(begun["utc"]) - timedelta(seconds=begun["time_s"])
+        return started, dict(begun["options"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise RunFolderError(
+            f"{folder.provenance}: damaged, and {folder.journal.name} does not state how the run began. "
+            "Restore the file from a copy"
+        ) from error
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any]:

@@ -60,33 +60,43 @@ class Telemetry:
         make_folder(folder)
         parts = find_parts(folder, _SUFFIX)
         self._number = 1 + max(parts, default=0)
-        self._rows: list[tuple[float, ...]] = []
-        self._written_rows = 0
+        #: The present part, column by column, and how many of its rows are filled, and written.
+        self._values = np.empty((len(COLUMNS), _ROWS_PER_PART + 1))
+        self._rows = self._written_rows = 0
         self._gap = bool(parts)
 
     def add(self, row: tuple[float, ...]) -> None:
         """Add one row with the values of :data:`COLUMNS`."""
+        if self._rows >= _ROWS_PER_PART:
+            self.flush()  # the last try failed
         if self._gap:
-            self._rows.append((row[0], *[math.nan] * (len(COLUMNS) - 1)))
             self._gap = False
-        self._rows.append(row)
-        unwritten_s = row[0] - self._rows[self._written_rows][0]
-        if unwritten_s >= _MAX_UNWRITTEN_S or len(self._rows) >= _ROWS_PER_PART:
+            self._append((row[0], *[math.nan] * (len(COLUMNS) - 1)))
+        self._append(row)
+        unwritten_s = row[0] - self._values[0, self._written_rows]
+        if unwritten_s >= _MAX_UNWRITTEN_S or self._rows >= _ROWS_PER_PART:
             self.flush()
+
+    def _append(self, row: tuple[float, ...]) -> None:
+        self._values[:, self._rows] = row
+        self._rows += 1
 
     def flush(self) -> None:
         """Write what has been collected; when this returns, it is on the disk."""
-        if self._written_rows == len(self._rows):
+        if self._written_rows == self._rows:
             return
-        values = np.array(self._rows, dtype=np.float64).T
+        # By buffers: pyarrow's own conversions import pandas, where it is installed.
+        columns = [
+            pa.Array.from_buffers(pa.float64(), self._rows, [None, pa.py_buffer(each)])
+            for each in self._values
+        ]
         buffer = io.BytesIO()
-        pq.write_table(pa.table(dict(zip(COLUMNS, values, strict=True))), buffer)
+        pq.write_table(pa.Table.from_arrays(columns, COLUMNS), buffer, use_dictionary=False)
         write_whole(part_path(self._folder, self._number, _SUFFIX), buffer.getvalue())
-        self._written_rows = len(self._rows)
-        if self._written_rows >= _ROWS_PER_PART:
+        self._written_rows = self._rows
+        if self._rows >= _ROWS_PER_PART:
             self._number += 1
-            self._rows.clear()
-            self._written_rows = 0
+            self._rows = self._written_rows = 0
 
 
 def read_telemetry(folder: Path) -> dict[str, FloatArray]:
@@ -98,6 +108,17 @@ def read_telemetry(folder: Path) -> dict[str, FloatArray]:
     return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in COLUMNS}
 
 
+def damaged_telemetry(folder: Path) -> dict[Path, str]:
+    """Parts that can't be read, and why. Raises RunFolderError if the folder can't be read."""
+    damaged = {}
+    for path in find_parts(folder, _SUFFIX).values():
+        try:
+            _read_part(path)
+        except RunFolderError as error:
+            damaged[path] = str(error)
+    return damaged
+
+
 def last_reading_s(folder: Path) -> float:
     """Time of the last reading of a run, zero where there is none; may be later than its last journal entry.
 
@@ -105,6 +126,14 @@ def last_reading_s(folder: Path) -> float:
     """
     parts = find_parts(folder, _SUFFIX)
     return float(_read_part(parts[max(parts)])["time_s"].max(initial=0.0)) if parts else 0.0
+
+
+def _floats(column: pa.ChunkedArray) -> FloatArray:
+    """Values without pyarrow's own conversion, which imports pandas."""
+    if column.type != pa.float64() or column.null_count:  # written by another program
+        column = column.cast(pa.float64()).fill_null(math.nan)
+    values = column.combine_chunks()
+    return np.frombuffer(values.buffers()[1] or b"", np.float64, len(values), 8 * values.offset)
 
 
 def _read_part(path: Path) -> dict[str, FloatArray]:
@@ -115,7 +144,7 @@ def _read_part(path: Path) -> dict[str, FloatArray]:
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
         table = part.read(columns=list(COLUMNS))
-        return {name: np.asarray(table.column(name).cast(pa.float64())) for name in COLUMNS}
+        return {name: _floats(table.column(name)) for name in COLUMNS}
     except (OSError, KeyError, ValueError, pa.ArrowException) as error:
         if isinstance(error, RunFolderError):
             raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, InvalidStateError, wait
@@ -20,7 +19,6 @@ from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
-from gyrobench.bench.station.station_file import InsSection
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
@@ -262,23 +260,7 @@ def open_ins_bus(station: Station, clock: Clock, emulation: Emulation) -> can.Bu
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
         options.update(_emulated_bench(station, emulation))
-    _check_server(section)
     return open_bus(section.interface, section.channel, clock, section.bitrate, **options)
-
-
-def _check_server(section: InsSection) -> None:
-    """Check that the server of a socketcand bus listens: python-can retries without a pause."""
-    if section.interface != "socketcand":
-        return
-    address = (str(section.options.get("host", "")), int(section.options.get("port", 0)))
-    try:
-        socket.create_connection(address, timeout=_CONNECTION_TIME_S).close()
-    except OSError as error:
-        raise ConnectionFailedError(
-            INS,
-            f"no socketcand server at {address[0]}:{address[1]}: {error}. "
-            "Check ins.options (host, port) of the station file, the network, and that socketcand runs.",
-        ) from error
 
 
 def _opening_time_s(clock: Clock) -> float:

@@ -9,6 +9,7 @@ import can
 
 from gyrobench.drivers.emulators.can_ins import CanNode
 from gyrobench.drivers.emulators.dialect import Connection
+from gyrobench.drivers.frames import FrameBlock
 
 #: Name of the bus that the socketcand daemon offers.
 BUS_NAME = "can0"
@@ -77,14 +78,13 @@ class CanAdapter(ABC):
         self._bus.receive(message)
         return True
 
-    def _on_bus(self, messages: list[can.Message]) -> None:
+    def _on_bus(self, frames: FrameBlock) -> None:
         if self._is_open:
-            for message in messages:
-                self._received += self._encode(message)
+            self._received += self._encode(frames).encode()
 
     @abstractmethod
-    def _encode(self, message: can.Message) -> bytes:
-        """Bytes of a frame from the bus."""
+    def _encode(self, frames: FrameBlock) -> str:
+        """Text of frames from the bus."""
 
 
 class SlcanAdapter(CanAdapter):
@@ -125,8 +125,9 @@ class SlcanAdapter(CanAdapter):
             return b"Z\r" if extended else b"z\r"
         return _CR if _SETTING.fullmatch(line) else _BEL
 
-    def _encode(self, message: can.Message) -> bytes:
-        return f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex().upper()}\r".encode()
+    def _encode(self, frames: FrameBlock) -> str:
+        rows = zip(frames.arbitration_id.tolist(), frames.length.tolist(), _hexadecimal(frames), strict=True)
+        return "".join([f"t{identifier:03X}{length}{data}\r" for identifier, length, data in rows])
 
 
 class SocketcandDaemon(CanAdapter):
@@ -170,8 +171,15 @@ class SocketcandDaemon(CanAdapter):
             return b"" if valid else b"< error wrong frame >"
         return b"< error unknown command >"
 
-    def _encode(self, message: can.Message) -> bytes:
+    def _encode(self, frames: FrameBlock) -> str:
         if not self._raw:
-            return b""
-        data = message.data.hex().upper()
-        return f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} {data} >".encode()
+            return ""
+        times_s = frames.timestamp_s.tolist()
+        rows = zip(frames.arbitration_id.tolist(), times_s, _hexadecimal(frames), strict=True)
+        return "".join([f"< frame {number:03X} {time_s:.6f} {data} >" for number, time_s, data in rows])
+
+
+def _hexadecimal(frames: FrameBlock) -> list[str]:
+    """Data of each frame in hexadecimal."""
+    digits = frames.data.tobytes().hex().upper()
+    return [digits[16 * k : 16 * k + 2 * length] for k, length in enumerate(frames.length.tolist())]

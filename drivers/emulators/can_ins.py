@@ -15,6 +15,7 @@ from gyrobench.drivers.emulators.can_formats.gyrobench_ins import GyrobenchForma
 from gyrobench.drivers.emulators.can_formats.sbg import SbgFormat
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.frames import FrameBlock
 
 #: Makes each set of frames, by the name of its DBC file.
 CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
@@ -24,9 +25,9 @@ DEFAULT_FORMAT = "gyrobench_ins"
 
 
 class CanNode(Protocol):
-    """A side of the bus with the INS behind it; each listener gets the messages as the world advances."""
+    """A side of the bus with the INS behind it; each listener gets the frames as the world advances."""
 
-    listeners: list[Callable[[list[can.Message]], None]]
+    listeners: list[Callable[[FrameBlock], None]]
 
     def receive(self, message: can.Message) -> None:
         """Take a frame from the bus."""
@@ -42,7 +43,7 @@ class CanInsEmulator:
     def __init__(self, world: World, epoch_unix_s: float = 0.0) -> None:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
-        self.listeners: list[Callable[[list[can.Message]], None]] = []
+        self.listeners: list[Callable[[FrameBlock], None]] = []
         self.use_format(DEFAULT_FORMAT)
         world.on_epochs = self._send_epochs
 
@@ -65,6 +66,6 @@ class CanInsEmulator:
             self.format.receive(message)
 
     def _send_epochs(self, epochs: Epochs) -> None:
-        messages = self.format.frames(epochs)
+        frames = self.format.frames(epochs)
         for listener in self.listeners:
-            listener(messages)
+            listener(frames)

@@ -7,9 +7,13 @@ from collections import deque
 from typing import Any
 
 import can
+import can.typechecking
+import numpy as np
 
+from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
+from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock, concatenate
 
 
 class EmulatorBus(can.BusABC):
@@ -33,10 +37,12 @@ class EmulatorBus(can.BusABC):
             raise can.CanInitializationError(str(error)) from error
         self._connection = self._bench.connections["ins"]
         self._generation = self._connection.generation
-        self._queue: deque[can.Message] = deque()
+        self._blocks: list[FrameBlock] = []
+        #: Frames of the oldest block, once :meth:`recv` is used.
+        self._messages: deque[can.Message] = deque()
         self.channel_info = f"emulated INS, world {address.world}, seed {address.seed}"
         super().__init__(channel, **options)
-        self._bench.bus.listeners.append(self._queue.extend)
+        self._bench.bus.listeners.append(self._blocks.append)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Send a frame to the INS; it arrives immediately."""
@@ -51,12 +57,14 @@ class EmulatorBus(can.BusABC):
         """
         clock = self._bench.clock
         end_s = math.inf if timeout is None else clock.now() + timeout
-        if not self._queue:
+        if not (self._messages or self._blocks):
             self._bench.advance()
         while True:
             self._check_bus()
-            while self._queue:
-                message = self._queue.popleft()
+            while self._messages or self._blocks:
+                if not self._messages:
+                    self._messages.extend(self._blocks.pop(0).messages())
+                message = self._messages.popleft()
                 if self._matches_filters(message):
                     return message
             remaining_s = end_s - clock.now()
@@ -65,6 +73,17 @@ class EmulatorBus(can.BusABC):
             clock.sleep(min(self._bench.world.file.ins.epoch_period_s, remaining_s))
             self._bench.advance()
 
+    def recv_block(self) -> FrameBlock:
+        """Take all frames that have arrived and pass the filters, without waiting."""
+        self._bench.advance()
+        self._check_bus()
+        frames = concatenate(self._blocks)
+        self._blocks.clear()
+        if self._messages:
+            frames = concatenate([FrameBlock.from_messages(self._messages), frames])
+            self._messages.clear()
+        return frames if self.filters is None else frames.take(_passing(frames, self.filters))
+
     def _check_bus(self) -> None:
         if self._connection.generation != self._generation:
             raise can.CanOperationError("bus-off: the controller has left the bus; reopen it")
@@ -72,6 +91,19 @@ class EmulatorBus(can.BusABC):
     def shutdown(self) -> None:
         """Leave the bus; the INS continues."""
         listeners = self._bench.bus.listeners
-        if self._queue.extend in listeners:
-            listeners.remove(self._queue.extend)
+        if self._blocks.append in listeners:
+            listeners.remove(self._blocks.append)
         super().shutdown()
+
+
+def _passing(frames: FrameBlock, filters: can.typechecking.CanFilters) -> BoolArray:
+    """Whether each frame passes one of the filters, as python-can defines them."""
+    passes = np.zeros(len(frames), np.bool_)
+    extended = frames.arbitration_id & EXTENDED_ID != 0
+    identifiers = (frames.arbitration_id & (EXTENDED_ID - 1)).astype(np.int64)
+    for each in filters:
+        same = (identifiers ^ each["can_id"]) & each["can_mask"] == 0
+        if "extended" in each:
+            same &= extended == each["extended"]
+        passes |= same
+    return passes

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Callable
 from functools import partial
 from itertools import islice
 from typing import Any
 
 import can
-from can.interfaces.slcan import slcanBus
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ConnectionFailedError
 from gyrobench.drivers.frames import FrameBlock
-
-# python-can warns at each frame that socketcand delivers in two pieces, which is normal over TCP.
-logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
+from gyrobench.drivers.ins.text_buses import SlcanBus, SocketcandBus
 
 #: Name of the instrument in errors.
 INSTRUMENT = "INS"
+
+#: Adapters that are read in blocks from their bytes.
+_TEXT_BUSES: dict[str, Callable[..., can.BusABC]] = {"slcan": SlcanBus, "socketcand": SocketcandBus}
 
 #: Frames taken at once; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
 _MAX_FRAMES = 100_000
@@ -35,9 +34,11 @@ def open_bus(
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
-    if interface in ("emulator", "replay"):
-        options["clock"] = clock.name
     try:
+        if interface in _TEXT_BUSES:
+            return _TEXT_BUSES[interface](channel, clock, **options)
+        if interface in ("emulator", "replay"):
+            options["clock"] = clock.name
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         raise ConnectionFailedError(
@@ -49,36 +50,8 @@ def open_bus(
 
 def close_bus(bus: can.BusABC) -> None:
     """Close a bus, also one whose adapter is gone; a second call does nothing."""
-    try:
+    with contextlib.suppress(can.CanError, OSError):  # the adapter is gone
         bus.shutdown()
-    except (can.CanError, OSError):  # the adapter is gone
-        if isinstance(bus, slcanBus):
-            # Its shutdown() fails at its last message and leaves the port open.
-            with contextlib.suppress(OSError):
-                bus.serialPortOrig.close()
-
-
-def is_garbage(bus: can.BusABC, error: Exception) -> bool:
-    """Whether an error of the bus means that received bytes are no frame; else the bus is gone."""
-    # slcan wraps the error of undecodable bytes.
-    undecodable = isinstance(bus, slcanBus) and isinstance(error.__cause__, UnicodeDecodeError)
-    return undecodable or isinstance(error, (ValueError, LookupError))
-
-
-def stamp_in_time_of(clock: Clock, bus: can.BusABC, messages: list[can.Message]) -> None:
-    """Convert stamps by the host's calendar, which slcan alone has, into times of a faster clock."""
-    if clock.speed != 1.0 and isinstance(bus, slcanBus):
-        for message in messages:
-            message.timestamp = clock.stamp_s(message.timestamp)
-
-
-def drop_half_line(bus: can.BusABC) -> None:
-    """Discard the beginning of an invalid line, which would make the next one invalid too.
-
-    Raises CanError if the bus is gone.
-    """
-    if isinstance(bus, slcanBus):
-        bus.flush()
 
 
 def block_receiver(bus: can.BusABC) -> Callable[[], FrameBlock]:

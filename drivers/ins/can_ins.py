@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from itertools import islice
 
 import can
 from cantools.database import Database
@@ -15,13 +13,13 @@ from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     DocumentError,
     FaultError,
-    InstrumentError,
     NoReplyError,
     RefusedError,
     ReplyError,
 )
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
-from gyrobench.drivers.ins.can_bus import INSTRUMENT, close_bus, drop_half_line, is_garbage, stamp_in_time_of
+from gyrobench.drivers.ins.can_bus import INSTRUMENT, block_receiver, close_bus
 from gyrobench.drivers.ins.command_map import Command, CommandMap, Compensation, check_commands, checksum
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.ins_status import InsStatus, NewestFrames
@@ -30,9 +28,6 @@ from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 
 #: The status is sent about once a second, and the INS needs time for a command.
 REPLY_TIMEOUT_S = 5.0
-#: Frames taken in one poll; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
-_MAX_FRAMES_PER_POLL = 100_000
-
 _SEND_TIMEOUT_S = 1.0
 _POLL_PERIOD_S = 0.05
 
@@ -44,12 +39,13 @@ class InsHealth:
     frames: int
     error_frames: int
     commands: int
+    lost: int  #: Frames that arrived while the queue between adapter and bench was full.
 
 
 class CanIns:
     """An INS that a DBC file, a signal map and a command map describe.
 
-    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. ``on_frames`` receives every batch of
+    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. ``on_frames`` receives every block of
     frames that is polled, also while a command waits. Raises DocumentError if a map does not fit the DBC.
     """
 
@@ -60,7 +56,7 @@ class CanIns:
         database: Database,
         clock: Clock,
         commands: CommandMap | None = None,
-        on_frames: Callable[[list[can.Message]], None] | None = None,
+        on_frames: Callable[[FrameBlock], None] | None = None,
     ) -> None:
         self.codec = DbcCodec(database)
         self.signal_map = signal_map
@@ -71,10 +67,11 @@ class CanIns:
             lines = (f"ins.commands.{'.'.join(map(str, p.location))}: {p.message}" for p in problems)
             raise DocumentError("\n".join(lines))
         self._bus = bus
+        self._receive = block_receiver(bus)
         self._clock = clock
         self.on_frames = on_frames
         self._newest = NewestFrames(self.codec)
-        self._frames = self._error_frames = self._sent = 0
+        self._frames = self._error_frames = self._sent = self._lost = 0
 
     def close(self) -> None:
         """Close the bus; a second call does nothing."""
@@ -83,43 +80,33 @@ class CanIns:
     def replace_bus(self, bus: can.BusABC) -> None:
         """Close the bus and continue on another, after bus-off or a lost adapter; counts and state stay."""
         close_bus(self._bus)
-        self._bus = bus
+        self._lost += _lost(self._bus)
+        self._bus, self._receive = bus, block_receiver(bus)
 
-    def poll(self) -> list[can.Message]:
-        """Take the frames that have arrived, in order, up to a limit a call.
+    def poll(self) -> FrameBlock:
+        """Take the frames that have arrived, in order; frames from before an error come first.
 
-        Raises ConnectionFailedError if the bus is gone. Frames that arrived before were passed to
-        ``on_frames``. Raises ReplyError if the adapter sent bytes that are no frame.
+        Raises ConnectionFailedError if the bus is gone. Raises ReplyError if the adapter sent bytes that are
+        no frame, or frames are lost.
         """
-        messages: list[can.Message] = []
         try:
-            # extend() keeps the frames before an exception.
-            messages.extend(islice(iter(partial(self._bus.recv, 0.0), None), _MAX_FRAMES_PER_POLL))
-        except (can.CanError, OSError, ValueError, LookupError) as error:
-            raise self._failed(error) from error
-        finally:
-            if messages:
-                self._take(messages)
-        return messages
+            block = self._receive()
+        except (ValueError, LookupError) as error:
+            raise ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}") from error
+        except (can.CanError, OSError) as error:
+            raise self._gone(error) from error
+        if len(block):
+            self._take(block)
+        return block
 
-    def _failed(self, error: Exception) -> InstrumentError:
-        if not is_garbage(self._bus, error):
-            return self._gone(error)
-        try:
-            drop_half_line(self._bus)
-        except (can.CanError, OSError) as gone:
-            return self._gone(gone)
-        return ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}")
-
-    def _take(self, messages: list[can.Message]) -> None:
-        stamp_in_time_of(self._clock, self._bus, messages)
-        data_frames = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
+    def _take(self, block: FrameBlock) -> None:
+        data_frames = block.data_frames()
         self._frames += len(data_frames)
-        self._error_frames += len(messages) - len(data_frames)
-        if data_frames:
+        self._error_frames += len(block) - len(data_frames)
+        if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
         if self.on_frames is not None:
-            self.on_frames(messages)
+            self.on_frames(block)
 
     def status(self) -> InsStatus:
         """State by the newest frames; does not poll."""
@@ -129,7 +116,7 @@ class CanIns:
 
     def health(self) -> InsHealth:
         """Counts of frames and commands so far."""
-        return InsHealth(self._frames, self._error_frames, self._sent)
+        return InsHealth(self._frames, self._error_frames, self._sent, self._lost + _lost(self._bus))
 
     def identity(self, timeout_s: float = REPLY_TIMEOUT_S) -> dict[str, int]:
         """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
@@ -278,3 +265,7 @@ class CanIns:
 
     def _no_command(self, name: str) -> RefusedError:
         return RefusedError(INSTRUMENT, f"has no command '{name}'; add it to the station file's ins.commands")
+
+
+def _lost(bus: can.BusABC) -> int:
+    return int(getattr(bus, "lost", 0))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections import deque
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
-import can
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.drivers.frames import EXTENDED_ID
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
@@ -17,8 +19,38 @@ from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 
 #: Age from which values count as unknown.
 STALE_S = 5.0
+#: Time for which frames are kept: a status may be asked for its values that much later.
+_KEPT_S = 30.0
 
 _NOW = np.zeros(1, np.int64)
+
+
+class _Arrival:
+    """Frames that arrived together, with those before them; a frame is searched for when first asked for."""
+
+    def __init__(self, block: FrameBlock, received_s: float, before: _Arrival | None) -> None:
+        self.block = block
+        self.received_s = received_s
+        self.before = before
+        #: Newest row up to here by identifier, as a tuple of the fields; None for no such frame.
+        self.found: dict[int, tuple[Any, ...] | None] = {}
+
+    def newest(self, arbitration_id: int) -> tuple[Any, ...] | None:
+        passed: list[_Arrival] = []
+        arrival: _Arrival | None = self
+        row = None
+        while arrival is not None and arbitration_id not in arrival.found:
+            passed.append(arrival)
+            same = np.flatnonzero(arrival.block.arbitration_id == arbitration_id)
+            if len(same):
+                row = arrival.block.rows[same[-1]].item()
+                break
+            arrival = arrival.before
+        else:
+            row = arrival.found[arbitration_id] if arrival is not None else None
+        for each in passed:
+            each.found[arbitration_id] = row
+        return row
 
 
 class NewestFrames:
@@ -30,54 +62,50 @@ class NewestFrames:
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        self._frames: dict[int, can.Message] = {}
-        self._received_s = -np.inf
+        self._arrivals = deque([_Arrival(concatenate([]), -np.inf, None)])
         self._stamp_s = 0.0
 
-    def take(self, frames: Sequence[can.Message], now_s: float) -> None:
+    def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
-        self._received_s, self._stamp_s = now_s, frames[-1].timestamp
-        # A 29-bit identifier is stored as its complement: the cheapest way to distinguish the two kinds.
-        self._frames.update(
-            {(~m.arbitration_id if m.is_extended_id else m.arbitration_id): m for m in frames}
-        )
+        self._stamp_s = float(frames.timestamp_s[-1])
+        self._append(frames, now_s)
+        while self._arrivals[0].received_s < now_s - _KEPT_S:
+            self._arrivals.popleft()
+            self._arrivals[0].before = None
+
+    def _append(self, frames: FrameBlock, received_s: float) -> None:
+        self._arrivals.append(_Arrival(frames, received_s, self._arrivals[-1]))
 
     def forget(self, message_name: str) -> None:
-        """Drop the frame of a message."""
-        self._frames.pop(_key(self._codec.arbitration_id(message_name)), None)
+        """Drop the frames of a message."""
+        self._append(concatenate([]), self._arrivals[-1].received_s)
+        self._arrivals[-1].found[self._codec.arbitration_id(message_name)] = None
 
     def age_s(self, now_s: float) -> float:
         """Time since the last frame."""
-        return float(now_s - self._received_s)
+        return float(now_s - self._arrivals[-1].received_s)
 
     def snapshot(self, now_s: float) -> Snapshot:
         """The frames that are not stale."""
         oldest_s = self._stamp_s + self.age_s(now_s) - STALE_S
-        fresh = {key: frame for key, frame in self._frames.items() if frame.timestamp >= oldest_s}
-        return Snapshot(fresh, self._codec)
+        return Snapshot(self._arrivals[-1], oldest_s, self._codec)
 
 
 class Snapshot:
-    """Values of the newest frames at one moment; each frame is decoded when first used."""
+    """Values of the newest frames at one moment, those stamped before ``oldest_s`` left out."""
 
-    def __init__(self, frames: Mapping[int, can.Message], codec: DbcCodec) -> None:
-        self._frames = frames
+    def __init__(self, arrival: _Arrival, oldest_s: float, codec: DbcCodec) -> None:
+        self._arrival = arrival
+        self._oldest_s = oldest_s
         self._codec = codec
-        self._decoded: dict[str, dict[str, float]] = {}
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
         """Value of a signal, shape (1,); NaN without its frame."""
-        if bound.message not in self._decoded:
-            frame = self._frames.get(_key(self._codec.arbitration_id(bound.message)))
-            self._decoded[bound.message] = (
-                {} if frame is None else self._codec.decode_one(frame.data, bound.message)
-            )
-        value = self._decoded[bound.message].get(bound.signal.name, np.nan)
+        row = self._arrival.newest(self._codec.arbitration_id(bound.message))
+        value = math.nan
+        if row is not None and row[0] >= self._oldest_s:
+            value = self._codec.decode_one(bytes(row[4][: row[2]]), bound.message, bound.signal.name)
         return bound.to_si(np.array([value]))
-
-
-def _key(arbitration_id: int) -> int:
-    return ~(arbitration_id & ~EXTENDED_ID) if arbitration_id & EXTENDED_ID else arbitration_id
 
 
 class InsStatus:

@@ -369,12 +369,37 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
             bound[path] = _bind_one(quantity, codec)
         except DocumentError as error:
             problems.append(Problem(quantity.location, str(error)))
+    problems += _two_roles(signal_map)
     for index, name in enumerate(signal_map.epoch_messages or []):
         try:
             codec.arbitration_id(name)
         except DocumentError as error:
             problems.append(Problem(("epoch_messages", index), str(error)))
     return bound, problems
+
+
+#: One sensor may stand for all gyros, and one status signal for several states; nothing else is shared.
+_SHARED = ("gyro_optics_temperature", "gyro_electronics_temperature", "mode", "alignment", "identity")
+
+
+def _two_roles(signal_map: SignalMap) -> list[Problem]:
+    """Measured quantities that name a signal which has another role already."""
+    roles: dict[str, str] = {}
+    problems = []
+    for path, quantity in signal_map.quantities().items():
+        role = path.partition(".")[0]
+        role = role if role in _SHARED else path
+        first = roles.setdefault(quantity.source.signal, role)
+        is_measured = quantity.dimension is not Dimension.NUMBER or path.startswith("attitude.quaternion.")
+        if first != role and is_measured:
+            problems.append(
+                Problem(
+                    quantity.location,
+                    f"the signal {quantity.source.signal} is already mapped to {first}. Each quantity has "
+                    "its separate signal: correct one of the two",
+                )
+            )
+    return problems
 
 
 def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:

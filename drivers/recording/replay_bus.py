@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any
 
 import can
+import numpy as np
 
 from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
+from gyrobench.drivers.frames import FrameBlock, concatenate
+
+#: Frames read from the log at once.
+_AT_ONCE = 4096
 
 
 class ReplayBus(can.BusABC):
@@ -25,11 +31,30 @@ class ReplayBus(can.BusABC):
         except (OSError, ValueError, KeyError) as error:
             raise can.CanInitializationError(f"can't replay {channel}: {error}") from error
         self._frames: Iterator[can.Message] = (frame for frame in self._log if frame.is_rx)
-        self._next = next(self._frames, None)
-        first_s = self._next.timestamp if self._next else 0.0
-        self._zero_s = self._clock.now() - first_s
+        self._ahead = concatenate([])
+        first_s = self._ahead.timestamp_s[0] if self._is_ahead() else 0.0
+        self._zero_s = self._clock.now() - float(first_s)
         self.channel_info = f"recording {channel}"
         super().__init__(channel, **options)
+
+    def _is_ahead(self) -> bool:
+        """Read on in the log where need be; returns whether there is a frame."""
+        while not len(self._ahead) and (messages := list(islice(self._frames, _AT_ONCE))):
+            self._ahead = FrameBlock.from_messages(messages)
+        return len(self._ahead) > 0
+
+    def recv_block(self) -> FrameBlock:
+        """Take the frames that are due and pass the filters."""
+        due: list[FrameBlock] = []
+        while self._is_ahead():
+            later = np.flatnonzero(self._zero_s + self._ahead.timestamp_s > self._clock.now())
+            end = int(later[0]) if len(later) else len(self._ahead)
+            due.append(self._ahead.take(slice(0, end)))
+            self._ahead = self._ahead.take(slice(end, None))
+            if len(later):
+                break
+        block = concatenate(due)
+        return block.matching(self._filters) if self._filters else block
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         raise NotImplementedError  # recv() replaces it
@@ -40,12 +65,12 @@ class ReplayBus(can.BusABC):
         Overrides python-can's own, which takes the time from the wall clock.
         """
         end_s = None if timeout is None else self._clock.now() + timeout * self._clock.speed
-        while self._next is not None:
-            due_s = self._zero_s + self._next.timestamp
+        while self._is_ahead():
+            due_s = self._zero_s + float(self._ahead.timestamp_s[0])
             if end_s is not None and due_s > end_s:
                 break
             self._clock.sleep_until(due_s)
-            frame, self._next = self._next, next(self._frames, None)
+            [frame], self._ahead = self._ahead.take(slice(0, 1)).messages(), self._ahead.take(slice(1, None))
             if self._matches_filters(frame):
                 return frame
         if end_s is not None:

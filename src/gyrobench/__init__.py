@@ -13,9 +13,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gyrobench.bench import __version__
-
 if TYPE_CHECKING:
+    from gyrobench.bench import __version__
     from gyrobench.bench.api import Run, close_loop, estimate_bias, open_run, run
 
 __all__ = ["Run", "__version__", "close_loop", "estimate_bias", "open_run", "run"]
@@ -23,7 +22,9 @@ __all__ = ["Run", "__version__", "close_loop", "estimate_bias", "open_run", "run
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        return getattr(import_module("gyrobench.bench.api"), name)
+        return getattr(
+            import_module("gyrobench.bench" if name == "__version__" else "gyrobench.bench.api"), name
+        )
     raise AttributeError(f"module 'gyrobench' has no attribute '{name}'")
 
 

@@ -20,7 +20,6 @@ from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock
 from tests.bench.conftest import watched_run
 from tests.bench.dwells.fault_kinds import FAULTS
 from tests.bench.dwells.frame_faults import Recording
@@ -36,9 +35,9 @@ def recorded_dwells(folder):
         if entry["event"] == "dwell_finished"
     ]
     by_part = {marks.log_part: marks for marks in finished}
-    for number, messages in read_can_log(folder.can):
+    for number, frames in read_can_log(folder.can):
         if number in by_part:
-            yield Recording(by_part[number], FrameBlock.from_messages(messages).data_frames())
+            yield Recording(by_part[number], frames.data_frames())
 
 
 def outcome(row, clean, truth_dph):

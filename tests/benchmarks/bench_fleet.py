@@ -25,7 +25,6 @@ from tests.benchmarks.fleet_runs import make_runs
 
 TABLE = Path(__file__).parents[2] / "docs" / "fleet_benchmark.md"
 CASES = ((1, False), (2, False), (4, False), (2, True))
-NULL_TASKS = 500
 
 
 @dataclass
@@ -41,38 +40,32 @@ class Case:
     wall_s: float
     cpu_s: float
     peak_mb: float
-    overhead_ms: float
     speed_up: float = 1.0
 
 
 def usage():
-    """CPU time and largest memory of the process of a worker."""
-    import resource
-
-    process = psutil.Process()
-    times = process.cpu_times()
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return times.user + times.system, peak_mb
+    """CPU time of each process of the fleet, and its memory in MB."""
+    own = psutil.Process()
+    found = {}
+    for process in (own, *own.children(recursive=True)):
+        times, memory = process.cpu_times(), process.memory_info()
+        found[process.pid] = (times.user + times.system, memory.rss / 1e6)
+    return found
 
 
 def measure(kind, paths, workers, are_threads, folder):
     """Do the job with all runs once, workers warm from one run each."""
     clock = WallClock()
-    with connected(Workers(workers, are_threads)) as client:
+    with connected(Workers(workers, are_threads)) as pool:
         warm = FleetRecord(JobKind(kind), folder / "warm")
-        list(work_through(client, warm, paths[: 2 * workers]))
+        list(work_through(pool, warm, paths[: 2 * workers]))
         start_s = clock.now()
-        before = client.run(usage)
+        before = usage()
         began_s = clock.now()
         record = FleetRecord(JobKind(kind), folder / "measured")
-        results = list(work_through(client, record, paths))
+        results = list(work_through(pool, record, paths))
         wall_s = clock.now() - began_s
-        after = client.run(usage)
-        began_s = clock.now()
-        client.gather(
-            [client.submit(abs, number, key=f"null {number}", pure=False) for number in range(NULL_TASKS)]
-        )
-        overhead_ms = 1e3 * (clock.now() - began_s) / NULL_TASKS
+        after = usage()
     return Case(
         kind=kind,
         workers=workers,
@@ -81,9 +74,8 @@ def measure(kind, paths, workers, are_threads, folder):
         failed=sum(result.state != "done" for result in results),
         start_s=start_s,
         wall_s=wall_s,
-        cpu_s=sum(after[key][0] - before[key][0] for key in after),
+        cpu_s=sum(after[pid][0] - before.get(pid, (0.0,))[0] for pid in after),
         peak_mb=max(each[1] for each in after.values()),
-        overhead_ms=overhead_ms,
     )
 
 
@@ -118,8 +110,8 @@ def measure_beside_one(kind, runs, count, workers, are_threads, folder):
 def format_table(cases):
     """Markdown rows; speed-up over one process."""
     lines = [
-        "| job | workers | time s | speed-up | runs/s | CPU s a run | peak MB a worker | start s | null ms |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| job | workers | time s | speed-up | runs/s | CPU s a run | peak MB a worker | start s |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for case in cases:
         who = f"{case.workers} {'thread' if case.are_threads else 'process'}"
@@ -127,8 +119,7 @@ def format_table(cases):
         lines.append(
             f"| {case.kind} | {who} | {case.wall_s:.1f} | {case.speed_up:.2f} "
             f"| {case.runs / case.wall_s:.1f} "
-            f"| {case.cpu_s / case.runs:.3f} | {case.peak_mb:.0f} | {case.start_s:.1f} "
-            f"| {case.overhead_ms:.1f} |"
+            f"| {case.cpu_s / case.runs:.3f} | {case.peak_mb:.0f} | {case.start_s:.1f} |"
         )
     return "\n".join(lines)
 

@@ -115,7 +115,7 @@ def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
 def _frames(run: Path, part: str) -> list[tuple[int, bytes]]:
     """Identifiers and bytes of the frames of one part."""
     parts = {f"can/part-{number:05}.blf": frames for number, frames in read_can_log(run / "can")}
-    return [(frame.arbitration_id, bytes(frame.data)) for frame in parts[part]]
+    return [(frame.arbitration_id, bytes(frame.data)) for frame in parts[part].messages()]
 
 
 def use_telemetry(run: Path) -> Callable[[Path, bytes], None]:

@@ -188,7 +188,7 @@ def _figures(
     entries = list(read_journal(folder.journal))
     ticks: dict[str, Any] = next((entry for entry in reversed(entries) if entry["event"] == "ticks"), {})
     finished = [entry for entry in entries if entry["event"] == "dwell_finished"]
-    logged = b"".join(packed(each) for _, part in read_can_log(folder.can) for each in part)
+    logged = b"".join(packed(each) for _, part in read_can_log(folder.can) for each in part.messages())
     sent = sent_file.read_bytes()
     # What the INS sends after the bench has left is not for it.
     is_whole = sent.startswith(logged)

@@ -31,7 +31,7 @@ def main() -> None:
         def __init__(self, *arguments: Any, **options: Any) -> None:
             super().__init__(*arguments, **options)
             file = path.open("wb", buffering=0)
-            self.bus.listeners.append(lambda messages: file.write(b"".join(map(packed, messages))))
+            self.bus.listeners.append(lambda block: file.write(b"".join(map(packed, block.messages()))))
 
     serve.EmulatedBench = RecordedBench
     serve.main(sys.argv[2:])

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 
-import can
 import numpy as np
 
 from gyrobench.bench.engine.interlocks.checks import ins_temperatures
@@ -19,7 +18,7 @@ from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.preflight_check import Check
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.navigation_data import NavigationData, decode_navigation
@@ -47,13 +46,13 @@ class CanTraffic:
     """Frames received from the bus in some seconds."""
 
     duration_s: float = 0.0  #: On the run's clock.
-    messages: list[can.Message] = field(default_factory=list)
-    arrived_s: list[float] = field(default_factory=list)  #: When each frame was received, on the run's clock.
+    blocks: list[FrameBlock] = field(default_factory=list)  #: As polled.
+    polled_s: list[float] = field(default_factory=list)  #: When each block was polled, on the run's clock.
 
     @property
     def frames_per_s(self) -> float:
         """Frames per second; NaN before any."""
-        return len(self.messages) / self.duration_s if self.duration_s else math.nan
+        return sum(map(len, self.blocks)) / self.duration_s if self.duration_s else math.nan
 
 
 def ins_checks(
@@ -140,9 +139,8 @@ def _observe(ins: CanIns, clock: Clock, period_s: float, traffic: CanTraffic) ->
     deadline = Deadline(clock, _OBSERVE_S)
     while not deadline.expired():
         clock.sleep(min(period_s, deadline.remaining_s()))
-        messages = ins.poll()
-        traffic.messages += messages
-        traffic.arrived_s += [clock.now()] * len(messages)
+        traffic.blocks.append(ins.poll())
+        traffic.polled_s.append(clock.now())
     traffic.duration_s = clock.now() - begin_s
 
 
@@ -198,8 +196,9 @@ def _temperatures(station: Station, status: InsStatus) -> Check:
 
 
 def _stream(station: Station, ins: CanIns, clock: Clock, traffic: CanTraffic) -> Iterator[Check]:
-    block = FrameBlock.from_messages(traffic.messages).data_frames()
-    errors = len(traffic.messages) - len(block)
+    received = concatenate(traffic.blocks)
+    block = received.data_frames()
+    errors = len(received) - len(block)
     data = decode_navigation(block, station.file.ins.signals, ins.codec)
     counts = data.counts
     wrong = {
@@ -249,8 +248,8 @@ def _epoch_rate(station: Station, data: NavigationData) -> Check:
 
 
 def _clocks(station: Station, clock: Clock, data: NavigationData, traffic: CanTraffic) -> Iterator[Check]:
-    stamps_s = np.array([message.timestamp for message in traffic.messages])
-    rate = _slope(np.array(traffic.arrived_s), stamps_s)
+    stamps_s = concatenate(traffic.blocks).timestamp_s
+    rate = _slope(np.repeat(traffic.polled_s, [len(block) for block in traffic.blocks]), stamps_s)
     back = int(np.sum(np.diff(stamps_s) < 0.0))
     yield _check(
         "CAN time stamps",

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, InertialUnit
 from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock
 
 #: Time that a frame takes on the bus.
 FRAME_S = 0.00025
@@ -25,7 +30,7 @@ class CanFormat(ABC):
         self.reset_counters()
 
     @abstractmethod
-    def frames(self, epochs: Epochs) -> list[can.Message]:
+    def frames(self, epochs: Epochs) -> FrameBlock:
         """Encode the output of the INS at these epochs, in order of sending; slow frames at whole seconds."""
 
     @abstractmethod
@@ -56,6 +61,17 @@ def execute_command(unit: InertialUnit, command: int, argument: int = 0) -> None
             unit.apply_compensation()
 
 
-def frame(time_s: float, identifier: int, data: bytes) -> can.Message:
-    """Make a standard data frame."""
-    return can.Message(timestamp=time_s, arbitration_id=identifier, data=data, is_extended_id=False)
+def empty_frames(
+    time_s: FloatArray, identifiers: Sequence[int], lengths: int | Sequence[int]
+) -> NDArray[np.void]:
+    """Frames of zeros, shape (n, k): ``identifiers``, one after the other, from each of n times on."""
+    rows = np.zeros((len(time_s), len(identifiers)), FRAME_DTYPE)
+    rows["time_s"] = time_s[:, None] + FRAME_S * np.arange(len(identifiers))
+    rows["id"], rows["length"] = identifiers, lengths
+    return rows
+
+
+def in_order(*groups: NDArray[np.void]) -> FrameBlock:
+    """All frames in order of sending."""
+    rows = np.concatenate([group.ravel() for group in groups])
+    return FrameBlock(rows[np.argsort(rows["time_s"], kind="stable")])

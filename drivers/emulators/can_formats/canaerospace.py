@@ -11,15 +11,21 @@ Stock Flight Systems, CANaerospace interface specification 1.7.
 
 from __future__ import annotations
 
-import struct
-
 import can
 import numpy as np
+from numpy.typing import NDArray
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command, frame
+from gyrobench.drivers.emulators.can_formats import (
+    FRAME_S,
+    CanFormat,
+    empty_frames,
+    execute_command,
+    in_order,
+)
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs
 from gyrobench.drivers.emulators.world.strapdown import euler_output
+from gyrobench.drivers.frames import FrameBlock
 
 BENCH_COMMAND = 200
 PITCH, ROLL = 311, 312
@@ -28,7 +34,8 @@ INS_MODE, ALIGNMENT, GYRO_X_TEMPERATURE, GYRO_Y_TEMPERATURE, GYRO_Z_TEMPERATURE 
 
 _NODE, _SERVICE = 1, 0
 _FLOAT, _ULONG = 2, 4
-_WITH_FLOAT, _WITH_ULONG = struct.Struct(">BBBBf"), struct.Struct(">BBBBI")
+_FAST = (PITCH, ROLL, TRUE_EAST_VELOCITY, TRUE_NORTH_VELOCITY, TRUE_UP_VELOCITY, TRUE_HEADING)
+_SLOW = (INS_MODE, ALIGNMENT, GYRO_X_TEMPERATURE, GYRO_Y_TEMPERATURE, GYRO_Z_TEMPERATURE)
 _ZERO_C_IN_K = 273.15
 
 
@@ -37,11 +44,12 @@ class CanaerospaceFormat(CanFormat):
 
     @override
     def reset_counters(self) -> None:
-        self._codes: dict[int, int] = {}
+        self._fast_codes = self._slow_codes = 0
 
     @override
     def skip_epochs(self, count: int) -> None:
-        self._codes = {identifier: code + count for identifier, code in self._codes.items()}
+        self._fast_codes += count
+        self._slow_codes += count
 
     @override
     def receive(self, message: can.Message) -> None:
@@ -49,46 +57,27 @@ class CanaerospaceFormat(CanFormat):
             execute_command(self._world.unit, message.data[7])
 
     @override
-    def frames(self, epochs: Epochs) -> list[can.Message]:
-        messages: list[can.Message] = []
-        output = euler_output(epochs.states, pitch_first=False)
-        for sample, (north, east, roll, pitch, heading) in zip(
-            epochs.sample.tolist(), output.tolist(), strict=True
-        ):
-            time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
-            if sample % SAMPLE_RATE_HZ == 0:
-                self._append_slow(messages, time_s, epochs)
-                time_s += 5 * FRAME_S
-            numbers = (
-                (PITCH, np.degrees(pitch)),
-                (ROLL, np.degrees(roll)),
-                (TRUE_EAST_VELOCITY, east),
-                (TRUE_NORTH_VELOCITY, north),
-                (TRUE_UP_VELOCITY, 0.0),
-                (TRUE_HEADING, (np.degrees(heading) + 180.0) % 360.0 - 180.0),
-            )
-            for position, (identifier, number) in enumerate(numbers):
-                data = _WITH_FLOAT.pack(_NODE, _FLOAT, _SERVICE, self._code(identifier), number)
-                messages.append(frame(time_s + position * FRAME_S, identifier, data))
-        return messages
+    def frames(self, epochs: Epochs) -> FrameBlock:
+        time_s = self._epoch_unix_s + epochs.sample / SAMPLE_RATE_HZ
+        whole = epochs.sample % SAMPLE_RATE_HZ == 0
+        slow = empty_frames(time_s[whole], _SLOW, 8)
+        slow["data"].view(">u4")[:, :2, 1] = int(epochs.mode), int(epochs.alignment)
+        for row in slow["data"].view(">f4"):
+            row[2:, 1] = self._world.temperatures_c()[1:4] + _ZERO_C_IN_K
+        _set_headers(slow, [_ULONG, _ULONG, _FLOAT, _FLOAT, _FLOAT], self._slow_codes)
+        north, east, roll, pitch, heading = euler_output(epochs.states, pitch_first=False).T
+        fast = empty_frames(time_s + len(_SLOW) * FRAME_S * whole, _FAST, 8)
+        course_deg = (np.degrees(heading) + 180.0) % 360.0 - 180.0
+        numbers = (np.degrees(pitch), np.degrees(roll), east, north, np.zeros_like(east), course_deg)
+        fast["data"].view(">f4")[:, :, 1] = np.stack(numbers, axis=-1)
+        _set_headers(fast, [_FLOAT] * len(_FAST), self._fast_codes)
+        self._slow_codes += len(slow)
+        self._fast_codes += len(fast)
+        return in_order(slow, fast)
 
-    def _append_slow(self, messages: list[can.Message], time_s: float, epochs: Epochs) -> None:
-        states = ((INS_MODE, int(epochs.mode)), (ALIGNMENT, int(epochs.alignment)))
-        packed = [
-            (identifier, _WITH_ULONG.pack(_NODE, _ULONG, _SERVICE, self._code(identifier), state))
-            for identifier, state in states
-        ]
-        for identifier, optics_c in zip(
-            range(GYRO_X_TEMPERATURE, GYRO_Z_TEMPERATURE + 1), self._world.temperatures_c()[1:4], strict=True
-        ):
-            code = self._code(identifier)
-            packed.append(
-                (identifier, _WITH_FLOAT.pack(_NODE, _FLOAT, _SERVICE, code, optics_c + _ZERO_C_IN_K))
-            )
-        for position, (identifier, data) in enumerate(packed):
-            messages.append(frame(time_s + position * FRAME_S, identifier, data))
 
-    def _code(self, identifier: int) -> int:
-        code = self._codes.get(identifier, 0)
-        self._codes[identifier] = code + 1
-        return code & 0xFF
+def _set_headers(rows: NDArray[np.void], types: list[int], first_code: int) -> None:
+    """Node, type of data, service and message code; the codes count the frames of an identifier."""
+    data = rows["data"]
+    data[..., 0], data[..., 1], data[..., 2] = _NODE, types, _SERVICE
+    data[..., 3] = (first_code + np.arange(len(rows)) & 0xFF)[:, None]

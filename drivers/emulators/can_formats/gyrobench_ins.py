@@ -7,16 +7,21 @@ DBC, as an independent check of its layout.
 
 from __future__ import annotations
 
+import math
 import struct
 
 import can
+import numba
 import numpy as np
+from numpy.typing import NDArray
 from typing_extensions import override
 
-from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command, frame
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
+from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock
 
 SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
 INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
@@ -24,15 +29,15 @@ COMPENSATION_STATUS = 0x012
 INS_COMMAND, COMPENSATION_NUMBER = 0x200, 0x201
 
 _FIRMWARE, _HARDWARE = 103, 1
-_SLOW_FRAMES = 7
-_TWO_INTS = struct.Struct("<ii")
-_TWO_WORDS = struct.Struct("<II")
-_HEADING = struct.Struct("<iHBB")
-_STATUS = struct.Struct("<BBHBBH")
-_IDENTITY = struct.Struct("<IHH")
-_OPTICS = struct.Struct("<hhhH")
-_ELECTRONICS = struct.Struct("<hhhh")
-_OUTPUT_SCALES = np.array([1e4, 1e4, np.degrees(1e6), np.degrees(1e6), np.degrees(1e6)])
+#: The frames of a whole second, in order of sending, and their data.
+_SLOW_IDS = (
+    SYSTEM_TIME, HEIGHT_VELOCITY_D, INS_STATUS, INS_IDENTITY, COMPENSATION_STATUS, OPTICS_TEMPERATURE,
+    ELECTRONICS_TEMPERATURE,
+)  # fmt: skip
+_SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
+_FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
+_SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
+_VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
@@ -59,46 +64,86 @@ class GyrobenchFormat(CanFormat):
                 self._world.unit.loaded_table[axis, index] = value
 
     @override
-    def frames(self, epochs: Epochs) -> list[can.Message]:
-        scaled = np.rint(euler_output(epochs.states, self._world.unit.pitch_first) * _OUTPUT_SCALES)
-        scaled = scaled.clip(_INT32_MIN, _INT32_MAX)
-        valid = 1 if epochs.mode is Mode.NAVIGATE or epochs.alignment else 0
-        messages: list[can.Message] = []
-        rows: list[list[int]] = scaled.astype(np.int64).tolist()
-        for sample, (north, east, roll, pitch, heading) in zip(epochs.sample.tolist(), rows, strict=True):
-            time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
-            if sample % SAMPLE_RATE_HZ == 0:
-                self._append_slow(messages, time_s, sample // SAMPLE_RATE_HZ, epochs)
-                time_s += _SLOW_FRAMES * FRAME_S
-            counter = self._epoch_counter
-            self._epoch_counter = (counter + 1) & 0xFFFF
-            heading_data = _HEADING.pack(heading % _FULL_TURN, counter, epochs.alignment, valid)
-            messages += (
-                frame(time_s, VELOCITY_NE, _TWO_INTS.pack(north, east)),
-                frame(time_s + FRAME_S, ROLL_PITCH, _TWO_INTS.pack(roll, pitch)),
-                frame(time_s + 2 * FRAME_S, HEADING, heading_data),
-            )
-        return messages
+    def frames(self, epochs: Epochs) -> FrameBlock:
+        first, last = int(epochs.sample[0]), int(epochs.sample[-1])
+        seconds = range(-(-first // SAMPLE_RATE_HZ), last // SAMPLE_RATE_HZ + 1)
+        slow = b"".join([self._slow_data(second, epochs) for second in seconds])
+        temperatures_c = np.empty((len(seconds), 7))
+        for row in temperatures_c:
+            row[:] = self._world.temperatures_c()
+        count = len(epochs.sample)
+        frames = FrameBlock(np.zeros(len(seconds) * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
+        valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
+        _encode(
+            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data,
+            np.frombuffer(slow, np.uint8).reshape(-1, _SLOW_FRAMES, 8), temperatures_c,
+            epochs.sample, euler_output(epochs.states, self._world.unit.pitch_first),
+            self._epoch_unix_s, self._epoch_counter, int(epochs.alignment), valid,
+        )  # fmt: skip
+        self.skip_epochs(count)
+        return frames
 
-    def _append_slow(self, messages: list[can.Message], time_s: float, second: int, epochs: Epochs) -> None:
+    def _slow_data(self, second: int, epochs: Epochs) -> bytes:
         unit, file = self._world.unit, self._world.file
-        centidegrees = np.rint(100.0 * self._world.temperatures_c()).clip(-32768, 32767)
-        case, *gyros = centidegrees.astype(int).tolist()
         counter = self._status_counter
         self._status_counter = (counter + 1) & 0xFFFF
-        height = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
-        align_s = min(int(unit.align_time_s), 0xFFFF)
         applied = unit.compensation
-        status = (epochs.mode, int(unit.pitch_first), align_s, 0 if applied is None else 1, 0, counter)
-        checksums = (0 if applied is None else applied.checksum, checksum(unit.loaded_table))
-        slow = (
-            (SYSTEM_TIME, _TWO_WORDS.pack(second & 0xFFFFFFFF, 0)),
-            (HEIGHT_VELOCITY_D, _TWO_INTS.pack(height, 0)),
-            (INS_STATUS, _STATUS.pack(*status)),
-            (INS_IDENTITY, _IDENTITY.pack(file.ins.serial_number, _FIRMWARE, _HARDWARE)),
-            (COMPENSATION_STATUS, _TWO_WORDS.pack(*checksums)),
-            (OPTICS_TEMPERATURE, _OPTICS.pack(*gyros[:3], counter)),
-            (ELECTRONICS_TEMPERATURE, _ELECTRONICS.pack(*gyros[3:], case)),
-        )
-        for position, (identifier, data) in enumerate(slow):
-            messages.append(frame(time_s + position * FRAME_S, identifier, data))
+        return _SLOW_DATA.pack(
+            second & 0xFFFFFFFF, 0,
+            max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4))), 0,
+            epochs.mode, unit.pitch_first, min(int(unit.align_time_s), 0xFFFF),
+            applied is not None, 0, counter,
+            file.ins.serial_number, _FIRMWARE, _HARDWARE,
+            0 if applied is None else applied.checksum, checksum(unit.loaded_table),
+            0, 0, 0, counter,
+            0, 0, 0, 0,
+        )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def _encode(
+    frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
+    slow: NDArray[np.uint8], temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
+    epoch_unix_s: float, counter: int, alignment: int, valid: bool,
+) -> None:  # fmt: skip
+    """Fill the columns of the frames of some epochs, with m whole seconds among them.
+
+    ``slow``, shape (m, 7, 8): data of the slow frames, in which ``temperatures_c``, (m, 7), are missing.
+    """
+    length[:] = 8
+    row = second = 0
+    for k in range(sample.size):
+        time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
+        if sample[k] % SAMPLE_RATE_HZ == 0:
+            for place in range(_SLOW_FRAMES):
+                frame_s[row + place] = time_s + place * FRAME_S
+                identifier[row + place] = _SLOW_IDS[place]
+                for byte in range(8):
+                    data[row + place, byte] = slow[second, place, byte]
+            row += _SLOW_FRAMES
+            for i in range(3):
+                _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[second, 1 + i])
+                _put(data[row - 1], 2 * i, 2, 100.0 * temperatures_c[second, 4 + i])
+            _put(data[row - 1], 6, 2, 100.0 * temperatures_c[second, 0])
+            time_s += _SLOW_FRAMES * FRAME_S
+            second += 1
+        for place in range(_FAST_FRAMES):
+            frame_s[row + place] = time_s + place * FRAME_S
+            identifier[row + place] = _FAST_IDS[place]
+        _put(data[row], 0, 4, output[k, 0] * _VELOCITY_LSB_PER_MPS)
+        _put(data[row], 4, 4, output[k, 1] * _VELOCITY_LSB_PER_MPS)
+        _put(data[row + 1], 0, 4, output[k, 2] * _ANGLE_LSB_PER_RAD)
+        _put(data[row + 1], 4, 4, output[k, 3] * _ANGLE_LSB_PER_RAD)
+        _put(data[row + 2], 0, 4, np.rint(output[k, 4] * _ANGLE_LSB_PER_RAD) % _FULL_TURN)
+        data[row + 2, 4], data[row + 2, 5] = counter + k & 0xFF, counter + k >> 8 & 0xFF
+        data[row + 2, 6], data[row + 2, 7] = alignment, valid
+        row += _FAST_FRAMES
+
+
+@numba.njit(cache=True)
+def _put(data: NDArray[np.uint8], place: int, size: int, value: float) -> None:
+    """Put a signed integer of ``size`` bytes, rounded and within its range, into the data of a frame."""
+    limit = 2.0 ** (8 * size - 1)
+    number = int(min(max(np.rint(value), -limit), limit - 1.0))
+    for byte in range(size):
+        data[place + byte] = number >> 8 * byte & 0xFF

@@ -11,24 +11,25 @@ SBG Systems, CAN protocol specifications and sbgCan.dbc, release 5.2.590.
 
 from __future__ import annotations
 
-import struct
-
 import can
 import numpy as np
 from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command, frame
+from gyrobench.drivers.emulators.can_formats import (
+    FRAME_S,
+    CanFormat,
+    empty_frames,
+    execute_command,
+    in_order,
+)
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
+from gyrobench.drivers.frames import FrameBlock
 
 STATUS_02, IMU_INFO = 0x102, 0x120
 EKF_INFO, EKF_QUAT, EKF_VEL_NED = 0x130, 0x131, 0x137
 BENCH_COMMAND = 0x7F0
 
-_STATUS = struct.Struct("<Ih")
-_IMU_INFO = struct.Struct("<IHh")
-_TIME = struct.Struct("<I")
-_FOUR, _THREE = struct.Struct("<4h"), struct.Struct("<3h")
 _INT16_MAX = 32767
 _US_PER_SAMPLE = 1_000_000 // SAMPLE_RATE_HZ
 _UNINITIALISED, _AHRS, _NAV_VELOCITY = 0, 2, 3
@@ -45,29 +46,23 @@ class SbgFormat(CanFormat):
             execute_command(self._world.unit, message.data[0])
 
     @override
-    def frames(self, epochs: Epochs) -> list[can.Message]:
-        quaternions = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX).astype(int)
-        north_east = np.rint(100.0 * epochs.states[:, [5, 4]]).clip(-_INT16_MAX, _INT16_MAX).astype(int)
-        messages: list[can.Message] = []
-        rows = zip(epochs.sample.tolist(), quaternions.tolist(), north_east.tolist(), strict=True)
-        for sample, quaternion, (north, east) in rows:
-            time_s = self._epoch_unix_s + sample / SAMPLE_RATE_HZ
-            stamp_us = sample * _US_PER_SAMPLE & 0xFFFFFFFF
-            if sample % SAMPLE_RATE_HZ == 0:
-                messages.append(frame(time_s, STATUS_02, _STATUS.pack(_solution(epochs), 0)))
-                messages.append(frame(time_s + FRAME_S, IMU_INFO, self._imu_info(stamp_us)))
-                time_s += 2 * FRAME_S
-            messages += (
-                frame(time_s, EKF_INFO, _TIME.pack(stamp_us)),
-                frame(time_s + FRAME_S, EKF_QUAT, _FOUR.pack(*quaternion)),
-                frame(time_s + 2 * FRAME_S, EKF_VEL_NED, _THREE.pack(north, east, 0)),
-            )
-        return messages
-
-    def _imu_info(self, stamp_us: int) -> bytes:
-        optics_c = self._world.temperatures_c()[1:4]
-        centidegrees = int(np.rint(100.0 * optics_c.mean()).clip(-_INT16_MAX, _INT16_MAX))
-        return _IMU_INFO.pack(stamp_us, _IMU_OK, centidegrees)
+    def frames(self, epochs: Epochs) -> FrameBlock:
+        time_s = self._epoch_unix_s + epochs.sample / SAMPLE_RATE_HZ
+        stamps_us = epochs.sample * _US_PER_SAMPLE & 0xFFFFFFFF
+        whole = epochs.sample % SAMPLE_RATE_HZ == 0
+        slow = empty_frames(time_s[whole], (STATUS_02, IMU_INFO), (6, 8))
+        words, halves = slow["data"].view("<u4"), slow["data"].view("<i2")
+        words[:, 0, 0] = _solution(epochs)
+        words[:, 1, 0], halves[:, 1, 2] = stamps_us[whole], _IMU_OK
+        for row in halves[:, 1]:
+            optics_c = self._world.temperatures_c()[1:4].mean()
+            row[3] = np.rint(100.0 * optics_c).clip(-_INT16_MAX, _INT16_MAX)
+        fast = empty_frames(time_s + 2 * FRAME_S * whole, (EKF_INFO, EKF_QUAT, EKF_VEL_NED), (4, 8, 6))
+        fast["data"].view("<u4")[:, 0, 0] = stamps_us
+        halves = fast["data"].view("<i2")
+        halves[:, 1] = np.rint(_forward_right_down(epochs.states[:, :4]) * _INT16_MAX)
+        halves[:, 2, :2] = np.rint(100.0 * epochs.states[:, [5, 4]]).clip(-_INT16_MAX, _INT16_MAX)
+        return in_order(slow, fast)
 
 
 def _forward_right_down(quaternions: FloatArray) -> FloatArray:

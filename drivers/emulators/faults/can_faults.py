@@ -7,6 +7,7 @@ them in that time.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Literal
 
@@ -17,6 +18,7 @@ from pydantic import Field
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
 from gyrobench.drivers.emulators.faults.fault import BenchParts, Count, End, Fault, Occurrence, Persistence
 from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FrameFilter
+from gyrobench.drivers.frames import FrameBlock
 
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
 #: Bits of a data frame with eight bytes, with stuff bits and interframe space.
@@ -27,6 +29,10 @@ def filter_while(bus: FaultyCan, frame_filter: FrameFilter) -> End:
     """Filter the frames until the fault ends."""
     bus.filters.append(frame_filter)
     return partial(bus.filters.remove, frame_filter)
+
+
+def _by_message(message_filter: Callable[[list[can.Message]], list[can.Message]]) -> FrameFilter:
+    return lambda frames: FrameBlock.from_messages(message_filter(frames.messages()))
 
 
 class FrameFault(Fault):
@@ -46,7 +52,7 @@ class FrameFault(Fault):
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         remaining = self.frames
 
-        def frame_filter(messages: list[can.Message]) -> list[can.Message]:
+        def disturbed(messages: list[can.Message]) -> list[can.Message]:
             nonlocal remaining
             arrived: list[can.Message] = []
             for message in messages:
@@ -60,6 +66,7 @@ class FrameFault(Fault):
                 bench.bus.filters.remove(frame_filter)
             return arrived
 
+        frame_filter = _by_message(disturbed)
         end = filter_while(bench.bus, frame_filter)
         return end if self.for_s is not None else None
 
@@ -131,10 +138,8 @@ class TimeStampJump(Fault):
     by_s: float = Field(description="error of the time stamps, s")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        def shifted(messages: list[can.Message]) -> list[can.Message]:
-            for message in messages:
-                message.timestamp += self.by_s
-            return messages
+        def shifted(frames: FrameBlock) -> FrameBlock:
+            return frames.with_fields(time_s=frames.timestamp_s + self.by_s)
 
         return filter_while(bench.bus, shifted)
 
@@ -173,7 +178,7 @@ class SecondNode(Fault):
                 occurrence.record()
             return arriving
 
-        return filter_while(bench.bus, others_too)
+        return filter_while(bench.bus, _by_message(others_too))
 
 
 class ForeignFrames(Fault):
@@ -213,4 +218,4 @@ class ForeignFrames(Fault):
                 free_from_s += frame_s
             return arriving
 
-        return filter_while(bench.bus, crowded)
+        return filter_while(bench.bus, _by_message(crowded))

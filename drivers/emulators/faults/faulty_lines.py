@@ -11,6 +11,7 @@ import can
 
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
+from gyrobench.drivers.frames import FrameBlock
 
 
 class Reply(NamedTuple):
@@ -36,8 +37,8 @@ class Exchange:
 
 #: Gives the reply in place of the correct one; None leaves the exchange unchanged.
 Disturbance = Callable[[Exchange], Reply | None]
-#: Makes the frames that arrive from those that were sent.
-FrameFilter = Callable[[list[can.Message]], list[can.Message]]
+#: Makes the frames that arrive from those that were sent; does not change these.
+FrameFilter = Callable[[FrameBlock], FrameBlock]
 
 
 class FaultySerial:
@@ -74,7 +75,7 @@ class FaultyCan:
 
     def __init__(self, ins: CanInsEmulator) -> None:
         self._ins = ins
-        self.listeners: list[Callable[[list[can.Message]], None]] = []
+        self.listeners: list[Callable[[FrameBlock], None]] = []
         self.connection = Connection()  #: Broken while the controller is bus-off.
         self.filters: list[FrameFilter] = []  #: Filters of the frames, applied in this order.
         ins.listeners.append(self._forward)
@@ -84,10 +85,11 @@ class FaultyCan:
         if not self.connection.broken:
             self._ins.receive(message)
 
-    def _forward(self, messages: list[can.Message]) -> None:
+    def _forward(self, frames: FrameBlock) -> None:
         if self.connection.broken:
             return
         for frame_filter in tuple(self.filters):
-            messages = frame_filter(messages)
-        for listener in self.listeners:
-            listener(messages)
+            frames = frame_filter(frames)
+        if len(frames):
+            for listener in self.listeners:
+                listener(frames)

@@ -10,13 +10,14 @@ import struct
 from functools import partial
 from typing import Annotated, Literal, get_args
 
-import can
+import numpy as np
 from pydantic import Field
 
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, ROLL_PITCH, VELOCITY_NE
 from gyrobench.drivers.emulators.faults.can_faults import filter_while
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
 from gyrobench.drivers.emulators.world.inertial_unit import Mode
+from gyrobench.drivers.frames import FrameBlock
 
 Signal = Literal["velocity_north", "velocity_east", "roll", "pitch", "heading"]
 Sensor = Literal[
@@ -95,15 +96,18 @@ class OutputFault(Fault):
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         first: dict[str, bytes] = {}
 
-        def replaced(messages: list[can.Message]) -> list[can.Message]:
-            for message in messages:
-                for signal in self.signals:
-                    identifier, place = _PLACES[signal]
-                    if message.arbitration_id == identifier:
-                        correct = bytes(message.data[place : place + 4])
-                        message.data[place : place + 4] = self._value(first.setdefault(signal, correct))
-                        occurrence.record()
-            return messages
+        def replaced(frames: FrameBlock) -> FrameBlock:
+            data = frames.data.copy()
+            for signal in self.signals:
+                identifier, place = _PLACES[signal]
+                affected = np.flatnonzero(frames.arbitration_id == identifier)
+                if len(affected):
+                    bytes_of_signal = slice(place, place + 4)
+                    correct = data[affected[0], bytes_of_signal].tobytes()
+                    value = self._value(first.setdefault(signal, correct))
+                    data[affected, bytes_of_signal] = np.frombuffer(value, np.uint8)
+                    occurrence.record()
+            return frames.with_fields(data=data)
 
         return filter_while(bench.bus, replaced)
 

@@ -8,8 +8,8 @@ gyro). The sums are evaluated once a second, so the result does not depend on ho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +47,7 @@ class Alignment(IntEnum):
     FINE = 2
 
 
-@dataclass(frozen=True)
-class Epochs:
+class Epochs(NamedTuple):
     """Navigation output at the INS's epochs."""
 
     sample: IntArray  #: Shape (n,). Sample index since the world began (time = sample / 100 s).

@@ -75,6 +75,84 @@ def _fill(column: FloatArray, value: OverTemperature, unit: float) -> None:
 
 
 @numba.njit(cache=True)
+def measure(
+    rotation: FloatArray, velocity: FloatArray, polynomials: FloatArray, temperature_c: FloatArray,
+    reference_c: float, gyro_bias: FloatArray, added_dph: FloatArray, compensated_dph: FloatArray,
+    normal: FloatArray, dt: float, walks: FloatArray, pulses: FloatArray, remainders: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Output of gyros and accelerometers, each as in :func:`sense`.
+
+    Parameters
+    ----------
+    rotation, velocity : ndarray, shape (m, 3)
+        True increments; the first n are used.
+    polynomials : ndarray, shape (2, 6, 12)
+        Of gyros and accelerometers, see :class:`TriadErrors`; so are ``walks`` and ``pulses``, shape (2,).
+    temperature_c : ndarray, shape (7,)
+        See :class:`~gyrobench.drivers.emulators.world.thermal.ThermalNetwork`; the accelerometers have the
+        temperature of the case.
+    gyro_bias, added_dph, compensated_dph : ndarray, shape (3,)
+        Added to the gyros' biases, rad/s and deg/h, and subtracted from them, deg/h.
+    normal : ndarray, shape (n, 2, 3)
+        Standard normal numbers, sample by sample; scaled in place.
+    remainders : ndarray, shape (2, 3)
+        Of gyros and accelerometers.
+    """
+    n = normal.shape[0]
+    root = math.sqrt(dt)
+    for k in range(n):
+        for kind in range(2):
+            for i in range(3):
+                normal[k, kind, i] = normal[k, kind, i] * root * walks[kind]
+    gyros = _evaluated(polynomials[0], temperature_c[1:4] - reference_c)
+    for i in range(3):
+        gyros[0, i] += gyro_bias[i]
+        gyros[0, i] += added_dph[i] * DPH_TO_RADPS
+        gyros[0, i] -= compensated_dph[i] * DPH_TO_RADPS
+    accelerometers = _evaluated(polynomials[1], np.full(3, temperature_c[0] - reference_c))
+    return (
+        sense(rotation[:n], gyros[1:], gyros[0], normal[:, 0], dt, pulses[0], remainders[0]),
+        sense(
+            velocity[:n], accelerometers[1:], accelerometers[0], normal[:, 1], dt, pulses[1], remainders[1]
+        ),
+    )
+
+
+@numba.njit(cache=True)
+def sense(
+    true: FloatArray, error_matrix: FloatArray, bias: FloatArray, noise: FloatArray, dt: float, pulse: float,
+    remainder: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Sensor output for true increments, the paper's (1) or (2) integrated over each sample.
+
+    Parameters
+    ----------
+    true, noise : ndarray, shape (n, 3)
+        True increments, and random ones to add (same unit).
+    error_matrix : ndarray, shape (3, 3)
+        Scale factor errors on the diagonal, misalignments beside it.
+    bias : ndarray, shape (3,)
+        Bias, unit of the increment per second.
+    pulse : float
+        Size of one output pulse; 0 for none. The remainder stays in ``remainder`` (3,).
+    """
+    n = true.shape[0]
+    out = np.empty((n, 3))
+    for k in range(n):
+        for i in range(3):
+            value = true[k, i] + bias[i] * dt + noise[k, i]
+            for j in range(3):
+                value += error_matrix[i, j] * true[k, j]
+            if pulse > 0.0:
+                value += remainder[i]
+                whole = math.floor(value / pulse + 0.5) * pulse
+                remainder[i] = value - whole
+                value = whole
+            out[k, i] = value
+    return out
+
+
+@numba.njit(cache=True)
 def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> FloatArray:
     values = np.zeros((4, 3))
     for column in range(12):

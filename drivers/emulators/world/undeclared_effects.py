@@ -10,9 +10,9 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
+import numba
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag
 from typing_extensions import override
@@ -30,8 +30,7 @@ Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
+class Conditions(NamedTuple):
     """What the gyros are exposed to at one moment."""
 
     #: time_s, since_power_on_s: Time since the start of the world, and since power-on (None while the unit is
@@ -106,9 +105,19 @@ class AttitudeThermal(Effect):
     onset_width_c: Positive = Field(2.0, description="width of the onset, K")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
-        below = (self.onset_c - now.optics_c) / self.onset_width_c
-        onset = np.logaddexp(0.0, below) * self.onset_width_c / self.onset_c
-        return np.asarray(np.array(self.sensitivity_dph_per_w) * now.convected_w * onset)
+        added_dph = np.array(self.sensitivity_dph_per_w)
+        _follow_convection(added_dph, now.convected_w, now.optics_c, self.onset_c, self.onset_width_c)
+        return added_dph
+
+
+@numba.njit(cache=True)
+def _follow_convection(
+    added_dph: FloatArray, convected_w: FloatArray, optics_c: FloatArray, onset_c: float, width_c: float
+) -> None:
+    for i in range(3):
+        below = (onset_c - optics_c[i]) / width_c
+        softened = max(below, 0.0) + math.log1p(math.exp(-abs(below)))
+        added_dph[i] *= convected_w[i] * (softened * (width_c / onset_c))
 
 
 class ThermalHysteresis(Effect):
@@ -286,4 +295,7 @@ class UndeclaredBias:
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (3,); to be called once a second in order of time."""
-        return np.sum([effect(now) for effect in self._effects], axis=0) if self._effects else np.zeros(3)
+        total_dph = np.zeros(3)
+        for effect in self._effects:
+            total_dph += effect(now)
+        return total_dph

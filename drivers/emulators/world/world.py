@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
-from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, accelerometer_errors, gyro_errors
-from gyrobench.drivers.emulators.world.strapdown import measure, table_attitude, true_increments
+from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, accelerometer_errors, gyro_errors, measure
+from gyrobench.drivers.emulators.world.strapdown import table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 from gyrobench.drivers.emulators.world.undeclared_effects import Conditions, UndeclaredBias
@@ -22,6 +22,7 @@ OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
 #: Stands for the sensors' output while the unit does not use it.
 _UNUSED = np.zeros((SAMPLE_RATE_HZ, 3))
+_NONE_DPH = np.zeros(3)
 _AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "position_error_arcsec"}
 _OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
 _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
@@ -49,14 +50,15 @@ class World:
         self._outer, self._inner = self.axes[OUTER], self.axes[INNER]
         self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
+        self._sensor_noise_c = file.thermal.sensor_noise_c
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
         #: Called with the navigation epochs in order of time.
         self.on_epochs: Callable[[Epochs], None] | None = None
         #: Readings of faulty temperature sensors, by their index in :meth:`temperatures_c`.
         self.broken_sensors: dict[int, float] = {}
         self._gyro = gyro_errors(file.gyro)
-        self._accelerometer = accelerometer_errors(file.accelerometer)
-        triads = self._gyro, self._accelerometer
+        triads = self._gyro, accelerometer_errors(file.accelerometer)
+        self._polynomials = np.array([triad.polynomials for triad in triads])
         self._walks = np.array([triad.random_walk for triad in triads])
         self._pulses = np.array([triad.pulse for triad in triads])
         self._power_on_bias = np.zeros(3)
@@ -65,7 +67,6 @@ class World:
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self._resting_from_s: tuple[float, float] | None = None
-        self._sensor_errors: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
         self._undeclared_dph = self._undeclared.added_dph(self._conditions(self.attitude()[2]))
 
@@ -82,11 +83,12 @@ class World:
     def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
         noise = self._random.standard_normal(7)
-        return self._as_read(self.thermal.nodes_c + self.file.thermal.sensor_noise_c * noise)
+        return self._as_read(self.thermal.nodes_c + self._sensor_noise_c * noise)
 
     def true_gyro_bias(self) -> FloatArray:
         """The true gyro biases at this moment, rad/s, shape (3,)."""
-        return self._gyro_errors()[0]
+        bias, _ = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
+        return bias + self._power_on_bias + self.undeclared_bias()
 
     def undeclared_bias(self) -> FloatArray:
         """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
@@ -116,10 +118,9 @@ class World:
         self.thermal.step(1.0, self.air.air_c, up_body)
         self._update_undeclared(up_body)
         if self.unit.powered:
-            noise_c = self.file.thermal.sensor_noise_c * self._unit_random.standard_normal(6)
             read_c = self.thermal.nodes_c.copy()
-            read_c[1:] += noise_c
-            read_c = self._as_read(read_c)
+            read_c[1:] += self._sensor_noise_c * self._unit_random.standard_normal(6)
+            self._as_read(read_c)
             self.unit.sense_temperatures(read_c[1:4], read_c[4:])
 
     def _as_read(self, nodes_c: FloatArray) -> FloatArray:
@@ -128,9 +129,9 @@ class World:
         return nodes_c
 
     def _update_undeclared(self, up_body: FloatArray) -> None:
-        """Evaluate the undeclared effects for the next second; the sensor errors are recalculated."""
-        self._undeclared_dph = self._undeclared.added_dph(self._conditions(up_body))
-        self._sensor_errors = None
+        """Evaluate the undeclared effects for the next second."""
+        if self.file.undeclared_effects:
+            self._undeclared_dph = self._undeclared.added_dph(self._conditions(up_body))
 
     def _conditions(self, up_body: FloatArray) -> Conditions:
         on_s = (self._sample - self._powered_on_sample) * _DT_S
@@ -160,17 +161,14 @@ class World:
         self, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> tuple[FloatArray, FloatArray]:
         rotation, velocity = self._ideal_increments(count) if resting is None else resting[:2]
-        if self._sensor_errors is None:
-            case_c = np.full(3, self.thermal.nodes_c[0] - self.file.reference_temperature_c)
-            self._sensor_errors = self._gyro_errors(), self._accelerometer.at(case_c)
-        (gyro_bias, gyro_matrix), (accelerometer_bias, accelerometer_matrix) = self._sensor_errors
-        if self.unit.compensation is not None:
-            gyro_bias = gyro_bias - self.unit.compensation.bias_dph * DPH_TO_RADPS
+        compensation = self.unit.compensation
         # Drawn sample by sample: the noise does not depend on how the time is split.
         normal = self._random.standard_normal((count, 2, 3))
         measured: tuple[FloatArray, FloatArray] = measure(
-            rotation, velocity, gyro_matrix, gyro_bias, accelerometer_matrix, accelerometer_bias, normal,
-            _DT_S, self._walks, self._pulses, self._remainders,
+            rotation, velocity, self._polynomials, self.thermal.nodes_c, self.file.reference_temperature_c,
+            self._power_on_bias, self._undeclared_dph,
+            _NONE_DPH if compensation is None else compensation.bias_dph,
+            normal, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
         return measured
 
@@ -191,10 +189,6 @@ class World:
             *self._geometry, outer, inner, self._latitude, self.file.height_m, _DT_S
         )
         return rotation, velocity
-
-    def _gyro_errors(self) -> tuple[FloatArray, FloatArray]:
-        bias, matrix = self._gyro.at(self.thermal.optics_c - self.file.reference_temperature_c)
-        return bias + self._power_on_bias + self.undeclared_bias(), matrix
 
 
 def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:

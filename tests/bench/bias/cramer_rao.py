@@ -16,13 +16,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
-from gyrobench.drivers.emulators.world.strapdown import (
-    STATE_SIZE,
-    gyrocompass,
-    navigate,
-    sense,
-    true_increments,
-)
+from gyrobench.drivers.emulators.world.sensor_errors import sense
+from gyrobench.drivers.emulators.world.strapdown import STATE_SIZE, gyrocompass, navigate, true_increments
 
 _EAST, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Sizes of the changes: far above rounding, far below what would not be linear.

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.drivers.emulators.world.sensor_errors import sense
 from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     gyrocompass,
     matrix_of,
     navigate,
-    sense,
     table_attitude,
     true_increments,
 )

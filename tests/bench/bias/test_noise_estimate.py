@@ -10,14 +10,13 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G, sense
 from gyrobench.drivers.emulators.world.strapdown import (
     STATE_SIZE,
     euler_output,
     gyrocompass,
     navigate,
     normal_gravity,
-    sense,
     true_increments,
 )
 from gyrobench.drivers.ins.attitude import EulerSequence, attitude_matrices

@@ -8,8 +8,8 @@ from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADP
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrix
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC
-from gyrobench.drivers.emulators.world.strapdown import sense, true_increments
+from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, sense
+from gyrobench.drivers.emulators.world.strapdown import true_increments
 
 EAST, NORTH, UP = np.eye(3)
 LATITUDE = np.radians(51.0784)

@@ -7,14 +7,8 @@ from scipy.stats import chi2
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, InertialUnit, Mode
-from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
-from gyrobench.drivers.emulators.world.strapdown import (
-    EARTH_RATE,
-    matrix_of,
-    normal_gravity,
-    sense,
-    true_increments,
-)
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G, sense
+from gyrobench.drivers.emulators.world.strapdown import EARTH_RATE, matrix_of, normal_gravity, true_increments
 from gyrobench.drivers.emulators.world.world_file import InsBehaviour
 from tests.bench.bias.simulated_dwell import DwellScenario, Sensors, Table, simulate_dwell
 

@@ -10,7 +10,6 @@ from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock
 
 
 @pytest.fixture
@@ -27,5 +26,5 @@ def recorded(short_run):
     folder, _, _ = short_run
     (entry,) = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished"]
     marks = DwellMarks.from_json(entry["marks"])
-    frames = FrameBlock.from_messages(dict(read_can_log(folder.can))[marks.log_part]).data_frames()
+    frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()
     return marks, frames, measurement_setup(Station(folder.station))

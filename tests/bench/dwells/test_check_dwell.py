@@ -11,7 +11,6 @@ from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +19,7 @@ def recorded(short_run):
     folder, _, _ = short_run
     entry = next(entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished")
     marks = DwellMarks.from_json(entry["marks"])
-    frames = FrameBlock.from_messages(dict(read_can_log(folder.can))[marks.log_part]).data_frames()
+    frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()
     alone = replace(marks, windows=marks.windows[:1], is_calibration_check=True)
     return alone, frames, measurement_setup(Station(folder.station)), marks
 

@@ -34,7 +34,6 @@ def test_marks_survive_the_journal():
         {"dwell": "3"},
         {"log_part": 2.5},
         {"start_s": float("nan")},
-        {"windows": []},
         {"windows": "none"},
         {"windows": [{"first_frame": 30, "end_frame": 20, "outer_deg": 0.0, "inner_deg": 0.0}]},
         {"windows": [{"first_frame": -1, "end_frame": 20, "outer_deg": 0.0, "inner_deg": 0.0}]},

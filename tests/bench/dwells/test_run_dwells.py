@@ -38,7 +38,7 @@ def test_a_log_without_the_frames_of_a_dwell_is_an_error(copied_run):
     parts = sorted(copied_run.can.iterdir())
     for part in parts[1:]:
         part.unlink()
-    with pytest.raises(RunFolderError, match="lacks the parts"):
+    with pytest.raises(RunFolderError, match=r"lacks part \d+, which dwell \d+ needs"):
         recompute_run(copied_run.path)
 
 
@@ -57,6 +57,17 @@ def test_a_part_that_holds_fewer_frames_than_its_dwell_is_an_error(copied_run):
     add_to_journal(copied_run, entry)
     with pytest.raises(RunFolderError, match="frames, where dwell 1 needs"):
         recompute_run(copied_run.path)
+
+
+def test_a_dwell_in_which_the_ins_never_navigated_gives_a_flagged_row(copied_run):
+    (entry,) = finished_entries(copied_run)
+    later_s = entry["marks"]["end_s"] + 60.0
+    changes = {"dwell": 2, "log_part": 99, "windows": [], "start_s": later_s, "end_s": later_s + 60.0}
+    add_to_journal(copied_run, entry | {"marks": entry["marks"] | changes})
+    recompute_run(copied_run.path)
+    first, second = read_dwells(copied_run.dwells)
+    assert first.flags == ""
+    assert second.flags == "the INS never navigated at rest in this dwell"
 
 
 def test_of_a_dwell_finished_twice_the_last_time_counts(copied_run):

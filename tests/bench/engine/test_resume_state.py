@@ -45,12 +45,13 @@ def test_a_dwell_is_done_with_its_entry_and_not_before(plan, entries):
     assert (skipped.finished, skipped.skipped) == ({1}, {2})
 
 
-def test_a_journal_that_lacks_the_end_of_a_dwell_is_refused(plan, entries):
+def test_a_dwell_whose_end_the_journal_lacks_is_lost_and_comes_first(plan, entries):
     without = [entry for entry in entries if entry.get("marks") != {"dwell": 1}]
-    with pytest.raises(
-        RunFolderError, match=r"the end of dwell 1 is missing, .* `gyrobench bins` recomputes"
-    ):
-        resume_state_of(without, plan)
+    state = resume_state_of(without, plan)
+    assert state.lost == {1}
+    first = state.resume_index(plan)
+    assert (plan.steps[first - 1].dwell, plan.steps[first].dwell) == (None, 1)
+    assert first < state.next_index
 
 
 @pytest.mark.parametrize(

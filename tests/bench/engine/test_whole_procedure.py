@@ -88,7 +88,7 @@ def test_cantools_decodes_what_the_emulated_ins_sends(short_run):
     folder, _, _ = short_run
     database = cantools.database.load_file(folder.path / "gyrobench_ins.dbc")
     station = Station(folder.station)
-    messages = [message for _, part in read_can_log(folder.can) for message in part]
+    messages = [message for _, part in read_can_log(folder.can) for message in part.messages()]
     headings = [
         database.decode_message(message.arbitration_id, bytes(message.data), decode_choices=False)
         for message in messages

@@ -4,6 +4,7 @@ import can
 import pytest
 
 from gyrobench.bench.exchange.can_export import TimedPart
+from gyrobench.drivers.frames import FrameBlock
 
 BEGIN_S = 1_700_000_000.0
 
@@ -11,20 +12,18 @@ BEGIN_S = 1_700_000_000.0
 def strange_frames():
     """Frames that an INS does not send."""
     return [
-        can.Message(BEGIN_S, 0x1ABCDE, is_extended_id=True, data=b"\x01\x02", channel=1),
+        can.Message(BEGIN_S, 0x1ABCDE, is_extended_id=True, data=b"\x01\x02"),
         can.Message(BEGIN_S + 1.0, 0x7F, is_extended_id=False, is_remote_frame=True, dlc=4),
         can.Message(BEGIN_S + 2.0, 0x123, is_extended_id=False, is_error_frame=True),
-        can.Message(BEGIN_S + 3.0, 0x124, is_extended_id=False, is_fd=True, data=bytes(range(48)), dlc=48),
-        can.Message(BEGIN_S + 4.0, 0x125, is_extended_id=False, is_rx=False, data=bytes(8)),
+        can.Message(BEGIN_S + 3.0, 0x124, is_extended_id=False),
     ]
 
 
 def strange_parts():
     """Two parts of a log with them."""
-    parts = [TimedPart(1, strange_frames()), TimedPart(2, strange_frames()[:2])]
-    for message in parts[1].messages:
-        message.timestamp += 10.0
-    return parts
+    frames = FrameBlock.from_messages(strange_frames())
+    later = frames.with_fields(time_s=frames.timestamp_s + 10.0)
+    return [TimedPart(1, frames), TimedPart(2, later.take(slice(0, 2)))]
 
 
 def frames_of(path):

@@ -11,12 +11,12 @@ from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.exchange.can_export import TimedLog, write_blf
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.runs.blf import BlfWriter
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
 
@@ -30,7 +30,7 @@ def test_a_blf_file_holds_every_frame_with_its_calendar_time(two_dwells, message
 def test_frames_of_all_kinds_survive(tmp_path):
     path, parts = tmp_path / "can.blf", strange_parts()
     write_blf(path, parts)
-    assert_same(frames_of(path), [message for part in parts for message in part.messages])
+    assert_same(frames_of(path), [message for part in parts for message in part.frames.messages()])
 
 
 @pytest.fixture
@@ -42,17 +42,17 @@ def copied(two_dwells, tmp_path):
 def rewrite(folder, change):
     """Write the parts of a log again with other times."""
     parts = list(read_can_log(folder.can))
-    for number, messages in parts:
-        with can.BLFWriter(folder.can / f"part-{number:05d}.blf") as writer:
-            for message in messages:
-                message.timestamp = change(number, message.timestamp)
-                writer.on_message_received(message)
+    for number, frames in parts:
+        with (folder.can / f"part-{number:05d}.blf").open("wb") as stream:
+            writer = BlfWriter(stream)
+            writer.write(frames.with_fields(time_s=change(number, frames.timestamp_s)))
+            writer.finish()
 
 
 def test_parts_with_calendar_times_stay_as_they_are(two_dwells):
     log = TimedLog(two_dwells)
-    placed = {part.number: [m.timestamp for m in part.messages] for part in log}
-    logged = {number: [m.timestamp for m in messages] for number, messages in read_can_log(two_dwells.can)}
+    placed = {part.number: part.frames.timestamp_s.tolist() for part in log}
+    logged = {number: frames.timestamp_s.tolist() for number, frames in read_can_log(two_dwells.can)}
     assert placed == {number: times for number, times in logged.items() if times}
     assert log.estimated == []
 
@@ -62,14 +62,14 @@ def test_a_dwell_reports_the_time_where_the_adapter_has_a_clock_of_its_own(two_d
     rewrite(copied, lambda number, time_s: time_s - began_s + 100.0 * number)
     log, good = TimedLog(copied), list(TimedLog(two_dwells))
     placed = list(log)
-    assert sum(len(part.messages) for part in placed) == sum(len(part.messages) for part in good)
+    assert sum(len(part.frames) for part in placed) == sum(len(part.frames) for part in good)
     for part, right in zip(placed, good, strict=True):
         exact = part.number in log.finished
         assert exact != (part.number in log.estimated)
-        off_s = part.messages[0].timestamp - right.messages[0].timestamp
+        off_s = part.frames.timestamp_s[0] - right.frames.timestamp_s[0]
         assert abs(off_s) < (1.1 if exact else 30.0)  # a tick; the way from dwell to dwell
-        assert part.messages[-1].timestamp - part.messages[0].timestamp == pytest.approx(
-            right.messages[-1].timestamp - right.messages[0].timestamp, abs=1e-5
+        assert part.frames.timestamp_s[-1] - part.frames.timestamp_s[0] == pytest.approx(
+            right.frames.timestamp_s[-1] - right.frames.timestamp_s[0], abs=1e-5
         )
 
 
@@ -83,9 +83,9 @@ def test_a_part_that_was_never_closed_follows_the_one_before(two_dwells, copied)
     log = TimedLog(copied)
     *_, before, part = log
     assert log.estimated == [part.number]
-    assert part.messages[0].timestamp == before.messages[-1].timestamp
+    assert part.frames.timestamp_s[0] == before.frames.timestamp_s[-1]
     *_, right = TimedLog(two_dwells)
-    assert abs(part.messages[0].timestamp - right.messages[0].timestamp) < 30.0
+    assert abs(part.frames.timestamp_s[0] - right.frames.timestamp_s[0]) < 30.0
 
 
 @pytest.fixture(scope="module")
@@ -99,10 +99,7 @@ def of_run(two_dwells, tmp_path_factory):
 def decoded(two_dwells):
     """What the bench itself decodes, part by part."""
     setup = measurement_setup(Station(two_dwells.station))
-    return {
-        number: setup.decode(FrameBlock.from_messages(messages).data_frames())
-        for number, messages in read_can_log(two_dwells.can)
-    }
+    return {number: setup.decode(frames.data_frames()) for number, frames in read_can_log(two_dwells.can)}
 
 
 def test_navigation_is_what_the_bench_measures_from(of_run, decoded):

@@ -33,7 +33,7 @@ def test_an_mdf4_file_holds_every_frame_with_its_calendar_time(mf4, messages):
 def test_frames_of_all_kinds_survive(dbc, tmp_path):
     path, parts = tmp_path / "can.mf4", strange_parts()
     write_mf4(path, parts, dbc, {})
-    assert_same(frames_of(path), [message for part in parts for message in part.messages])
+    assert_same(frames_of(path), [message for part in parts for message in part.frames.messages()])
 
 
 def test_asammdf_decodes_to_the_numbers_of_our_own_decoder(mf4, messages, dbc):

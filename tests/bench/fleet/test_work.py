@@ -2,14 +2,13 @@
 
 import os
 import signal
-import sys
 
-import cloudpickle
+import psutil
 import pytest
-from distributed import LocalCluster, WorkerPlugin
+from distributed import LocalCluster
 
 import gyrobench.bench.fleet.jobs
-from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobState, read_record
+from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobState, do_job, read_record
 from gyrobench.bench.fleet.workers import Workers, connected, work_through
 from gyrobench.bench.foundations.errors import GyrobenchError
 from tests.bench.runs.index.sample_runs import copy_run
@@ -17,18 +16,11 @@ from tests.bench.runs.index.sample_runs import copy_run
 pytestmark = pytest.mark.long
 
 
-class DiesOfDeadlyRuns(WorkerPlugin):
-    """Makes a worker end as the kernel ends one that takes all memory, when it opens a run of that name."""
-
-    def setup(self, worker):
-        opened = gyrobench.bench.fleet.jobs.open_run_folder
-
-        def open_or_die(path):
-            if path.name == "deadly":
-                os.kill(os.getpid(), signal.SIGKILL)
-            return opened(path)
-
-        gyrobench.bench.fleet.jobs.open_run_folder = open_or_die
+def do_or_die(kind, path):
+    """End a worker as the kernel ends one that takes all memory, when it opens a run of that name."""
+    if path.endswith("deadly"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return do_job(kind, path)
 
 
 @pytest.fixture
@@ -36,17 +28,32 @@ def runs(sample, tmp_path):
     return [copy_run(sample, tmp_path / name).path for name in ("a", "deadly", "c")]
 
 
-def test_a_run_that_kills_its_worker_fails_and_the_others_are_done(runs, tmp_path):
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+def test_a_run_that_kills_its_worker_fails_and_the_others_are_done(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr("gyrobench.bench.fleet.workers.do_job", do_or_die)
     record = FleetRecord(JobKind.BINS, tmp_path / "record")
     (runs[2] / "station.yaml").write_text("station: [")
     with connected(Workers(count=1)) as client:
-        client.register_plugin(DiesOfDeadlyRuns())
         results = {result.path: result for result in work_through(client, record, runs)}
     assert [results[str(path)].state for path in runs] == [JobState.DONE, JobState.FAILED, JobState.FAILED]
     assert "its worker was killed" in results[str(runs[1])].text
     assert "station.yaml" in results[str(runs[2])].text
     assert read_record(JobKind.BINS, tmp_path / "record").pending(runs) == runs[1:]
+
+
+def test_local_workers_open_no_port_and_import_nothing_from_the_current_folder(runs, tmp_path, monkeypatch):
+    for name in ("struct", "pickle", "_compat_pickle"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'trapped')!r}, 'w')\n")
+    monkeypatch.chdir(tmp_path)
+    record = FleetRecord(JobKind.BINS, tmp_path / "record")
+    with connected(Workers(count=1)) as pool:
+        (result,) = work_through(pool, record, runs[:1])
+        family = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        assert len(family) > 1
+        assert not [
+            each for process in family for each in process.net_connections() if each.status == "LISTEN"
+        ]
+    assert result.state == JobState.DONE
+    assert not (tmp_path / "trapped").exists()
 
 
 def test_threads_do_the_same_and_a_bug_is_a_failure_of_its_run(runs, tmp_path, monkeypatch):

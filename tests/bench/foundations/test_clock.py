@@ -182,14 +182,6 @@ def test_of_a_fast_clock_the_calendar_is_ahead_by_what_it_was_set(host):
     assert clock.calendar_offset_s() == pytest.approx(50.0)
 
 
-def test_a_stamp_of_the_calendar_becomes_the_time_of_a_fast_clock(host):
-    clock = WallClock(start_s=100.0, speed=10.0)
-    host.passes(2.0)
-    assert clock.stamp_s(host.calendar.timestamp()) == pytest.approx(clock.utc().timestamp())
-    assert WallClock().stamp_s(12.25) == 12.25
-    assert VirtualClock().stamp_s(12.25) == 12.25
-
-
 def test_a_fast_run_is_resumed_at_its_speed_after_its_last_record(host):
     clock = WallClock.resumed(TEN - timedelta(seconds=10), 400.0, speed=10.0)
     assert clock.now() == pytest.approx(400.0 + RESUME_STEP_S)

@@ -5,7 +5,8 @@ from scipy.spatial.transform import Rotation
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site, dynamics, integrate
-from gyrobench.drivers.emulators.world.strapdown import matrix_of, navigate, sense, true_increments
+from gyrobench.drivers.emulators.world.sensor_errors import sense
+from gyrobench.drivers.emulators.world.strapdown import matrix_of, navigate, true_increments
 
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 HEIGHT, STEP_S, DURATION_S = 150.0, 0.1, 600.0

@@ -2,24 +2,21 @@ import os
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 
-def frames(start, count):
-    return [
-        can.Message(
-            timestamp=946684800.0 + 0.1 * k,
-            arbitration_id=k % 8,
-            data=k.to_bytes(8, "little"),
-            is_extended_id=False,
-        )
-        for k in range(start, start + count)
-    ]
+def frames(start, count, period_s=0.02):
+    numbers = np.arange(start, start + count)
+    return FrameBlock.from_columns(
+        946684800.0 + period_s * numbers, numbers % 8, 8, numbers.astype("<u8")[:, None].view(np.uint8)
+    )
 
 
 def test_frames_come_back_in_order_across_parts(tmp_path):
@@ -30,9 +27,10 @@ def test_frames_come_back_in_order_across_parts(tmp_path):
     log.cut()
     parts = [part for _, part in read_can_log(tmp_path)]
     assert [len(part) for part in parts] == [500, 300]
-    for written, read in zip(frames(0, 800), [message for part in parts for message in part], strict=True):
-        assert (read.arbitration_id, bytes(read.data)) == (written.arbitration_id, bytes(written.data))
-        assert read.timestamp == pytest.approx(written.timestamp, abs=1e-6)
+    written, read = frames(0, 800), concatenate(parts)
+    assert np.array_equal(read.data, written.data)
+    assert np.array_equal(read.arbitration_id, written.arbitration_id)
+    assert read.timestamp_s == pytest.approx(written.timestamp_s, abs=1e-6)
 
 
 def test_python_cans_own_reader_opens_every_part(tmp_path):
@@ -63,16 +61,14 @@ def test_a_new_log_continues_with_the_numbering(tmp_path):
 
 
 def contents(folder):
-    return {
-        number: [int.from_bytes(message.data, "little") for message in part]
-        for number, part in read_can_log(folder)
-    }
+    return {number: part.data.copy().view("<u8")[:, 0].tolist() for number, part in read_can_log(folder)}
 
 
 def test_every_part_is_read_up_to_its_last_whole_container_and_stands_alone(tmp_path):
     for begin in (0, 5000, 10_000):
         log = CanLog(tmp_path)
-        log.write(frames(begin, 3000))
+        for first in range(begin, begin + 3000, 100):
+            log.write(frames(first, 100))
         if begin < 10_000:
             log.cut()
     for number in (1, 2):
@@ -97,13 +93,35 @@ def test_a_part_that_is_being_written_lacks_the_last_seconds_at_most(tmp_path):
     assert contents(tmp_path) == {1: list(range(2000))}
 
 
+def test_frames_that_come_seldom_are_readable_after_some_seconds(tmp_path):
+    log = CanLog(tmp_path)
+    for number in range(100):
+        log.write(frames(number, 1, period_s=1.0))
+        assert number + 1 - len(contents(tmp_path)[1]) <= 10
+    log.cut()
+
+
+def test_what_was_synchronized_is_complete_for_other_programs_while_the_part_continues(tmp_path):
+    log = CanLog(tmp_path)
+    for begin in (0, 50):
+        log.write(frames(begin, 50))
+        log.sync()
+        with can.LogReader(tmp_path / "part-00001.blf") as reader:
+            assert reader.object_count == begin + 50
+            assert reader.stop_timestamp == pytest.approx(946684800.0 + 0.02 * (begin + 49), abs=1e-3)
+            assert sum(1 for _ in reader) == begin + 50
+    log.cut()
+    assert contents(tmp_path) == {1: list(range(100))}
+
+
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_anywhere_never_gives_a_frame_that_was_not_received_there(tmp_path, data):
     for path in tmp_path.iterdir():
         path.unlink()
     log = CanLog(tmp_path)
-    log.write(frames(0, 1500))
+    for begin in range(0, 1500, 300):
+        log.write(frames(begin, 300))
     log.cut()
     path = tmp_path / "part-00001.blf"
     content = bytearray(path.read_bytes())

@@ -2,7 +2,7 @@
 
 import contextlib
 
-import can
+import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
@@ -11,6 +11,7 @@ from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
 from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry, read_telemetry
+from gyrobench.drivers.frames import FrameBlock
 
 
 def fill(disk):
@@ -46,7 +47,8 @@ def test_a_journal_continues_once_there_is_room_again(full_disk):
 
 def test_a_log_keeps_what_it_has_and_continues_in_a_new_part(full_disk):
     def frames(begin, count):
-        return [can.Message(data=k.to_bytes(8, "little")) for k in range(begin, begin + count)]
+        numbers = np.arange(begin, begin + count)
+        return FrameBlock.from_columns(numbers * 0.01, 1, 8, numbers.astype("<u8")[:, None].view(np.uint8))
 
     log = CanLog(full_disk / "can")
     log.write(frames(0, 100))
@@ -59,7 +61,7 @@ def test_a_log_keeps_what_it_has_and_continues_in_a_new_part(full_disk):
     log.write(frames(200_000, 50))
     log.cut()
     parts = {
-        number: [int.from_bytes(frame.data, "little") for frame in part]
+        number: part.data.copy().view("<u8")[:, 0].tolist()
         for number, part in read_can_log(full_disk / "can")
     }
     assert parts[1] == list(range(100))

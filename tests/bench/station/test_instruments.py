@@ -54,7 +54,7 @@ def test_a_closed_port_is_reopened_and_works(station, instrument):
 def test_the_frames_of_a_reopened_ins_go_to_whom_they_went_before(station):
     clock, frames = VirtualClock(), []
     with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
-        instruments.ins.on_frames = frames.extend
+        instruments.ins.on_frames = frames.append
         instruments.power_unit(True)
         instruments.reopen(INS)
         clock.sleep(20.0)
@@ -111,7 +111,7 @@ def socketcand_station(changed, port):
 def test_a_socketcand_server_that_is_not_there_is_reported_at_once(changed):
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
         port = listener.getsockname()[1]
-    with pytest.raises(ConnectionFailedError, match=f"INS: no socketcand server at 127.0.0.1:{port}"):
+    with pytest.raises(ConnectionFailedError, match=f"INS: .*no socketcand server at 127.0.0.1:{port}"):
         open_ins(socketcand_station(changed, port), WallClock(), Emulation())
 
 

@@ -128,6 +128,38 @@ def test_commands_reach_the_ins_at_the_time_of_the_clock(join, clock, bench):
     assert modes[-2:] == [1, 2]
 
 
+def contents(messages):
+    return [(m.timestamp, m.arbitration_id, m.is_extended_id, bytes(m.data)) for m in messages]
+
+
+@pytest.mark.parametrize(
+    "filters",
+    [
+        None,
+        [],
+        [{"can_id": HEADING, "can_mask": 0x7FF}, {"can_id": STATUS, "can_mask": 0x7F0, "extended": False}],
+        [{"can_id": HEADING, "can_mask": 0x7FF, "extended": True}],
+        [{"can_id": 0, "can_mask": 0}],
+    ],
+)
+def test_blocks_and_messages_are_the_same_frames(join, clock, bench, filters):
+    in_messages, in_blocks, in_both = (join(can_filters=filters) for _ in range(3))
+    bench.world.power_unit(True)
+    clock.sleep(BOOTED_S + 2.0)
+    expected = contents(drained(in_messages))
+    assert contents(in_blocks.recv_block().messages()) == expected
+    assert len(in_blocks.recv_block()) == 0
+    first = in_both.recv(0.0)
+    assert contents([first] if first else []) + contents(in_both.recv_block().messages()) == expected
+
+
+def test_at_bus_off_there_are_no_blocks(join, bench):
+    bus = join()
+    bench.connections["ins"].disconnect()
+    with pytest.raises(can.CanOperationError, match="bus-off"):
+        bus.recv_block()
+
+
 def test_several_buses_get_all_frames_and_one_world(join, clock, bench):
     first, second = join(), join()
     bench.world.power_unit(True)

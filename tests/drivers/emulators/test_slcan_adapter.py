@@ -26,7 +26,7 @@ class Bench:
         self.world, self.unit = world, world.unit
         self.ins = CanInsEmulator(world)
         self.sent = []
-        self.ins.listeners.append(self.sent.extend)
+        self.ins.listeners.append(lambda block: self.sent.extend(block.messages()))
         self.adapter = SlcanAdapter(self.ins, Connection())
         world.power_unit(True)
         world.advance(2.5)

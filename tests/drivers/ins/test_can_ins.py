@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -148,12 +148,9 @@ def test_every_frame_is_polled_once_in_order_and_given_to_the_sink(
     for message in to_messages(block):
         buses[1].send(message)
     polled = driver.poll()
-    assert driver.poll() == []
+    assert len(driver.poll()) == 0
     assert batches == [polled]
-    arrived = FrameBlock.from_messages(polled)
-    assert np.array_equal(arrived.data, block.data)
-    assert np.array_equal(arrived.arbitration_id, block.arbitration_id)
-    assert np.array_equal(arrived.timestamp_s, block.timestamp_s)
+    assert np.array_equal(polled.rows, block.rows)
     assert driver.health().frames == len(block)
 
 
@@ -161,7 +158,7 @@ def test_polled_frames_decode_to_what_was_sent(driver, buses, recording, to_mess
     block = recording(0, 100)
     for message in to_messages(block):
         buses[1].send(message)
-    live = decode_navigation(FrameBlock.from_messages(driver.poll()), signal_map, codec)
+    live = decode_navigation(driver.poll(), signal_map, codec)
     logged = decode_navigation(block, signal_map, codec)
     assert np.array_equal(live.ins_time_s, logged.ins_time_s)
     assert np.array_equal(live.velocity_enu_mps, logged.velocity_enu_mps)
@@ -254,8 +251,7 @@ def test_frames_that_arrive_while_a_command_waits_reach_the_sink(
     driver.align()
     unit.send("VELOCITY_NE", 1.1, VELOCITY_EAST=2.0)
     driver.poll()
-    identifiers = [message.arbitration_id for batch in batches for message in batch]
-    assert identifiers == [0x004, 0x010, 0x011, 0x012, 0x004]
+    assert concatenate(batches).arbitration_id.tolist() == [0x004, 0x010, 0x011, 0x012, 0x004]
 
 
 def test_a_command_that_is_not_confirmed_times_out(driver, unit, clock):
@@ -439,6 +435,7 @@ class BreakingBus(can.BusABC):
 )
 def test_frames_before_a_failure_of_the_bus_are_not_lost(error, raised, signal_map, codec, clock, batches):
     driver = CanIns(BreakingBus(error), signal_map, codec.database, clock, None, batches.append)
+    assert len(driver.poll()) == 2
     with pytest.raises(raised, match=str(error)):
         driver.poll()
     assert [len(batch) for batch in batches] == [2]

@@ -162,3 +162,21 @@ def test_a_temperature_at_the_limit_of_the_dbc_or_beyond_is_no_value(
 def test_an_angle_at_the_limit_of_the_dbc_is_an_angle(codec, signal_map):
     bound = bind_signals(signal_map, codec)["attitude.euler.roll"]
     assert bound.to_si(np.array([180.0, -180.0])) == pytest.approx([np.pi, -np.pi])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "first"),
+    [
+        ("VELOCITY_NE.VELOCITY_NORTH", "VELOCITY_NE.VELOCITY_EAST", "velocity_"),
+        ("pitch: ROLL_PITCH.PITCH", "pitch: ROLL_PITCH.ROLL", "attitude.euler.roll"),
+        ("x: GYRO_ELECTRONICS_TEMPERATURE.X", "x: GYRO_OPTICS_TEMPERATURE.X", "gyro_optics_temperature"),
+    ],
+)
+def test_a_signal_in_two_roles_is_refused(codec, make_signal_map, old, new, first):
+    (problem,) = check_signals(make_signal_map({old: new}), codec)
+    assert f"already mapped to {first}" in problem.message
+
+
+def test_one_temperature_sensor_stands_for_all_gyros(codec, make_signal_map):
+    names = {f"GYRO_OPTICS_TEMPERATURE.{axis}": "GYRO_OPTICS_TEMPERATURE.X" for axis in "YZ"}
+    assert check_signals(make_signal_map(names), codec) == []

@@ -57,6 +57,26 @@ def test_frames_come_no_sooner_than_they_did(log):
         assert clock.now() == pytest.approx(frame.timestamp - first.timestamp, abs=1e-4)
 
 
+def test_blocks_hold_the_frames_that_single_reading_gives_when_they_are_due(log):
+    clock = VirtualClock()
+    with open_bus("replay", str(log), clock) as bus, can.LogReader(log) as reader:
+        frames = [frame for frame in reader if frame.is_rx]
+        zero_s = clock.now() - frames[0].timestamp
+        read = []
+        while len(read) < len(frames):
+            block = bus.recv_block().messages()
+            assert all(zero_s + frame.timestamp <= clock.now() for frame in block)
+            read += block
+            due = sum(zero_s + frame.timestamp <= clock.now() for frame in frames)
+            assert len(read) == due
+            single = bus.recv(0.0)
+            assert single is None
+            clock.sleep(0.35)
+    assert all(
+        a.equals(b, timestamp_delta=0.0, check_channel=False) for a, b in zip(read, frames, strict=True)
+    )
+
+
 def test_after_the_last_frame_nothing_comes(log):
     with open_bus("replay", str(log), VirtualClock()) as bus:
         while bus.recv(100.0) is not None:

@@ -11,7 +11,6 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
-from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.navigation_data import decode_navigation
@@ -38,15 +37,13 @@ def sent(make_world, name, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
     """The station of that name, the frames of some epochs, and the states behind them."""
     emulator = CanInsEmulator(make_world(), epoch_unix_s=0.0)
     emulator.use_format(name)
-    frames = []
-    emulator.listeners.append(frames.extend)
+    blocks = []
+    emulator.listeners.append(blocks.append)
     result, matrices = states()
     samples = np.arange(500, 500 + 10 * EPOCHS, 10)
     emulator._send_epochs(Epochs(samples, result, mode, alignment))
     station = Station(find_document("stations", f"emulated_{name}"))
-    data = decode_navigation(
-        FrameBlock.from_messages(frames), station.file.ins.signals, DbcCodec(load_dbc(station.dbc_path))
-    )
+    data = decode_navigation(blocks[0], station.file.ins.signals, DbcCodec(load_dbc(station.dbc_path)))
     return data, result, matrices
 
 

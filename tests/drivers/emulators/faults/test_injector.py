@@ -21,7 +21,7 @@ def heard(bench, until_s, step_s):
     """Data of all frames of an INS that aligns and navigates, the world brought on in such steps."""
     bench.world.power_unit(True)
     frames = []
-    bench.bench.bus.listeners.append(lambda messages: frames.extend(bytes(m.data) for m in messages))
+    bench.bench.bus.listeners.append(lambda block: frames.extend(map(bytes, block.data)))
     for number, time_s in enumerate(np.arange(step_s, until_s + 1e-9, step_s)):
         bench.until(float(time_s))
         if number % 4 == 0:
@@ -69,7 +69,7 @@ def test_an_empty_list_changes_nothing(rig):
     clock = VirtualClock()
     plain = EmulatedBench(clock, QUICK, 0)
     frames = []
-    plain.bus.listeners.append(lambda messages: frames.extend(bytes(m.data) for m in messages))
+    plain.bus.listeners.append(lambda block: frames.extend(map(bytes, block.data)))
     plain.world.power_unit(True)
     clock.sleep(100.0)
     plain.advance()

@@ -11,8 +11,8 @@ from gyrobench.drivers.emulators.world.sensor_errors import (
     PPM,
     accelerometer_errors,
     gyro_errors,
+    sense,
 )
-from gyrobench.drivers.emulators.world.strapdown import sense
 from gyrobench.drivers.emulators.world.world_file import AccelerometerErrors, GyroErrors
 
 AXES = "xyz"

@@ -5,14 +5,13 @@ from pyins.strapdown import Integrator
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
-from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
+from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G, sense
 from gyrobench.drivers.emulators.world.strapdown import (
     EARTH_RATE,
     euler_angles,
     matrix_of,
     navigate,
     normal_gravity,
-    sense,
     true_increments,
 )
 

@@ -36,7 +36,7 @@ def frames_of(world, steps_s, story=STORY):
     """Let the story happen in steps of those lengths in turn; returns every frame on the bus."""
     frames = []
     CanInsEmulator(world).listeners.append(
-        lambda messages: frames.extend((m.timestamp, m.arbitration_id, bytes(m.data)) for m in messages)
+        lambda block: frames.extend((m.timestamp, m.arbitration_id, bytes(m.data)) for m in block.messages())
     )
     now_s, turn = 0.0, 0
     for time_s, happen in story:

@@ -1,0 +1,127 @@
+"""Damaged files of an interrupted run: found before it resumes, and given up where the operator chooses to.
+
+Telemetry, parts of the CAN log, lines of the journal and provenance.json can be given up: a dwell whose data
+they held is measured again. The damaged files stay in the run folder under other names.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.run_dwells import marks_in, read_frames
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.files import cant_be_written, read_limited, write_whole
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.runs.folder import RunFolder, part_path
+from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, Journal, intact_lines
+from gyrobench.bench.runs.provenance import read_provenance, start_of, write_provenance
+from gyrobench.bench.runs.telemetry import damaged_telemetry
+
+_SUFFIX = ".damaged"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What a run folder has lost."""
+
+    #: Damaged files, and what is lost with each.
+    files: Mapping[Path, str] = field(default_factory=dict)
+    lines: int = 0  #: damaged lines of the journal
+    is_provenance_lost: bool = False  #: whether provenance.json is damaged or missing
+    dwells: tuple[int, ...] = ()  #: finished dwells whose data are lost
+
+    def __bool__(self) -> bool:
+        return bool(self.files or self.dwells)
+
+    def describe(self) -> list[str]:
+        """One line for each damaged file, and how to resume without them; empty without damage."""
+        if not self:
+            return []
+        again = f"; dwell {listed(list(map(str, self.dwells)))} is measured again" if self.dwells else ""
+        return [
+            *(f"Damaged: {path}: {lost}." for path, lost in self.files.items()),
+            f"Restore the files from a copy, or resume with --give-up-damaged{again}.",
+        ]
+
+    def put_aside(self, folder: RunFolder) -> None:
+        """Rename the damaged files; the journal keeps its intact lines, provenance is written again.
+
+        Raises RunFolderError if a file can't be written.
+        """
+        lines, _ = intact_lines(_content(folder))
+        for path in self.files:
+            aside = path.with_name(path.name + _SUFFIX)
+            try:
+                if path == folder.journal:
+                    write_whole(aside, path.read_bytes())
+                elif path.exists():
+                    path.replace(aside)
+            except OSError as error:
+                raise cant_be_written(path, error) from error
+        if folder.journal in self.files:
+            write_whole(folder.journal, b"".join(line + b"\n" for line in lines if _has_sound_marks(line)))
+        if self.is_provenance_lost:
+            entries = [json.loads(line) for line in lines]
+            started, options = start_of(folder, entries)
+            write_provenance(folder, started, {}, options)
+
+    def record(self, journal: Journal) -> None:
+        """Record what was given up."""
+        names = [path.name for path in self.files]
+        journal.record("data_given_up", files=names, lines=self.lines, dwells=list(self.dwells))
+        again = f"; measured again: dwell {listed(list(map(str, self.dwells)))}" if self.dwells else ""
+        journal.record("note", text=f"damaged files were given up: {listed(names)}{again}")
+
+
+def find_damage(folder: RunFolder, is_log_read: bool = True) -> tuple[Damage, list[dict[str, Any]]]:
+    """Check all files that resuming a run needs; returns the damage, and the journal's intact entries.
+
+    ``is_log_read``: whether the frames of all finished dwells are checked too. Raises RunFolderError if a
+    folder or the journal can't be read.
+    """
+    files: dict[Path, str] = {}
+    lines, damaged_lines = intact_lines(_content(folder))
+    sound = [line for line in lines if _has_sound_marks(line)]
+    damaged_lines += len(lines) - len(sound)
+    entries = [json.loads(line) for line in sound]
+    if damaged_lines:
+        files[folder.journal] = f"{counted(damaged_lines, 'line')} can't be read"
+    is_provenance_lost = False
+    try:
+        is_provenance_lost = "options" not in read_provenance(folder)
+    except RunFolderError:
+        is_provenance_lost = True
+    if is_provenance_lost:
+        files[folder.provenance] = "start and options come from the journal, identities are lost"
+    lost = []
+    if is_log_read:
+        files |= dict.fromkeys(damaged_telemetry(folder.telemetry), "readings that no dwell needs")
+        for marks in marks_in(entries, folder):
+            try:
+                read_frames(folder, marks)  # raises where frames are missing
+            except RunFolderError:
+                lost.append(marks.dwell)
+                path = part_path(folder.can, marks.log_part, ".blf")
+                files[path] = f"frames of dwell {marks.dwell}"
+    return Damage(files, damaged_lines, is_provenance_lost, tuple(lost)), entries
+
+
+def _content(folder: RunFolder) -> bytes:
+    return read_limited(folder.journal, MAX_JOURNAL_BYTES, RunFolderError)
+
+
+def _has_sound_marks(line: bytes) -> bool:
+    """Whether a line of the journal is not the end of a dwell with damaged marks."""
+    entry = json.loads(line)
+    if entry.get("event") != "dwell_finished":
+        return True
+    try:
+        DwellMarks.from_json(entry.get("marks", {}))
+    except RunFolderError:
+        return False
+    return True
