@@ -36,8 +36,8 @@ from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 #: A rate of damping of which nothing is known beforehand, 1/s.
 _WIDE_DAMPING = 1.0
-#: The same of an acceleration, m/s^2, and the p-value above which accelerometers count as settled after turns.
-_WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.05
+#: The same of an acceleration, m/s^2; and the p-value above which accelerometers count as settled.
+_WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 
 
 @dataclass(frozen=True)
@@ -288,8 +288,8 @@ class BiasFilter:
     def _information(self) -> tuple[DwellInformation, FloatArray]:
         """What has been added so far says of the parameters, and which of them it shows (p,), 0 or 1.
 
-        That the accelerometers need not settle after a turn is worth a sixth of the uncertainty: it is presumed
-        unless the data contradict it.
+        To estimate how accelerometers settle after a turn costs a sixth of the level gyros' uncertainty: they
+        count as settled unless the data contradict it.
         """
         information = self.information()
         count = len(self._windows)

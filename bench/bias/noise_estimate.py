@@ -202,7 +202,8 @@ class NoiseEstimate:
             larger(declared.angle_random_walk, self.angle_random_walk, *self.angle_random_walks),
             larger(declared.velocity_random_walk, self.velocity_random_walk),
             larger(declared.velocity_white, self.velocity_white),
-            larger(declared.heading_white, self.heading_white),
+            # Pulses that hide the noise are worth at least as much.
+            larger(declared.heading_white, self.heading_white) if self.heading.fit else self.heading.step,
         )
 
     def noise_model(self) -> NoiseModel:

@@ -43,6 +43,8 @@ from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
 MIN_FIT_P_VALUE = 1e-5
 #: The same for biases that differ between the windows: one in ten thousand.
 _MIN_STEADY_P_VALUE = 1e-4
+#: Attitude that is noisier than declared by this factor comes in steps of its sensors.
+_COARSER = 5.0
 #: The same for a bias that steps.
 _MIN_STEP_P_VALUE = 4e-3
 
@@ -169,8 +171,15 @@ def estimate_dwell(
     estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
     faults = setup.output_faults(dwell, noise)
     flags, doubts = [fault.text for fault in faults if not fault.may_be_noise], _doubts(estimate)
-    step = estimate.step
-    if step is not None and step.p_value < _MIN_STEP_P_VALUE and not doubts:
+    pulse_rad = math.sqrt(12.0) * noise.heading_white
+    if (flags or doubts) and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:
+        doubts.insert(
+            0,
+            f"the resolution of the gyros limits this dwell: the attitude moves in steps of about "
+            f"{math.degrees(pulse_rad) * 3600.0:.2g} arcsec. Measure with dithered gyros or finer pulses",
+        )
+    step, others = estimate.step, (estimate.fit.p_value, estimate.steady_p_value, estimate.damping.p_value)
+    if step is not None and step.p_value < min(_MIN_STEP_P_VALUE, *others):
         flags.append(
             f"a bias is not constant: that of the {AXES[step.gyro]} gyro seems to step by "
             f"{step.size_dph:.2g} deg/h at {step.time_s:.0f} s on the clock of the INS (p = "
@@ -246,7 +255,7 @@ def lack_of_fit_text(fit: GoodnessOfFit) -> str:
     """Message where error model and noise do not explain the data."""
     return (
         f"the residuals are {fit.ratio:.2f} times as large as the noise explains "
-        f"(p = {fit.p_value:.1g}): the noise is larger than declared, or the unit was disturbed"
+        f"(p = {fit.p_value:.1g}): the unit was disturbed, or its noise is not as declared"
     )
 
 

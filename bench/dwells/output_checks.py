@@ -25,6 +25,8 @@ _JUMP_SIGMAS, _JUMP_STEPS = 10.0, 4.0
 _MAD_TO_SIGMA = 1.4826
 #: Neither does one within so much white noise: pulses without dither are still most of the time.
 _WHITE_SIGMAS = 5.5
+#: More jumps than this in a window are steps of the output.
+_MANY_JUMPS = 30
 #: Times, s, within which a slope may not change by so many standard deviations, and how often a window
 #: holds them.
 _BEND_LAGS_S, _BEND_SIGMAS, _MIN_LAGS = (10.0, 30.0), 6.5, 3.0
@@ -106,11 +108,18 @@ def _jump(
         name: _first_jump(time_s, values, steps[name], _WHITE_SIGMAS * white[name])
         for name, values in channels.items()
     }
-    first = min(jumps, key=jumps.__getitem__)
-    if not math.isfinite(jumps[first]):
+    first = min(jumps, key=lambda name: jumps[name][0])
+    time_of_first_s, count, size = jumps[first]
+    if not math.isfinite(time_of_first_s):
         return None
+    if count > _MANY_JUMPS:
+        unit = "m/s" if first in _VELOCITIES else "rad"
+        return OutputFault(
+            f"the {first} moves in steps of about {size:.1g} {unit}, {count} of them: the resolution of the "
+            "sensors limits the dwell, or frames are damaged. Dither the gyros; check the raw CAN log"
+        )
     return OutputFault(
-        f"the {first} jumps at {jumps[first]:.1f} s on the clock of the INS: a damaged frame, an INS that "
+        f"the {first} jumps at {time_of_first_s:.1f} s on the clock of the INS: a damaged frame, an INS that "
         "restarted, or a unit that was knocked. Check the raw CAN log"
     )
 
@@ -229,8 +238,13 @@ def _is_noisy(time_s: FloatArray, channels: Mapping[str, FloatArray], walk: floa
     return any(len(each) > 0 and float(np.std(each)) > _NOISY_SHARE * expected for each in bends)
 
 
-def _first_jump(time_s: FloatArray, values: FloatArray, step: float, white: float) -> float:
-    """Time of the first value that its neighbours, and white noise, do not lead to expect; or infinite."""
+def _first_jump(
+    time_s: FloatArray, values: FloatArray, step: float, white: float
+) -> tuple[float, int, float]:
+    """Time of the first value that its neighbours, and white noise, do not lead to expect; or infinite.
+
+    And how many there are, and how far off the typical one of them is.
+    """
     before_s, after_s = time_s[1:-1] - time_s[:-2], time_s[2:] - time_s[1:-1]
     expected = (values[:-2] * after_s + values[2:] * before_s) / (before_s + after_s)
     away = values[1:-1] - expected
@@ -238,7 +252,9 @@ def _first_jump(time_s: FloatArray, values: FloatArray, step: float, white: floa
     wide = np.sqrt((before_s + after_s) / (2.0 * np.median(after_s)))
     sigma = _MAD_TO_SIGMA * float(np.median(np.abs(away)))
     jumps = np.abs(away) > (max(_JUMP_SIGMAS * sigma, white) + _JUMP_STEPS * step) * np.maximum(wide, 1.0)
-    return float(time_s[1:-1][jumps][0]) if jumps.any() else math.inf
+    if not jumps.any():
+        return math.inf, 0, 0.0
+    return float(time_s[1:-1][jumps][0]), int(jumps.sum()), float(np.median(np.abs(away[jumps])))
 
 
 def _longest_still(time_s: FloatArray, moves: BoolArray) -> tuple[float, float]:
